@@ -1,0 +1,1 @@
+"""What flows between the rooms: records, errors, clocks. Imports nothing else of the package."""

@@ -1,0 +1,74 @@
+"""The one tree of errors that people see, and the exit code each kind carries."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class AccelcalError(Exception):
+    """An error with a place and a remedy, shown as one line.
+
+    Args:
+        message: what is wrong, without a full stop.
+        path: the file concerned.
+        byte_offset: where in the file (bytes from its start).
+        line: where in a text file (1 is the first line).
+        hint: what the user can do about it.
+    """
+
+    exit_code = 70
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        path: Path | str | None = None,
+        byte_offset: int | None = None,
+        line: int | None = None,
+        hint: str | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.message = message
+        self.path = path
+        self.byte_offset = byte_offset
+        self.line = line
+        self.hint = hint
+
+    def __str__(self) -> str:
+        where = [] if self.path is None else [str(self.path)]
+        if self.line is not None:
+            where.append(f"line {self.line}")
+        if self.byte_offset is not None:
+            where.append(f"byte {self.byte_offset}")
+        text = f"{', '.join(where)}: {self.message}" if where else self.message
+        return " ".join((f"{text}; {self.hint}" if self.hint else text).split())
+
+
+class UsageError(AccelcalError):
+    """The command's words do not fit together."""
+
+    exit_code = 2
+
+
+class UnreadableError(AccelcalError):
+    """The recording cannot be read, or its format is not supported."""
+
+    exit_code = 3
+
+
+class RefusedError(AccelcalError):
+    """The recording was read but cannot support a calibration."""
+
+    exit_code = 4
+
+
+class OutputError(AccelcalError):
+    """A result could not be written."""
+
+    exit_code = 5
+
+
+class FixedPointOverflowError(AccelcalError):
+    """A value left the range of its fixed-point format; nothing was wrapped."""
+
+    exit_code = 4

@@ -1,0 +1,45 @@
+"""What one pass over a recording finds out: length, gaps, problems, measured rate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from accelcal_cli.core.recording import Problem
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Time that is missing between two consecutive rows.
+
+    Attributes:
+        sample: number of the first sample after the gap.
+        start_us: time of the last sample before it.
+        seconds: from that sample to the next one.
+    """
+
+    sample: int
+    start_us: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """A recording as it was found.
+
+    Attributes:
+        first_us, last_us: times of the first and last sample; None without samples.
+        rate_hz: measured: samples over time within unbroken stretches; None if unknown.
+        gaps_omitted: gaps beyond those that are listed.
+    """
+
+    samples: int
+    first_us: int | None
+    last_us: int | None
+    rate_hz: float | None
+    gaps: tuple[Gap, ...]
+    gaps_omitted: int
+    problems: tuple[Problem, ...]
+    filled: int
+    clipped: int
+    has_temperature: bool
+    has_gyroscope: bool

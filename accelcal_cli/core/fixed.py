@@ -1,0 +1,49 @@
+"""Fixed-point integers: 32-bit values with 29 fraction bits, 64-bit products, no wrapping.
+
+Values lie in -4..4 (F's implementation note: 32-bit fixed point; Farago, Maczak, Gingl 2024).
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import FixedPointOverflowError
+
+FRACTION_BITS = 29
+ONE = 1 << FRACTION_BITS
+LIMIT = 1 << 31
+
+Fixed = NDArray[np.int64]
+"""Values that fit 32 bits, held in 64 so that their products are exact."""
+
+
+def checked(values: Fixed, what: str, limit: int = LIMIT) -> Fixed:
+    """Pass values through if all lie within +-limit.
+
+    Raises:
+        FixedPointOverflowError: one does not.
+    """
+    if values.size and max(int(values.max()), -int(values.min())) >= limit:
+        raise FixedPointOverflowError(
+            f"{what} leaves the 32-bit fixed-point range of +-{LIMIT // ONE} g",
+            hint="check the unit and --lsb-per-g",
+        )
+    return values
+
+
+def narrow(values: Fixed, bits: int = FRACTION_BITS) -> Fixed:
+    """Drop `bits` fraction bits, rounding half up."""
+    return (values + (1 << (bits - 1))) >> bits
+
+
+def to_fixed(value: Fraction | float) -> int:
+    """The nearest fixed-point integer of a number, ties to even."""
+    return round(Fraction(value) * ONE)
+
+
+def to_float(value: int) -> float:
+    """The number a fixed-point integer stands for (exact: 29 bits fit a double)."""
+    return value / ONE

@@ -1,0 +1,171 @@
+"""Calibration points, parameters and fits: what flows from the collector to the judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.fixed import ONE, Fixed, to_float
+
+PARAMETER_NAMES = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz", "sx", "sy", "sz")
+"""K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C]."""
+
+WEIGHT_ONE = 1 << 15
+IDENTITY: tuple[int, ...] = (ONE, ONE, ONE) + (0,) * 9
+
+
+@dataclass(frozen=True, slots=True)
+class Model:
+    """Which of the twelve parameters are free; the others keep their ideal value."""
+
+    name: str
+    free: tuple[int, ...]
+
+    @property
+    def has_temperature(self) -> bool:
+        """Whether the offsets may depend on temperature."""
+        return any(index >= 9 for index in self.free)
+
+
+_OFFSET = (6, 7, 8)
+_SCALE = (0, 1, 2)
+_MISALIGNMENT = (3, 4, 5)
+_SLOPE = (9, 10, 11)
+
+MODELS: dict[str, Model] = {
+    name: Model(name, tuple(sorted(free)))
+    for name, free in {
+        "0": (),
+        "3": _OFFSET,
+        "6": _SCALE + _OFFSET,
+        "9": _SCALE + _MISALIGNMENT + _OFFSET,
+        "3T": _OFFSET + _SLOPE,
+        "6T": _SCALE + _OFFSET + _SLOPE,
+        "9T": _SCALE + _MISALIGNMENT + _OFFSET + _SLOPE,
+    }.items()
+}
+"""The model ladder: identity, offset, scale + offset, full; T adds a slope per axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureScale:
+    """How temperatures become fixed-point numbers: (T - reference) / span.
+
+    Attributes:
+        reference_mc: reference temperature, thousandths of a degree C.
+        span_c: a power of two [degrees C], so that the scaled values lie within +-2.
+    """
+
+    reference_mc: int
+    span_c: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointSet:
+    """Means of still windows, n of them, as integers.
+
+    Attributes:
+        xyz: (n, 3) fixed-point g, raw (not calibrated).
+        weights: (n,) integers, WEIGHT_ONE is one whole point.
+        windows: (n,) number of still windows behind each point.
+        tau: (n,) scaled temperatures in fixed point, or None.
+        temperature: how tau was scaled, None without temperatures.
+    """
+
+    xyz: Fixed
+    weights: NDArray[np.int64]
+    windows: NDArray[np.int64]
+    tau: Fixed | None = None
+    temperature: TemperatureScale | None = None
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def select(self, which: NDArray[Any]) -> PointSet:
+        """The points of a mask or an index array."""
+        tau = None if self.tau is None else self.tau[which]
+        return PointSet(self.xyz[which], self.weights[which], self.windows[which], tau, self.temperature)
+
+    def xyz_g(self) -> NDArray[np.float64]:
+        """Raw positions in g, (n, 3) float64, exact."""
+        return self.xyz / float(ONE)
+
+
+@dataclass(frozen=True, slots=True)
+class Operations:
+    """Scalar additions and multiplications, as F counts them (its 32-bit operations)."""
+
+    additions: int = 0
+    multiplications: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What an optimizer found.
+
+    Attributes:
+        parameters: twelve fixed-point integers, in the order of PARAMETER_NAMES; the slopes are
+            per `TemperatureScale.span_c` degrees.
+        stop: why it stopped.
+        history: parameters after each iteration, where asked for.
+    """
+
+    parameters: tuple[int, ...]
+    iterations: int
+    stop: str
+    operations: Operations
+    history: tuple[tuple[int, ...], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Optimizer:
+    """One optimizer, bound as OPTIMIZER in each file of `optimize/`.
+
+    Attributes:
+        name: as in `--optimizer`.
+        fit: (points, model, settings) -> Fit; `settings` are the optimizer's own numbers.
+        settings: profile name -> those numbers.
+    """
+
+    name: str
+    title: str
+    fit: Callable[[PointSet, Model, Any], Fit]
+    settings: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """a = K (v + o + s (T - Tref)), v in raw g (F eq. 7-9, with slopes).
+
+    Attributes:
+        model: name of the model that was fitted.
+        parameters: twelve fixed-point integers.
+        temperature: scale of the slopes, None where the model has none.
+    """
+
+    model: str
+    parameters: tuple[int, ...]
+    temperature: TemperatureScale | None = None
+
+    def gain(self) -> NDArray[np.float64]:
+        """K, (3, 3) lower triangular."""
+        k = [to_float(value) for value in self.parameters[:6]]
+        return np.array([[k[0], 0.0, 0.0], [k[3], k[1], 0.0], [k[4], k[5], k[2]]])
+
+    def offset_g(self) -> NDArray[np.float64]:
+        """o, (3,) in g."""
+        return np.array([to_float(value) for value in self.parameters[6:9]])
+
+    def slope_g_per_c(self) -> NDArray[np.float64]:
+        """s, (3,) in g per degree C; zeros without temperature."""
+        if self.temperature is None:
+            return np.zeros(3)
+        return np.array([to_float(value) / self.temperature.span_c for value in self.parameters[9:]])
+
+    def reference_c(self) -> float:
+        """Tref in degrees C; 0 without temperature."""
+        return 0.0 if self.temperature is None else self.temperature.reference_mc / 1000

@@ -1,0 +1,67 @@
+"""Every tunable of the method: name, unit, default, source. One place."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What decides the result, besides the recording. All of it is in the report.
+
+    Attributes:
+        profile: `default`, or `paper` for F's procedure to the letter.
+        optimizer: as in `--optimizer`.
+        model: `auto`, or the model (9, 6, 3) the user insists on.
+        temperature: whether a slope per axis may be fitted where the recording has temperature.
+        segment_seconds: length of a window [s] (F II.B.1: 5 s).
+        stillness_threshold_g: max - min of a still window stays below [g] (F II.B.1: 0.12 g).
+        stillness_deviation_g: standard deviation of every axis stays below [g] (van Hees et al.
+            2014: 13 mg); None: not looked at.
+        stillness_axes: axes of the max - min rule (F: one; here all, since slow movement across
+            the other two passes a rule that looks at one).
+        cells_per_g: orientation cells per g on each axis (measured: 20; 10 leaves a bias).
+        norm_low_g, norm_high_g: still windows with |mean| outside are implausible [g].
+        posture_degrees: points within so many degrees are one posture.
+        folds: number of posture-blocked folds.
+        min_postures: fewer cannot hold nine unknowns (F II.B.1: nine distinct points).
+        coverage_g: scale needs raw values beyond -this and +this on every axis [g] (van Hees
+            et al. 2014: 0.3 g).
+        max_error_mg: held-out error that a usable calibration stays below [mg] (van Hees: 10 mg).
+        min_temperature_range_c: a slope needs at least this range of temperatures [degrees C].
+    """
+
+    profile: str = "default"
+    optimizer: str = "fixed32"
+    model: str = "auto"
+    temperature: bool = True
+    segment_seconds: float = 5.0
+    stillness_threshold_g: float = 0.12
+    stillness_deviation_g: float | None = 0.013
+    stillness_axes: tuple[int, ...] = (0, 1, 2)
+    cells_per_g: int = 20
+    norm_low_g: float = 0.5
+    norm_high_g: float = 1.5
+    posture_degrees: float = 15.0
+    folds: int = 5
+    min_postures: int = 9
+    coverage_g: float = 0.3
+    max_error_mg: float = 10.0
+    min_temperature_range_c: float = 2.0
+
+    def as_json(self) -> dict[str, Any]:
+        """The report's `settings` object."""
+        return asdict(self)
+
+
+DEFAULT = Settings()
+PAPER = replace(
+    DEFAULT,
+    profile="paper",
+    model="9",
+    temperature=False,
+    stillness_deviation_g=None,
+    stillness_axes=(0,),
+)
+PROFILES = {"default": DEFAULT, "paper": PAPER}

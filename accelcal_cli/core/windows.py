@@ -1,0 +1,51 @@
+"""Still windows as integer sums: what flows from the segmenter to the collector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """m still windows of `length` samples each.
+
+    Attributes:
+        first_sample: (m,) number of each window's first sample in the recording.
+        sums: (m, 3) int64, sums of the raw counts.
+        spread: (m, 3) int64, max - min of the raw counts.
+        temperature_sums: (m,) int64, sums of thousandths of a degree C, or None.
+    """
+
+    length: int
+    first_sample: NDArray[np.int64]
+    sums: NDArray[np.int64]
+    spread: NDArray[np.int64]
+    temperature_sums: NDArray[np.int64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.first_sample)
+
+    def select(self, which: NDArray[np.bool_]) -> Windows:
+        """The windows of a mask."""
+        warm = None if self.temperature_sums is None else self.temperature_sums[which]
+        return Windows(self.length, self.first_sample[which], self.sums[which], self.spread[which], warm)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowCounts:
+    """How many windows there were and why some were not used; sums over chunks by +."""
+
+    complete: int = 0
+    moving: int = 0
+    filled: int = 0
+    clipped: int = 0
+    recovered: int = 0
+    still: int = 0
+
+    def __add__(self, other: WindowCounts) -> WindowCounts:
+        return WindowCounts(
+            *(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__)
+        )
