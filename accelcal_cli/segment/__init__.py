@@ -1,0 +1,1 @@
+"""Finding stillness in a stream of chunks."""

@@ -1,0 +1,37 @@
+"""Exact integer sums at floating-point speed.
+
+A float holds every integer up to 2**24 (single) or 2**53 (double); a sum of integers whose
+absolute values add up to less than that is exact in any order, so that the fast matrix product
+gives the same integers as a slow integer loop.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+_EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
+
+
+def exact_type(bound: int) -> DTypeLike:
+    """The fastest type in which integers that add up to `bound` stay exact."""
+    for limit, kind in _EXACT:
+        if bound <= limit:
+            return kind
+    return np.int64
+
+
+def sums(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
+    """Sums over the last axis of integers whose absolute values add up to at most `bound`."""
+    kind = exact_type(bound)
+    if kind is np.int64:
+        return np.asarray(blocks.sum(axis=-1, dtype=np.int64))
+    return np.asarray(blocks.astype(kind) @ np.ones(blocks.shape[-1], kind)).astype(np.int64)
+
+
+def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
+    """Sums over the last axis of squares that add up to at most `bound`; blocks is (m, n)."""
+    values = blocks.astype(exact_type(bound))
+    return np.asarray(np.einsum("mn,mn->m", values, values)).astype(np.int64)

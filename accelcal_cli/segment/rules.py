@@ -1,0 +1,83 @@
+"""When is a window still? Rules over blocks of windows, exact in integers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.segment._exact import sums_of_squares
+
+
+@dataclass(frozen=True, slots=True)
+class StillRule:
+    """max - min below a threshold on some axes, and standard deviation below another on all.
+
+    The first is F's rule (section II.B.1: one axis, 0.12 g); the second is the field's (van Hees
+    2014: 13 mg). All comparisons are of integers.
+
+    Attributes:
+        axes: which axes the max - min rule looks at.
+        spread_limit: counts; a window is moving if max - min on one of these axes reaches it.
+        variance_limit: counts squared; exclusive bound of the variance of every axis, or None.
+    """
+
+    axes: tuple[int, ...]
+    spread_limit: int
+    variance_limit: Fraction | None
+
+    def still(
+        self, columns: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Which of m windows are still.
+
+        Args:
+            columns: (3, m, length) raw counts.
+            spread: (3, m) max - min.
+            sums: (3, m) sums of counts.
+
+        Returns:
+            (m,) bool.
+        """
+        still = np.asarray((spread[list(self.axes)] < self.spread_limit).all(axis=0))
+        if self.variance_limit is not None:
+            for axis in range(3):
+                at = np.flatnonzero(still)
+                still[at] = self._quiet(columns[axis][at], spread[axis][at], sums[axis][at])
+        return still
+
+    def _quiet(
+        self, blocks: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
+    ) -> NDArray[np.bool_]:
+        """Variance below the limit, for (m, n) counts of one axis.
+
+        With d = counts - first count and sum(d) = q n + r, n^2 times the variance is
+        n (sum(d^2) - n q^2 - 2 q r) - r^2, whose terms stay small.
+        """
+        assert self.variance_limit is not None
+        if not len(blocks):
+            return np.empty(0, np.bool_)
+        length = blocks.shape[1]
+        origin = blocks[:, :1].astype(np.int64)
+        largest = int(spread.max())
+        squares = sums_of_squares(blocks - origin, largest * largest * length)
+        q, r = np.divmod(sums - length * origin[:, 0], length)
+        centred = squares - length * q * q - 2 * q * r
+        limit = self.variance_limit * length**2
+        whole, rest = divmod(-(-limit.numerator // limit.denominator), length)
+        return np.asarray(centred < whole + (rest + r * r + length - 1) // length)
+
+
+def still_rule(
+    axes: tuple[int, ...], threshold_g: float, deviation_g: float | None, lsb_per_g: float
+) -> StillRule:
+    """A rule in g as a rule in counts.
+
+    max - min < threshold in g is max - min < ceil(threshold * lsb_per_g) in whole counts.
+    """
+    limit = Fraction(str(threshold_g)) * Fraction(lsb_per_g)
+    variance = None if deviation_g is None else (Fraction(str(deviation_g)) * Fraction(lsb_per_g)) ** 2
+    return StillRule(axes, -(-limit.numerator // limit.denominator), variance)
