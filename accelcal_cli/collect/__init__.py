@@ -1,0 +1,1 @@
+"""Collecting calibration points from still windows."""

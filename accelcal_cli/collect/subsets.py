@@ -1,0 +1,75 @@
+"""F's collector: nine subsets of two points each, filled in the order of time.
+
+Farago, Maczak, Gingl 2024, section II.B.1 and eq. 10: intervals [-1.25, -0.75], [-0.25, 0.25] and
+[0.75, 1.25] g on each axis; a point goes to one subset, the first axis in the order x, y, z whose
+interval contains it and whose subset is not full.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import ceil, floor
+
+from accelcal_cli.collect._to_points import Sums, to_points
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet
+from accelcal_cli.core.windows import Windows
+
+INTERVALS_G = (
+    (Fraction(-5, 4), Fraction(-3, 4)),
+    (Fraction(-1, 4), Fraction(1, 4)),
+    (Fraction(3, 4), Fraction(5, 4)),
+)
+AXES = "xyz"
+LEVELS = "n0p"
+POINTS_PER_SUBSET = 2
+
+
+class SubsetCollector:
+    """Collects 18 points; windows must come in the order of time."""
+
+    def __init__(self, length: int, lsb_per_g: float, per_subset: int = POINTS_PER_SUBSET) -> None:
+        self.length = length
+        self.lsb_per_g = lsb_per_g
+        self.per_subset = per_subset
+        count = Fraction(lsb_per_g) * length
+        self._bounds = [(ceil(low * count), floor(high * count)) for low, high in INTERVALS_G]
+        self._held: dict[tuple[int, int], list[Sums]] = {
+            (axis, level): [] for axis in range(3) for level in range(3)
+        }
+
+    def offer(self, xyz: tuple[int, int, int]) -> bool:
+        """Offer one window's sums of counts; says whether it was taken."""
+        for axis, value in enumerate(xyz):
+            for level, (low, high) in enumerate(self._bounds):
+                subset = self._held[axis, level]
+                if low <= value <= high and len(subset) < self.per_subset:
+                    subset.append(Sums(1, self.length, xyz))
+                    return True
+        return False
+
+    def missing(self) -> list[str]:
+        """Names of subsets that are not full, such as `xn` (x negative) or `z0`."""
+        return [
+            AXES[axis] + LEVELS[level]
+            for (axis, level), held in sorted(self._held.items())
+            if len(held) < self.per_subset
+        ]
+
+    def points(self) -> PointSet:
+        """The collected points, subset by subset."""
+        sums = [item for _, held in sorted(self._held.items()) for item in held]
+        return to_points(sums, [WEIGHT_ONE] * len(sums), self.lsb_per_g, temperature=False)
+
+
+class PaperCollector:
+    """F's two distinct sets: what the first does not take is offered to the second (control)."""
+
+    def __init__(self, length: int, lsb_per_g: float) -> None:
+        self.fit = SubsetCollector(length, lsb_per_g)
+        self.control = SubsetCollector(length, lsb_per_g)
+
+    def add(self, windows: Windows) -> None:
+        """Take still windows in, in the order of time."""
+        for x, y, z in windows.sums.tolist():
+            if not self.fit.offer((x, y, z)):
+                self.control.offer((x, y, z))
