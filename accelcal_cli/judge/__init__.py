@@ -1,0 +1,1 @@
+"""Judging a calibration by data that it did not see."""

@@ -1,0 +1,98 @@
+"""The model ladder: which model do the held-out postures support?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.judgement import Coverage, Trial
+from accelcal_cli.core.points import MODELS, Model, PointSet
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.errors import mean, standard_error
+from accelcal_cli.judge.holdout import FitFunction, blocked
+
+LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
+"""By number of parameters; the simpler model comes first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What a recording offers the ladder: points, their posture numbers (n,), their coverage."""
+
+    points: PointSet
+    label: NDArray[np.int64]
+    coverage: Coverage
+
+
+def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
+    """Held-out error of every model that the points can hold, and why the others cannot."""
+    names = _wanted(settings, warm=evidence.points.tau is not None)
+    return tuple(_trial(evidence, settings, fit, MODELS[name]) for name in names)
+
+
+def _wanted(settings: Settings, *, warm: bool) -> list[str]:
+    """Identity, and the models that the user allows; slopes only where there is temperature."""
+    names = [name for name in LADDER if settings.model in ("auto", name.removesuffix("T"))]
+    names = names if "0" in names else ["0", *names]
+    return names if warm else [name for name in names if not name.endswith("T")]
+
+
+def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Model) -> Trial:
+    reason = not_eligible(evidence, settings, model)
+    if reason is not None:
+        return Trial(model.name, None, reason)
+    try:
+        held = blocked(evidence.points, evidence.label, model, fit, settings.folds)
+    except FixedPointOverflowError:
+        return Trial(model.name, None, "the fit diverges: the points do not determine it")
+    return Trial(model.name, held, None)
+
+
+def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | None:
+    """Why the points cannot hold a model, or None if they can (or the user insists on it)."""
+    if model.has_temperature and temperature_range_c(evidence.points) < settings.min_temperature_range_c:
+        return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
+    if settings.model == "auto" and any(index < 6 for index in model.free):
+        missing = one_sided_axes(evidence.coverage, settings.coverage_g)
+        if missing:
+            return f"no stillness with {', '.join(missing)}"
+    return None
+
+
+def one_sided_axes(coverage: Coverage, reach_g: float) -> list[str]:
+    """Sides of axes without points, such as `x below -0.3 g`."""
+    missing = []
+    for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True):
+        if low > -reach_g:
+            missing.append(f"{axis} below -{reach_g:g} g")
+        if high < reach_g:
+            missing.append(f"{axis} above {reach_g:g} g")
+    return missing
+
+
+def temperature_range_c(points: PointSet) -> float:
+    """Range of the points' temperatures [degrees C]; 0 without temperatures."""
+    if points.tau is None or points.temperature is None or not len(points):
+        return 0.0
+    return float(points.tau.max() - points.tau.min()) / ONE * points.temperature.span_c
+
+
+def choose(trials: tuple[Trial, ...]) -> Trial:
+    """The simplest model whose error is within one standard error of the best one's.
+
+    The standard error is that of the difference, posture by posture.
+    """
+    scored = [trial for trial in trials if trial.holdout is not None]
+    best = min(scored, key=lambda trial: trial.holdout.after.mean if trial.holdout else float("inf"))
+    return next(trial for trial in scored if _ties(trial, best))
+
+
+def _ties(trial: Trial, best: Trial) -> bool:
+    assert trial.holdout is not None and best.holdout is not None
+    pairs = zip(trial.holdout.per_posture, best.holdout.per_posture, strict=True)
+    differences = [simple[1] - full[1] for simple, full in pairs]
+    return mean(differences) <= standard_error(differences)

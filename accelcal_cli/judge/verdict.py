@@ -1,0 +1,147 @@
+"""The verdict: outcome, reason, and the calibration where there is one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.judgement import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
+from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
+from accelcal_cli.judge.holdout import FitFunction, control
+from accelcal_cli.judge.ladder import Evidence, choose, one_sided_axes, try_models
+from accelcal_cli.judge.postures import postures
+from accelcal_cli.judge.uncertainty import coverage as coverage_of
+from accelcal_cli.judge.uncertainty import uncertainty
+
+FULL_MODELS = ("9", "9T")
+LONGER = "record longer, with more turns of the wrist"
+
+
+def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
+    """Choose a model by posture-blocked held-out error, fit it to all points, and say so.
+
+    Args:
+        points: calibration points of one recording.
+        fit: (points, model) -> Fit, the optimizer.
+    """
+    seen = coverage_of(points)
+    if not len(points):
+        return Judgement(Outcome.REFUSED, f"no still window was found; {LONGER}", seen, ())
+    label = postures(points, settings.posture_degrees)
+    number = int(label.max()) + 1
+    if number < settings.min_postures:
+        text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
+        return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
+    trials = try_models(Evidence(points, label, seen), settings, fit)
+    chosen = _chosen(trials, settings)
+    outcome, message = _outcome(chosen, trials, seen, settings)
+    if outcome is Outcome.REFUSED or chosen.holdout is None:
+        return Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
+    found = fit(points, MODELS[chosen.model])
+    return _complete(
+        Judgement(outcome, message, seen, trials, holdout=chosen.holdout), points, label, chosen, found
+    )
+
+
+def judge_paper(
+    fit_points: PointSet, control_points: PointSet, missing: list[str], fit: FitFunction
+) -> Judgement:
+    """F's procedure: nine parameters from the full first set, judged on the second (eq. 21)."""
+    seen = coverage_of(fit_points)
+    if missing:
+        text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
+        return Judgement(Outcome.REFUSED, f"{text}, profile default does not", seen, ())
+    if not len(control_points):
+        return Judgement(Outcome.REFUSED, f"no control points are left to judge by; {LONGER}", seen, ())
+    found = fit(fit_points, MODELS["9"])
+    held = control(control_points, found.parameters)
+    label = np.arange(len(fit_points), dtype=np.int64)
+    text = f"nine parameters from {len(fit_points)} points: {_change(held)} on {held.points} control points"
+    verdict = Judgement(Outcome.CALIBRATED, text, seen, (Trial("9", held, None),), holdout=held)
+    return _complete(verdict, fit_points, label, Trial("9", held, None), found)
+
+
+def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
+    """The ladder's choice; of the models the user insists on where there is one."""
+    if settings.model == "auto":
+        return choose(trials)
+    named = tuple(trial for trial in trials if trial.model != "0")
+    able = tuple(trial for trial in named if trial.holdout is not None)
+    return choose(able) if able else named[0]
+
+
+def _outcome(
+    chosen: Trial, trials: tuple[Trial, ...], seen: Coverage, settings: Settings
+) -> tuple[Outcome, str]:
+    held = chosen.holdout
+    if held is None:
+        return Outcome.REFUSED, f"model {chosen.model} cannot be fitted: {chosen.reason}"
+    if chosen.model == "0":
+        return _no_model(held, seen, settings)
+    if held.after.mean >= settings.max_error_mg:
+        text = f"the best model ({chosen.model}) leaves {held.after.mean:.1f} mg on postures it did not see"
+        return (
+            Outcome.REFUSED,
+            f"{text}, {settings.max_error_mg:g} mg is the limit; {_advice(seen, settings)}",
+        )
+    if settings.model != "auto" and held.after.mean >= held.before.mean:
+        return Outcome.REFUSED, f"model {chosen.model} as asked for does not improve: {_change(held)}"
+    asked = "" if settings.model == "auto" else " as asked for"
+    text = f"model {chosen.model}{asked}: {_change(held)} on postures it did not see"
+    if chosen.model in FULL_MODELS:
+        return Outcome.CALIBRATED, text
+    return Outcome.REDUCED_MODEL, text + _why_reduced(trials)
+
+
+def _no_model(held: Holdout, seen: Coverage, settings: Settings) -> tuple[Outcome, str]:
+    text = f"no model improves on the {held.before.mean:.1f} mg of the raw data on postures it did not see"
+    if held.before.mean < settings.max_error_mg:
+        return Outcome.ALREADY_GOOD, text
+    return Outcome.REFUSED, f"{text}; {_advice(seen, settings)}"
+
+
+def _why_reduced(trials: tuple[Trial, ...]) -> str:
+    reason = next((trial.reason for trial in trials if trial.model == "9" and trial.reason), None)
+    return f"; misalignment is left out: {reason or 'it does not lower the held-out error'}"
+
+
+def _advice(seen: Coverage, settings: Settings) -> str:
+    missing = one_sided_axes(seen, settings.coverage_g)
+    return f"there is no stillness with {', '.join(missing)}" if missing else LONGER
+
+
+def _change(held: Holdout) -> str:
+    return f"{held.before.mean:.1f} mg before, {held.after.mean:.2f} mg after"
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _complete(
+    verdict: Judgement, points: PointSet, label: NDArray[np.int64], chosen: Trial, found: Fit
+) -> Judgement:
+    model = MODELS[chosen.model]
+    known = uncertainty(points, found.parameters, model)
+    scale = points.temperature if model.has_temperature else None
+    seen = verdict.coverage
+    if known is not None:
+        seen = replace(
+            seen, condition_number=known.condition_number, worst_direction_mg=known.worst_direction_mg
+        )
+    errors = [
+        mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
+        for p in (IDENTITY, found.parameters)
+    ]
+    return replace(
+        verdict,
+        coverage=seen,
+        calibration=Calibration(chosen.model, found.parameters, scale),
+        fit=found,
+        fit_errors=FitErrors(len(points), int(label.max()) + 1, errors[0], errors[1]),
+        standard_errors=None if known is None else known.standard_errors,
+    )
