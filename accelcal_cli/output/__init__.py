@@ -1,0 +1,1 @@
+"""Writing results: Parquet, JSON, both complete or not at all."""

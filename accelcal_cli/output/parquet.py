@@ -1,0 +1,142 @@
+"""The calibrated recording as Parquet, streamed in row groups of fixed size.
+
+Columns and metadata: see docs/outputs.md. Row groups do not depend on how the rows were chunked,
+so that the file's bytes do not either.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.output.atomic import output_error
+
+ROW_GROUP_ROWS = 1 << 20
+METADATA_KEY = b"accelcal"
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Which columns a recording has."""
+
+    temperature: bool
+    gyroscope: bool
+    utc: bool
+
+    def schema(self, metadata: dict[str, Any]) -> pa.Schema:
+        """Arrow schema with units in the fields' metadata."""
+        fields = [_field("time", pa.timestamp("us", "UTC" if self.utc else None), "us since 1970")]
+        fields += [_field(name, pa.float32(), "g") for name in "xyz"]
+        if self.temperature:
+            fields.append(_field("temperature", pa.float32(), "degree Celsius"))
+        if self.gyroscope:
+            fields += [_field(name, pa.float32(), "deg/s") for name in ("gx", "gy", "gz")]
+        fields.append(_field("validity", pa.uint8(), "0 measured, 1 filled, 2 clipped, 3 recovered"))
+        text = json.dumps(metadata, sort_keys=True, allow_nan=False)
+        return pa.schema(fields, metadata={METADATA_KEY: text.encode()})
+
+
+def _field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
+    return pa.field(name, kind, nullable=False, metadata={b"unit": unit.encode()})
+
+
+class ParquetSink:
+    """Takes rows in any portions and writes them to a file that the caller made."""
+
+    def __init__(self, path: Path, shown: Path, columns: Columns, metadata: dict[str, Any]) -> None:
+        """Open `path` for writing; errors speak of `shown`.
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
+        self.shown = shown
+        self.schema = columns.schema(metadata)
+        self._held: list[list[NDArray[Any]]] = []
+        self._rows = 0
+        small = [name for name in self.schema.names if name in ("temperature", "validity")]
+        plain = {name: "PLAIN" for name in self.schema.names if name not in (*small, "time")}
+        try:
+            self._writer = pq.ParquetWriter(
+                path,
+                self.schema,
+                compression="zstd",
+                compression_level=1,
+                use_dictionary=small,
+                column_encoding={"time": "DELTA_BINARY_PACKED", **plain},
+                write_statistics=["time"],
+                store_schema=True,
+            )
+        except OSError as error:
+            raise output_error(error, shown) from error
+
+    def write(self, arrays: list[NDArray[Any]]) -> None:
+        """Take rows: one array a column, in the order of the schema.
+
+        Raises:
+            OutputError: the disk is full, or fails.
+        """
+        start, stop = 0, len(arrays[0])
+        while start < stop:
+            take = min(stop - start, ROW_GROUP_ROWS - self._rows)
+            self._held.append([array[start : start + take] for array in arrays])
+            self._rows += take
+            start += take
+            if self._rows == ROW_GROUP_ROWS:
+                self._flush()
+
+    def _flush(self) -> None:
+        joined = [np.concatenate(parts) for parts in zip(*self._held, strict=True)]
+        self._held, self._rows = [], 0
+        columns = [
+            pa.array(values, from_pandas=False).cast(field.type) if field.name == "time" else pa.array(values)
+            for values, field in zip(joined, self.schema, strict=True)
+        ]
+        try:
+            self._writer.write_batch(pa.record_batch(columns, schema=self.schema), ROW_GROUP_ROWS)
+        except OSError as error:
+            raise output_error(error, self.shown) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        try:
+            if kind is None and self._rows:
+                self._flush()
+            self._writer.close()
+        except OSError as failed:
+            if kind is None:
+                raise output_error(failed, self.shown) from failed
+
+
+def written_by_us(path: Path) -> bool:
+    """Whether an existing Parquet file carries our metadata."""
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except (OSError, pa.ArrowException):
+        return False
+    return METADATA_KEY in metadata
+
+
+def refuse_foreign(path: Path) -> None:
+    """Raise OutputError if a Parquet file exists that accelcal did not write."""
+    if path.exists() and not written_by_us(path):
+        raise OutputError(
+            "exists and was not written by accelcal",
+            path=path,
+            hint="move it away, or use --force to replace it",
+        )

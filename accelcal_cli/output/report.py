@@ -1,0 +1,278 @@
+"""The JSON report: one function a section, all from plain records."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from functools import cache
+from importlib import resources
+from math import floor, log10
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli import __version__
+from accelcal_cli.core.facts import Facts, Gap
+from accelcal_cli.core.fixed import FRACTION_BITS
+from accelcal_cli.core.judgement import Coverage, ErrorSummary, Holdout, Judgement, Trial
+from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit
+from accelcal_cli.core.recording import Problem, Recording, as_json_device
+
+SCHEMA_VERSION = 1
+EQUATION = "a = K (v + o + s (T - Tref))"
+_EPOCH = datetime(1970, 1, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class WindowUse:
+    """Windows by fate, for `fit.windows`."""
+
+    complete: int
+    moving: int
+    filled: int
+    clipped: int
+    recovered: int
+    implausible: int
+    constant_left_out: int
+    used: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReportInput:
+    """All that a report is made of, save the provenance."""
+
+    recording: Recording
+    sha256: str
+    facts: Facts
+    settings: dict[str, Any]
+    judgement: Judgement
+    windows: WindowUse
+    optimizer: dict[str, Any]
+    clipped_after: int | None
+
+
+def build(data: ReportInput) -> dict[str, Any]:
+    """The report without `provenance`: the same for the same input, settings and version."""
+    verdict = data.judgement
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "accelcal_version": __version__,
+        "recording": recording_json(data.recording, data.sha256, data.facts),
+        "settings": data.settings,
+        "outcome": str(verdict.outcome),
+        "message": verdict.message,
+        "calibration": calibration_json(verdict, data.optimizer),
+        "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
+        "fit": _fit(verdict, data.windows),
+        "coverage": _coverage(verdict.coverage),
+        "models_tried": [_trial(trial) for trial in verdict.trials],
+        "file_health": _health(data),
+    }
+
+
+def parquet_metadata(data: ReportInput) -> dict[str, Any]:
+    """What the Parquet file says of itself: calibration, recording, version."""
+    return {
+        "accelcal_version": __version__,
+        "calibration": calibration_json(data.judgement, data.optimizer),
+        "recording": recording_json(data.recording, data.sha256, data.facts),
+    }
+
+
+def recording_json(recording: Recording, sha256: str, facts: Facts) -> dict[str, Any]:
+    """The `recording` object."""
+    start = facts.first_us if recording.start_us is None else recording.start_us
+    known = not any(problem.code == "no_start_time" for problem in facts.problems)
+    return {
+        "path": str(recording.path),
+        "sha256": sha256,
+        "bytes": recording.total_bytes,
+        "format": recording.format,
+        "device": as_json_device(recording.device),
+        "sample_rate_hz": recording.rate_hz,
+        "lsb_per_g": recording.lsb_per_g,
+        "range_g": recording.range_g,
+        "start_time": iso_time(start, recording.timezone) if known else None,
+        "timezone": recording.timezone,
+        "samples": facts.samples,
+        "duration_s": duration_s(recording, facts),
+        "gaps": [_gap(gap, recording.timezone) for gap in facts.gaps],
+        "gaps_omitted": facts.gaps_omitted,
+        "notes": list(recording.notes),
+    }
+
+
+def duration_s(recording: Recording, facts: Facts) -> float:
+    """From the first sample to one period after the last [s]."""
+    if facts.first_us is None or facts.last_us is None:
+        return 0.0
+    return round((facts.last_us - facts.first_us) / 1e6 + 1 / recording.rate_hz, 6)
+
+
+def iso_time(time_us: int | None, timezone: str | None) -> str | None:
+    """ISO 8601 with microseconds; with an offset only where the zone is UTC."""
+    if time_us is None:
+        return None
+    moment = _EPOCH + timedelta(microseconds=time_us)
+    zone = UTC if timezone == "UTC" else None
+    return moment.replace(tzinfo=zone).isoformat(timespec="microseconds")
+
+
+def _gap(gap: Gap, timezone: str | None) -> dict[str, Any]:
+    return {
+        "sample": gap.sample,
+        "start_time": iso_time(gap.start_us, timezone),
+        "seconds": round(gap.seconds, 6),
+    }
+
+
+def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
+    """The `calibration` object; None where there is none."""
+    found, fit = verdict.calibration, verdict.fit
+    if found is None or fit is None:
+        return None
+    values = [*found.gain()[[0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]].tolist(), *found.offset_g().tolist()]
+    return {
+        "model": found.model,
+        "gain": found.gain().tolist(),
+        "offset_g": found.offset_g().tolist(),
+        "parameters": dict(zip(PARAMETER_NAMES[:9], values, strict=True)),
+        "temperature": _temperature(found),
+        "standard_errors": _standard_errors(found, verdict.standard_errors),
+        "equation": EQUATION,
+        "fixed_point": _fixed_point(found),
+        "optimizer": {
+            **optimizer,
+            "iterations": fit.iterations,
+            "stop": fit.stop,
+            "operations": _operations(fit),
+        },
+        "gravity": {"local_g": 1.0, "latitude": None, "altitude": None},
+    }
+
+
+def _temperature(found: Calibration) -> dict[str, Any] | None:
+    if found.temperature is None:
+        return None
+    return {"slope_g_per_c": found.slope_g_per_c().tolist(), "reference_c": found.reference_c()}
+
+
+def _standard_errors(found: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
+    if errors is None:
+        return None
+    span = 1.0 if found.temperature is None else found.temperature.span_c
+    scaled = [value if index < 9 else value / span for index, value in enumerate(errors)]
+    number = 9 if found.temperature is None else 12
+    return {name: significant(value) for name, value in zip(PARAMETER_NAMES[:number], scaled, strict=False)}
+
+
+def _fixed_point(found: Calibration) -> dict[str, Any]:
+    scale = found.temperature
+    return {
+        "fraction_bits": FRACTION_BITS,
+        "parameters": dict(zip(PARAMETER_NAMES, found.parameters, strict=True)),
+        "temperature_reference_mc": None if scale is None else scale.reference_mc,
+        "temperature_span_c": None if scale is None else scale.span_c,
+    }
+
+
+def _operations(fit: Fit) -> dict[str, int]:
+    return {"additions": fit.operations.additions, "multiplications": fit.operations.multiplications}
+
+
+def holdout_json(held: Holdout) -> dict[str, Any]:
+    """The `holdout` object: the number to quote."""
+    return {
+        "method": held.method,
+        "points": held.points,
+        "postures": held.postures,
+        "before_mg": _summary(held.before),
+        "after_mg": _summary(held.after),
+        "improvement_percent": round(held.improvement_percent(), 1) if held.after.mean else None,
+        "ci95_mg": [round(value, 4) for value in held.ci95],
+    }
+
+
+def _summary(errors: ErrorSummary) -> dict[str, float]:
+    return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
+
+
+def _fit(verdict: Judgement, windows: WindowUse) -> dict[str, Any]:
+    errors = verdict.fit_errors
+    return {
+        "points": verdict.coverage.cells if errors is None else errors.points,
+        "postures": None if errors is None else errors.postures,
+        "before_mg": None if errors is None else round(errors.before_mg, 4),
+        "after_mg": None if errors is None else round(errors.after_mg, 4),
+        "windows": {name: getattr(windows, name) for name in windows.__dataclass_fields__},
+    }
+
+
+def _coverage(seen: Coverage) -> dict[str, Any]:
+    worst, condition = seen.worst_direction_mg, seen.condition_number
+    return {
+        "subsets": [list(row) for row in seen.subsets],
+        "axis_min_g": [round(value, 4) for value in seen.axis_min_g],
+        "axis_max_g": [round(value, 4) for value in seen.axis_max_g],
+        "cells": seen.cells,
+        "condition_number": None if condition is None else significant(condition),
+        "worst_direction_mg": None if worst is None else significant(worst),
+    }
+
+
+def _trial(trial: Trial) -> dict[str, Any]:
+    held = trial.holdout
+    return {
+        "model": trial.model,
+        "after_mg": None if held is None else round(held.after.mean, 4),
+        "reason": trial.reason,
+    }
+
+
+def _health(data: ReportInput) -> dict[str, Any]:
+    facts = data.facts
+    return {
+        "problems": [problem_json(problem) for problem in facts.problems],
+        "filled_samples": facts.filled,
+        "clipped_samples_before": facts.clipped,
+        "clipped_samples_after": data.clipped_after,
+        "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
+    }
+
+
+def problem_json(problem: Problem) -> dict[str, Any]:
+    """One entry of `file_health.problems`."""
+    return {
+        "code": problem.code,
+        "message": problem.message,
+        "byte_offset": problem.byte_offset,
+        "sample": problem.sample,
+        "count": problem.count,
+    }
+
+
+def significant(value: float, digits: int = 4) -> float:
+    """Round to so many significant digits: the last bits of linear algebra differ by machine."""
+    return 0.0 if value == 0 else round(value, digits - 1 - floor(log10(abs(value))))
+
+
+def dumps(report: dict[str, Any], *, pretty: bool) -> str:
+    """The report as JSON text."""
+    return json.dumps(report, indent=2 if pretty else None, allow_nan=False, ensure_ascii=False)
+
+
+@cache
+def report_schema() -> dict[str, Any]:
+    """The JSON Schema of the report."""
+    text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+def load(path: Path) -> dict[str, Any] | None:
+    """A report that accelcal wrote, or None where the file is anything else."""
+    try:
+        report = json.loads(path.read_text("utf-8"))
+    except (OSError, ValueError):
+        return None
+    return report if isinstance(report, dict) and "accelcal_version" in report else None
