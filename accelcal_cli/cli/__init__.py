@@ -1,0 +1,1 @@
+"""The command layer: the only room that knows click, the terminal and exit codes."""

@@ -1,0 +1,85 @@
+"""From errors to exit codes: the only place that knows both."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from types import FrameType
+from typing import Any
+
+import click
+
+from accelcal_cli.core.errors import AccelcalError
+
+OK = 0
+SOME_FAILED = 1
+REFUSED = 4
+BUG = 70
+INTERRUPTED = 130
+
+
+class InterruptedBySignalError(BaseException):
+    """SIGTERM or SIGHUP: unwinds like Ctrl-C, so that temporaries are removed."""
+
+
+def run_safely(command: Callable[[], Any]) -> int:
+    """Run a command and turn whatever happens into an exit code, with one line on stderr.
+
+    The command returns its exit code, or None for 0.
+    """
+    _watch_signals()
+    try:
+        code = command()
+        sys.stdout.flush()
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except AccelcalError as error:
+        say(str(error))
+        code = error.exit_code
+    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
+        say("interrupted; nothing half-written was left")
+        code = INTERRUPTED
+    except BrokenPipeError:
+        _silence_stdout()
+        code = SOME_FAILED
+    except Exception:
+        code = report_bug()
+    return code if isinstance(code, int) else OK
+
+
+def say(message: str) -> None:
+    """One line on stderr."""
+    click.echo(f"accelcal: {message}", err=True)
+
+
+def report_bug() -> int:
+    """Keep the traceback of the current exception in a file, and say where."""
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="accelcal-bug-", suffix=".txt", delete=False, encoding="utf-8"
+    ) as file:
+        traceback.print_exc(file=file)
+    kind, value, _ = sys.exc_info()
+    name = "error" if kind is None else kind.__name__
+    text = " ".join(f"{name}: {value}".split())
+    say(f"a bug in accelcal ({text}); please report it with {file.name}")
+    return BUG
+
+
+def _watch_signals() -> None:
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise InterruptedBySignalError
+
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), interrupt)
+
+
+def _silence_stdout() -> None:
+    """Whoever read our output is gone: let the interpreter's last flush go nowhere."""
+    devnull = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(devnull, sys.stdout.fileno())

@@ -1,0 +1,92 @@
+"""`accelcal inspect`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
+from accelcal_cli.core.errors import AccelcalError
+from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
+
+
+@click.command("inspect")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--full", is_flag=True, help="Read everything, not only pieces.")
+@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object a line.")
+@reading_options
+@method_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Show what each RECORDING holds and what calibrating it would probably give.
+
+    Reads the headers and pieces spread over the file; --full reads everything.
+    """
+    codes = [_one(path, values) for path in recordings]
+    if len(codes) == 1:
+        return codes[0]
+    return exits.SOME_FAILED if any(codes) else exits.OK
+
+
+def _one(path: Path, values: dict[str, Any]) -> int:
+    try:
+        seen = inspect(path, read_options(values), settings(values), full=values["full"])
+    except AccelcalError as error:
+        exits.say(str(error))
+        return error.exit_code
+    shown = as_json(seen)
+    click.echo(json.dumps(shown) if values["as_json_"] else text(seen, shown))
+    return exits.OK
+
+
+def text(seen: Inspection, shown: dict[str, Any]) -> str:
+    """An inspection for people."""
+    about = shown["recording"]
+    device = " ".join(value for value in about["device"].values() if value) or "unknown"
+    scope = "all of it" if seen.whole else f"{seen.facts.samples} samples in pieces"
+    lines = [
+        str(about["path"]),
+        f"  format       {about['format']}, {about['bytes']} bytes",
+        f"  device       {device}",
+        f"  rate         {about['sample_rate_hz']:g} Hz{_measured(seen)}",
+        f"  scale        {about['lsb_per_g']:g} counts per g{_range(about['range_g'])}",
+        f"  start        {about['start_time'] or 'unknown'}{_zone(about['timezone'])}",
+        f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
+        f"  also holds   {_extras(about)}",
+        f"  read         {scope}: {seen.windows.still} of {seen.windows.complete} windows still",
+        f"  problems     {_problems(shown)}",
+        f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
+    ]
+    return "\n".join(lines + [f"  note         {note}" for note in about["notes"]])
+
+
+def _measured(seen: Inspection) -> str:
+    return "" if seen.facts.rate_hz is None else f" (measured {seen.facts.rate_hz:.3f})"
+
+
+def _range(range_g: float | None) -> str:
+    return "" if range_g is None else f", range +-{range_g:g} g"
+
+
+def _zone(zone: str | None) -> str:
+    return " (device clock)" if zone is None else f" ({zone})"
+
+
+def _hours(seconds: float | None) -> str:
+    return "unknown" if seconds is None else f"{seconds / 3600:.2f} h"
+
+
+def _samples(samples: int | None) -> str:
+    return "" if samples is None else f", {samples} samples"
+
+
+def _extras(about: dict[str, Any]) -> str:
+    return ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
+
+
+def _problems(shown: dict[str, Any]) -> str:
+    problems = shown["file_health"]["problems"]
+    return "; ".join(f"{problem['code']}: {problem['message']}" for problem in problems[:5]) or "none found"

@@ -1,0 +1,127 @@
+"""Options that several commands share, and the records made of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import PROFILES, Settings
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class ColumnNames(click.ParamType[tuple[str, str, str]]):
+    """Three names separated by commas."""
+
+    name = "X,Y,Z"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, str, str]:
+        """Split and count."""
+        if isinstance(value, tuple):
+            return value
+        parts = [part.strip() for part in str(value).split(",")]
+        if len(parts) != 3 or not all(parts):
+            self.fail(f"{value!r} is not three names separated by commas", param, ctx)
+        return parts[0], parts[1], parts[2]
+
+
+_READING = [
+    click.option(
+        "--format", "format_name", metavar="NAME", help="Format of the recording, if not by content."
+    ),
+    click.option(
+        "--rate", "rate_hz", type=click.FloatRange(0, min_open=True), metavar="HZ", help="Sampling rate."
+    ),
+    click.option("--unit", type=click.Choice(["g", "mg", "m/s2", "counts"]), help="Unit of the raw values."),
+    click.option(
+        "--lsb-per-g", type=click.FloatRange(0, min_open=True), metavar="N", help="Counts in one g."
+    ),
+    click.option("--columns", type=ColumnNames(), help="Columns of x, y, z: names, or numbers from 0."),
+    click.option("--time-column", metavar="NAME", help="Column of the times."),
+    click.option("--timezone", metavar="ZONE", help="Zone of the device's clock, such as Europe/Berlin."),
+    click.option(
+        "--layout",
+        type=click.Path(exists=True, dir_okay=False, path_type=Path),
+        help="Layout file (TOML) of a raw dump.",
+    ),
+    click.option("--sensor", metavar="NAME", help="Which sensor of a file with several."),
+]
+
+_METHOD = [
+    click.option(
+        "--profile",
+        type=click.Choice(sorted(PROFILES)),
+        default="default",
+        show_default=True,
+        help="`paper`: the published procedure, 18 points and 50 iterations.",
+    ),
+    click.option("--optimizer", metavar="NAME", help="Optimizer.  [default: fixed32]"),
+    click.option(
+        "--model",
+        type=click.Choice(["auto", "9", "6", "3"]),
+        help="Parameters to fit; auto lets held-out error decide.  [default: auto]",
+    ),
+    click.option("--no-temperature", is_flag=True, help="Do not use the recording's temperature."),
+    click.option(
+        "--segment-seconds", type=click.FloatRange(0, min_open=True), help="Length of a window.  [default: 5]"
+    ),
+    click.option(
+        "--stillness-threshold-g",
+        type=click.FloatRange(0, min_open=True),
+        help="Largest max - min of a still window.  [default: 0.12]",
+    ),
+]
+
+_CHUNK = click.option(
+    "--chunk-samples",
+    type=click.IntRange(1),
+    default=1 << 18,
+    show_default=True,
+    help="Samples held in memory at once; the result does not depend on it.",
+)
+
+
+def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Command]:
+    def decorator(command: Command) -> Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return decorator
+
+
+reading_options = _decorate([*_READING, _CHUNK])
+method_options = _decorate(_METHOD)
+
+
+def read_options(values: dict[str, Any]) -> ReadOptions:
+    """What the user said about the recording."""
+    return ReadOptions(
+        format=values["format_name"],
+        rate_hz=values["rate_hz"],
+        unit=values["unit"],
+        lsb_per_g=values["lsb_per_g"],
+        columns=values["columns"],
+        time_column=values["time_column"],
+        timezone=values["timezone"],
+        layout=values["layout"],
+        sensor=values["sensor"],
+    )
+
+
+def settings(values: dict[str, Any]) -> Settings:
+    """The profile's settings with what the user changed."""
+    changed = {
+        name: values[name]
+        for name in ("optimizer", "model", "segment_seconds", "stillness_threshold_g")
+        if values[name] is not None
+    }
+    chosen = replace(PROFILES[values["profile"]], **changed)
+    return replace(chosen, temperature=False) if values["no_temperature"] else chosen

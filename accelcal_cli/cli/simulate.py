@@ -1,0 +1,79 @@
+"""`accelcal simulate`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.encode import all_encoders
+from accelcal_cli.pipeline.simulate import simulate
+from accelcal_cli.simulate.recording import Plan
+from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
+
+
+@click.command("simulate")
+@click.argument("out", type=click.Path(path_type=Path))
+@click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
+              help="flash, raw (with its layout file), csv or hdf5.")  # fmt: skip
+@click.option("--days", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True)
+@click.option("--rate", "rate_hz", type=click.FloatRange(0, min_open=True), default=100.0, show_default=True)
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of movement and noise.")
+@click.option("--truth", type=click.IntRange(0), help="Seed of the sensor's errors.  [default: --seed]")
+@click.option(
+    "--errors", type=float, default=1.0, show_default=True, help="Factor on all errors; 0: a perfect sensor."
+)
+@click.option(
+    "--misalignment", type=float, default=1.0, show_default=True, help="Factor on the misalignment."
+)
+@click.option("--temp-slope", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+              help="Offset per degree C, mg.")  # fmt: skip
+@click.option("--noise-mg", type=click.FloatRange(0), default=3.0, show_default=True)
+@click.option("--lsb-per-g", type=click.FloatRange(1), default=256.0, show_default=True)
+@click.option("--range-g", type=click.FloatRange(1), default=8.0, show_default=True)
+@click.option("--no-temperature", is_flag=True, help="Record no temperature.")
+@click.option("--force", is_flag=True, help="Replace existing files.")
+@click.option("--json", "as_json", is_flag=True, help="Print the truth.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+def command(out: Path, **values: Any) -> None:
+    """Write a recording of simulated wrist wear to OUT, and the truth about it to OUT.truth.json.
+
+    Nights in a few sleep postures, desk, walking, chores, the watch on the table, a temperature
+    swing, noise and quantisation; scale, misalignment and offset errors are drawn with a seed.
+    """
+    plan = _plan(values)
+    known = {encoder.name for encoder in all_encoders()}
+    if values["format_name"] not in known:
+        raise UsageError(
+            f"cannot write format {values['format_name']!r}", hint=f"one of {', '.join(sorted(known))}"
+        )
+    with progress_bars(out.name, quiet=values["quiet"], unit="samples") as bars:
+        shown = bars("writing", plan.samples)
+        path, truth = simulate(out, values["format_name"], plan, force=values["force"], progress=shown)
+    click.echo(json.dumps(truth) if values["as_json"] else f"{path}\t{truth['samples']} samples")
+
+
+def _plan(values: dict[str, Any]) -> Plan:
+    if values["range_g"] * values["lsb_per_g"] > 32_768:
+        raise UsageError(
+            "range times counts per g does not fit 16 bits", hint="lower --range-g or --lsb-per-g"
+        )
+    truth = values["seed"] if values["truth"] is None else values["truth"]
+    gain, offset = draw_gain_and_offset(truth, values["errors"], values["misalignment"])
+    sensor = Sensor(
+        gain=gain,
+        offset_g=offset,
+        slope_g_per_c=np.array(values["temp_slope"]) / 1000,
+        noise_g=values["noise_mg"] / 1000,
+        lsb_per_g=values["lsb_per_g"],
+        range_g=values["range_g"],
+    )
+    plan = Plan(values["days"], values["rate_hz"], values["seed"], sensor, not values["no_temperature"])
+    if plan.samples < 1:
+        raise UsageError("nothing to simulate", hint="raise --days")
+    return plan

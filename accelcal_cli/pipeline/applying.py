@@ -1,0 +1,113 @@
+"""The second pass: raw counts to calibrated values, and into Parquet."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.output.parquet import ParquetSink
+from accelcal_cli.pipeline.request import Progress
+from accelcal_cli.pipeline.survey import with_clipping
+
+
+@dataclass(frozen=True, slots=True)
+class Applier:
+    """a = K (v + o + s (T - Tref)) for v in counts: K / lsb_per_g on counts plus a constant."""
+
+    gain: NDArray[np.float64]
+    offset_g: NDArray[np.float64]
+    slope_g_per_c: NDArray[np.float64]
+    reference_c: float
+    lsb_per_g: float
+
+    def apply(self, chunk: Chunk) -> list[NDArray[np.float32]]:
+        """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
+        shifted = [self._shifted(chunk, axis) for axis in range(3)]
+        calibrated = []
+        for row in range(3):
+            total = shifted[row] * self.gain[row, row]
+            for column in range(row):
+                total += shifted[column] * self.gain[row, column]
+            calibrated.append(total.astype(np.float32))
+        return calibrated
+
+    def _shifted(self, chunk: Chunk, axis: int) -> NDArray[np.float64]:
+        values = chunk.counts[:, axis] / self.lsb_per_g
+        values += self.offset_g[axis]
+        if self.slope_g_per_c[axis] and chunk.temperature_mc is not None:
+            values += self.slope_g_per_c[axis] * (chunk.temperature_mc / 1000.0 - self.reference_c)
+        return np.asarray(values, np.float64)
+
+
+def applier(calibration: Calibration, lsb_per_g: float) -> Applier:
+    """The applier of a calibration for a recording with so many counts per g."""
+    return Applier(
+        calibration.gain(),
+        calibration.offset_g(),
+        calibration.slope_g_per_c(),
+        calibration.reference_c(),
+        lsb_per_g,
+    )
+
+
+def write_calibrated(
+    reader: Reader, apply: Applier, sink: ParquetSink, chunk_samples: int, progress: Progress
+) -> int:
+    """Read a recording, write it calibrated.
+
+    Returns:
+        how many calibrated samples lie beyond the sensor's range.
+
+    Raises:
+        OutputError: the output cannot be written.
+    """
+    beyond = 0
+    for raw in reader.chunks(chunk_samples):
+        chunk = with_clipping(raw, reader.recording)
+        if len(chunk):
+            xyz = apply.apply(chunk)
+            beyond += _beyond(xyz, reader.recording.range_g)
+            sink.write(rows(chunk, xyz, reader.recording, sink.schema.names))
+        progress(chunk.end_byte)
+    return beyond
+
+
+def _beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:
+    if range_g is None or all(-range_g <= v.min() and v.max() <= range_g for v in xyz):
+        return 0
+    over = [np.abs(value) > range_g for value in xyz]
+    return int((over[0] | over[1] | over[2]).sum())
+
+
+def rows(
+    chunk: Chunk, xyz: list[NDArray[np.float32]], recording: Recording, names: list[str]
+) -> list[NDArray[Any]]:
+    """One array a column, in the order of the schema's names."""
+    columns: list[NDArray[Any]] = [chunk.clock.times(0, len(chunk)), *xyz]
+    if "temperature" in names:
+        columns.append(_temperature(chunk))
+    if "gx" in names:
+        columns += _gyroscope(chunk, recording)
+    validity = chunk.validity
+    columns.append(np.zeros(len(chunk), np.uint8) if validity is None else validity)
+    return columns
+
+
+def _temperature(chunk: Chunk) -> NDArray[np.float32]:
+    if chunk.temperature_mc is None:
+        return np.full(len(chunk), np.nan, np.float32)
+    return (chunk.temperature_mc / 1000.0).astype(np.float32)
+
+
+def _gyroscope(chunk: Chunk, recording: Recording) -> list[NDArray[np.float32]]:
+    if chunk.gyro_counts is None or recording.gyro_dps_per_lsb is None:
+        return [np.full(len(chunk), np.nan, np.float32)] * 3
+    return [
+        (chunk.gyro_counts[:, axis] * recording.gyro_dps_per_lsb[axis]).astype(np.float32)
+        for axis in range(3)
+    ]

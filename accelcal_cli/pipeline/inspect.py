@@ -1,0 +1,122 @@
+"""Looking at a recording without reading all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from accelcal_cli import __version__
+from accelcal_cli.core.facts import Facts
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.judgement import Judgement
+from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.windows import WindowCounts
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.report import holdout_json, iso_time, problem_json
+from accelcal_cli.pipeline.profiles import make_procedure, make_segmenter
+from accelcal_cli.pipeline.survey import survey
+from accelcal_cli.readers import open_recording
+
+PREVIEW_PIECES = 64
+PREVIEW_SAMPLES = 1 << 15
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What a look at a recording showed.
+
+    Attributes:
+        whole: every sample was read, so that the facts are the recording's own.
+        prediction: the judgement on the samples that were read.
+    """
+
+    recording: Recording
+    facts: Facts
+    windows: WindowCounts
+    prediction: Judgement
+    whole: bool
+
+
+def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool) -> Inspection:
+    """Read a recording's description and pieces spread over it, or all of it with `full`.
+
+    Raises:
+        AccelcalError: it cannot be read.
+    """
+    with open_recording(path, options) as reader:
+        recording = reader.recording
+        segmenter = make_segmenter(recording, settings)
+        procedure = make_procedure(recording, settings, named_optimizer(settings.optimizer))
+        pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
+        facts = survey(recording, pieces, segmenter, procedure, lambda _end_byte: None)
+    whole = full or facts.samples == recording.samples
+    return Inspection(recording, facts, segmenter.counts, procedure.judge(), whole)
+
+
+def _pieces(reader: Reader) -> Iterator[Chunk]:
+    """Pieces that no window and no measured rate spans."""
+    for chunk in reader.preview(PREVIEW_SAMPLES, PREVIEW_PIECES):
+        inner = chunk.breaks[chunk.breaks > 0]
+        yield replace(chunk, breaks=np.concatenate([np.zeros(1, np.int64), inner]))
+
+
+def as_json(seen: Inspection) -> dict[str, Any]:
+    """The inspection as a JSON object."""
+    recording, facts, guess = seen.recording, seen.facts, seen.prediction
+    return {
+        "accelcal_version": __version__,
+        "recording": {
+            "path": str(recording.path),
+            "bytes": recording.total_bytes,
+            "format": recording.format,
+            "device": as_json_device(recording.device),
+            "sample_rate_hz": recording.rate_hz,
+            "lsb_per_g": recording.lsb_per_g,
+            "range_g": recording.range_g,
+            "start_time": iso_time(start_us(seen), recording.timezone),
+            "timezone": recording.timezone,
+            "samples": facts.samples if seen.whole else recording.samples,
+            "duration_s": duration_s(seen),
+            "temperature": recording.has_temperature,
+            "gyroscope": recording.gyro_dps_per_lsb is not None,
+            "gaps": len(facts.gaps) + facts.gaps_omitted if seen.whole else None,
+            "notes": list(recording.notes),
+        },
+        "file_health": {
+            "problems": [problem_json(problem) for problem in facts.problems],
+            "filled_samples": facts.filled,
+            "clipped_samples": facts.clipped,
+            "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
+        },
+        "read": {
+            "whole": seen.whole,
+            "samples": facts.samples,
+            "windows": seen.windows.complete,
+            "still_windows": seen.windows.still,
+        },
+        "prediction": {
+            "outcome": str(guess.outcome),
+            "message": guess.message,
+            "holdout": None if guess.holdout is None else holdout_json(guess.holdout),
+        },
+    }
+
+
+def start_us(seen: Inspection) -> int | None:
+    """Time of the first sample, None where the file has none."""
+    if any(problem.code == "no_start_time" for problem in seen.facts.problems):
+        return None
+    return seen.recording.start_us if seen.recording.start_us is not None else seen.facts.first_us
+
+
+def duration_s(seen: Inspection) -> float | None:
+    """Length in seconds, None where only reading everything would tell."""
+    facts = seen.facts
+    if seen.whole and facts.first_us is not None and facts.last_us is not None:
+        return round((facts.last_us - facts.first_us) / 1e6 + 1 / seen.recording.rate_hz, 6)
+    return seen.recording.duration_s

@@ -1,0 +1,71 @@
+"""Which outputs belong to which recording, decided before any work."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.readers import all_formats
+
+STDIN = Path("-")
+PARQUET_SUFFIX = ".calibrated.parquet"
+REPORT_SUFFIX = ".calibration.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording and where its results go."""
+
+    source: Path
+    parquet: Path
+    report: Path
+
+
+def stem(path: Path) -> str:
+    """File name without `.gz` and its format suffix."""
+    name = path.name
+    if name.lower().endswith(".gz"):
+        name = name[:-3]
+    known = {suffix for item in all_formats() for suffix in item.suffixes}
+    suffix = Path(name).suffix
+    return name[: -len(suffix)] if suffix.lower() in known else name
+
+
+def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> list[Job]:
+    """Jobs in the order of the sources.
+
+    Raises:
+        UsageError: `output` with several recordings, a standard input named twice, or two
+            recordings with one output.
+    """
+    if output is not None and len(sources) > 1:
+        raise UsageError("-o/--output names one file, but there are several recordings", hint="use -d")
+    jobs = [_job(source, output_dir, output) for source in sources]
+    _refuse_collisions(jobs)
+    return jobs
+
+
+def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
+    if output is not None:
+        base = output.name.removesuffix(".parquet").removesuffix(".calibrated")
+        return Job(source, output, output.with_name(base + REPORT_SUFFIX))
+    if source == STDIN:
+        folder, name = output_dir or Path(), "stdin"
+    else:
+        folder, name = output_dir or source.parent, stem(source)
+    return Job(source, folder / (name + PARQUET_SUFFIX), folder / (name + REPORT_SUFFIX))
+
+
+def _refuse_collisions(jobs: list[Job]) -> None:
+    owners: dict[Path, Path] = {}
+    for job in jobs:
+        target = job.report.resolve()
+        if target in owners:
+            raise UsageError(
+                f"{owners[target]} and {job.source} would both write {job.report}",
+                hint="calibrate them separately with -d, or rename one",
+            )
+        owners[target] = job.source
+        if job.source != STDIN and job.source.resolve() in (target, job.parquet.resolve()):
+            raise UsageError(f"{job.source} would be overwritten by its own output", hint="use -o or -d")

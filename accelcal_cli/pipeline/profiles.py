@@ -1,0 +1,135 @@
+"""The two procedures: from a recording's windows to a judgement, by profile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
+from typing import Any, Protocol
+
+from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.collect.subsets import PaperCollector
+from accelcal_cli.core.judgement import Judgement
+from accelcal_cli.core.points import Fit, Model, Optimizer, PointSet
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.windows import WindowCounts, Windows
+from accelcal_cli.judge.verdict import judge, judge_paper
+from accelcal_cli.output.report import WindowUse
+from accelcal_cli.segment.rules import still_rule
+from accelcal_cli.segment.segmenter import Segmenter
+
+
+class Procedure(Protocol):
+    """Takes still windows in, in the order of time, and judges what they hold."""
+
+    def add(self, windows: Windows) -> None:
+        """Take windows in."""
+
+    def judge(self) -> Judgement:
+        """The verdict on all windows so far."""
+
+    def window_use(self, counts: WindowCounts) -> WindowUse:
+        """Windows by fate."""
+
+
+def make_procedure(recording: Recording, settings: Settings, optimizer: Optimizer) -> Procedure:
+    """The procedure of the settings' profile for one recording."""
+    fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
+    length = window_length(recording, settings)
+    if settings.profile == "paper":
+        return PaperProcedure(PaperCollector(length, recording.lsb_per_g), fit)
+    warm = settings.temperature and recording.has_temperature
+    return CellProcedure(
+        CellCollector(length, recording.lsb_per_g, settings, temperature=warm), settings, fit
+    )
+
+
+def make_segmenter(recording: Recording, settings: Settings) -> Segmenter:
+    """The segmenter of the settings for one recording."""
+    rule = still_rule(
+        settings.stillness_axes,
+        settings.stillness_threshold_g,
+        settings.stillness_deviation_g,
+        recording.lsb_per_g,
+    )
+    return Segmenter(window_length(recording, settings), rule)
+
+
+def window_length(recording: Recording, settings: Settings) -> int:
+    """Samples in a window."""
+    return max(1, round(settings.segment_seconds * recording.rate_hz))
+
+
+def optimizer_settings(optimizer: Optimizer, settings: Settings) -> Any:
+    """The optimizer's own numbers for the settings' profile."""
+    return optimizer.settings.get(settings.profile, optimizer.settings["default"])
+
+
+def optimizer_json(optimizer: Optimizer, settings: Settings) -> dict[str, Any]:
+    """The report's `optimizer` object, before the fit."""
+    return {"name": optimizer.name, "settings": asdict(optimizer_settings(optimizer, settings))}
+
+
+def _fit(optimizer: Optimizer, numbers: Any, points: PointSet, model: Model) -> Fit:
+    return optimizer.fit(points, model, numbers)
+
+
+class CellProcedure:
+    """The default: orientation cells, model ladder, posture-blocked hold-out."""
+
+    def __init__(
+        self, collector: CellCollector, settings: Settings, fit: Callable[[PointSet, Model], Fit]
+    ) -> None:
+        self.collector = collector
+        self.settings = settings
+        self.fit = fit
+
+    def add(self, windows: Windows) -> None:
+        """Take windows in."""
+        self.collector.add(windows)
+
+    def judge(self) -> Judgement:
+        """Choose a model and judge it."""
+        return judge(self.collector.points(), self.settings, self.fit)
+
+    def window_use(self, counts: WindowCounts) -> WindowUse:
+        """Windows by fate."""
+        cells = self.collector.counts()
+        constant = 0 if cells.constant_used else cells.constant
+        return window_use(counts, cells.implausible, constant)
+
+
+class PaperProcedure:
+    """Profile `paper`: F's nine subsets, nine parameters, control points."""
+
+    def __init__(self, collector: PaperCollector, fit: Callable[[PointSet, Model], Fit]) -> None:
+        self.collector = collector
+        self.fit = fit
+
+    def add(self, windows: Windows) -> None:
+        """Take windows in."""
+        self.collector.add(windows)
+
+    def judge(self) -> Judgement:
+        """Fit the first set, judge by the second."""
+        first, second = self.collector.fit, self.collector.control
+        return judge_paper(first.points(), second.points(), first.missing(), self.fit)
+
+    def window_use(self, counts: WindowCounts) -> WindowUse:
+        """Windows by fate; few of the still ones are used."""
+        return window_use(counts, 0, 0)
+
+
+def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:
+    """Windows by fate, from the segmenter's counts and the collector's."""
+    return WindowUse(
+        complete=counts.complete,
+        moving=counts.moving,
+        filled=counts.filled,
+        clipped=counts.clipped,
+        recovered=counts.recovered,
+        implausible=implausible,
+        constant_left_out=constant,
+        used=counts.still - implausible - constant,
+    )

@@ -1,0 +1,28 @@
+"""Who made a result, when, with what: the one part of a report that may differ between runs."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from datetime import UTC, datetime
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+PACKAGES = ("numpy", "pyarrow", "h5py", "click")
+
+
+def provenance(command: list[str]) -> dict[str, Any]:
+    """The `provenance` object of a report."""
+    versions = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return {
+        "command": command,
+        "versions": versions,
+        "time": datetime.now(UTC).isoformat(timespec="seconds"),
+        "host": platform.node(),
+        "platform": f"{sys.platform} {platform.machine()}",
+    }

@@ -1,0 +1,69 @@
+"""What is asked for, and what came of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.pipeline.plan import Job
+
+DEFAULT_CHUNK_SAMPLES = 1 << 18
+
+Progress = Callable[[int], None]
+"""Called with the number of bytes of the file that have been read."""
+
+ProgressMaker = Callable[[str, int], Progress]
+"""Called with the name of a stage and the bytes to read; makes a Progress."""
+
+
+def no_progress(_stage: str, _total: int) -> Progress:
+    """Shows nothing."""
+    return lambda _end_byte: None
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """How to calibrate.
+
+    Attributes:
+        report_only: write no Parquet.
+        force: overwrite what accelcal did not write, and redo what is up to date.
+        command: the command line, for the provenance.
+    """
+
+    options: ReadOptions = field(default_factory=ReadOptions)
+    settings: Settings = DEFAULT
+    chunk_samples: int = DEFAULT_CHUNK_SAMPLES
+    report_only: bool = False
+    force: bool = False
+    command: tuple[str, ...] = ()
+
+    def effective_settings(self) -> dict[str, Any]:
+        """The report's `settings`: all that decides the result besides the recording."""
+        options = asdict(self.options)
+        options["layout"] = None if self.options.layout is None else self.options.layout.name
+        options["columns"] = None if self.options.columns is None else list(self.options.columns)
+        return {**self.settings.as_json(), "report_only": self.report_only, "input": options}
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One recording's report, and whether it was up to date already."""
+
+    job: Job
+    report: dict[str, Any]
+    up_to_date: bool = False
+
+    @property
+    def outcome(self) -> Outcome:
+        """The report's outcome."""
+        return Outcome(self.report["outcome"])
+
+    @property
+    def has_parquet(self) -> bool:
+        """Whether the calibrated recording was written too."""
+        return self.report["calibration"] is not None and not self.report["settings"]["report_only"]

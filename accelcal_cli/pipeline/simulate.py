@@ -1,0 +1,71 @@
+"""Writing a simulated recording and the truth about it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli import __version__
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.recording import Chunk
+from accelcal_cli.encode import named_encoder
+from accelcal_cli.output.atomic import replacing, write_text
+from accelcal_cli.pipeline.request import Progress
+from accelcal_cli.simulate.recording import Plan, Truth, describe, stream
+
+
+def simulate(
+    out: Path, format_name: str, plan: Plan, *, force: bool, progress: Progress
+) -> tuple[Path, dict[str, Any]]:
+    """Write OUT with the format's suffix, its companion if it needs one, and OUT.truth.json.
+
+    Returns:
+        the recording's path and the truth.
+
+    Raises:
+        UsageError: the format has no writer.
+        OutputError: a file exists already and `force` is not given, or cannot be written.
+    """
+    encoder = named_encoder(format_name)
+    base = out.with_name(out.name.removesuffix(encoder.suffix))
+    path = base.with_name(base.name + encoder.suffix)
+    truth_path = base.with_name(base.name + ".truth.json")
+    _refuse_existing([path, truth_path], force=force)
+    truth = Truth()
+    recording = describe(plan, path, format_name)
+    with replacing(path) as temporary:
+        encoder.write(temporary, recording, _counted(stream(plan, truth), progress))
+    if encoder.companion is not None:
+        suffix, text = encoder.companion(recording)
+        write_text(base.with_name(base.name + suffix), text)
+    known = _truth_json(plan, truth, format_name)
+    write_text(truth_path, json.dumps(known, indent=2) + "\n")
+    return path, known
+
+
+def _counted(chunks: Iterator[Chunk], progress: Progress) -> Iterator[Chunk]:
+    for chunk in chunks:
+        yield chunk
+        progress(chunk.first_sample + len(chunk))
+
+
+def _refuse_existing(paths: list[Path], *, force: bool) -> None:
+    for path in paths:
+        if path.exists() and not force:
+            raise OutputError("exists already", path=path, hint="use --force to replace it")
+
+
+def _truth_json(plan: Plan, truth: Truth, format_name: str) -> dict[str, Any]:
+    return {
+        "accelcal_version": __version__,
+        "format": format_name,
+        "days": plan.days,
+        "rate_hz": plan.rate_hz,
+        "seed": plan.seed,
+        "samples": plan.samples,
+        "equation": "a = K (v + o + s (T - Tref))",
+        "sensor": plan.sensor.as_json(),
+        "still": truth.as_json(),
+    }

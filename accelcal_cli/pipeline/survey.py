@@ -1,0 +1,148 @@
+"""The first pass over a recording: facts about it, and its still windows into a collector."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from accelcal_cli.core.facts import Facts, Gap
+from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
+from accelcal_cli.core.windows import Windows
+from accelcal_cli.pipeline.request import Progress
+from accelcal_cli.segment.segmenter import Segmenter
+
+MAX_GAPS = 1000
+MAX_PROBLEMS = 1000
+GAP_PERIODS = 1.5
+
+
+class Collector(Protocol):
+    """Takes still windows in, in the order of time."""
+
+    def add(self, windows: Windows) -> None:
+        """Take windows in."""
+
+
+class Observer:
+    """Accumulates the facts of a recording chunk by chunk."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.recording = recording
+        self.samples = self.filled = self.clipped = 0
+        self.first_us: int | None = None
+        self.last_us: int | None = None
+        self.has_temperature = self.has_gyroscope = False
+        self.gaps: list[Gap] = []
+        self.gaps_omitted = 0
+        self.problems: list[Problem] = []
+        self._problems_omitted = 0
+        self._run_start_us = self._run_first = 0
+        self._run_steps = self._run_us = 0
+
+    def see(self, chunk: Chunk) -> None:
+        """Take a chunk's facts in."""
+        self._note_problems(chunk.problems)
+        if not len(chunk):
+            return
+        self.has_temperature |= chunk.temperature_mc is not None
+        self.has_gyroscope |= chunk.gyro_counts is not None
+        if chunk.validity is not None:
+            self.filled += int((chunk.validity == Validity.FILLED).sum())
+            self.clipped += int((chunk.validity == Validity.CLIPPED).sum())
+        self._note_times(chunk)
+        self.samples += len(chunk)
+
+    def facts(self) -> Facts:
+        """What was found; call after the last chunk."""
+        problems = list(self.problems)
+        if self._problems_omitted:
+            text = f"{self._problems_omitted} further problems are not listed"
+            problems.append(Problem("more_problems", text, None, self.samples, self._problems_omitted))
+        return Facts(
+            self.samples,
+            self.first_us,
+            self.last_us,
+            self._rate_hz(),
+            tuple(self.gaps),
+            self.gaps_omitted,
+            tuple(problems),
+            self.filled,
+            self.clipped,
+            self.has_temperature,
+            self.has_gyroscope,
+        )
+
+    def _rate_hz(self) -> float | None:
+        """Steps over time within unbroken runs, the last of which is still open."""
+        if self.last_us is None:
+            return None
+        span_us = self._run_us + self.last_us - self._run_start_us
+        steps = self._run_steps + self.samples - self._run_first - 1
+        return steps * 1e6 / span_us if span_us > 0 and steps > 0 else None
+
+    def _note_problems(self, problems: tuple[Problem, ...]) -> None:
+        room = MAX_PROBLEMS - len(self.problems)
+        self.problems += problems[:room]
+        self._problems_omitted += len(problems[room:])
+
+    def _note_times(self, chunk: Chunk) -> None:
+        if self.first_us is None:
+            self.first_us = self._run_start_us = int(chunk.clock.times(0, 1)[0])
+        for row in chunk.breaks.tolist():
+            if self.samples + row:
+                self._break(chunk, row)
+        self.last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
+
+    def _break(self, chunk: Chunk, row: int) -> None:
+        before = int(chunk.clock.times(row - 1, row)[0]) if row else (self.last_us or 0)
+        after = int(chunk.clock.times(row, row + 1)[0])
+        sample = self.samples + row
+        self._run_us += before - self._run_start_us
+        self._run_steps += sample - self._run_first - 1
+        self._run_start_us, self._run_first = after, sample
+        seconds = (after - before) / 1e6
+        if abs(seconds) * self.recording.rate_hz <= GAP_PERIODS and seconds > 0:
+            return
+        if len(self.gaps) < MAX_GAPS:
+            self.gaps.append(Gap(sample, before, seconds))
+        else:
+            self.gaps_omitted += 1
+
+
+def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
+    """The chunk with rows at the sensor's range marked in `validity`."""
+    if recording.range_g is None or not len(chunk):
+        return chunk
+    limit = int(recording.range_g * recording.lsb_per_g)
+    low, high = -limit, limit - 1
+    if chunk.counts.min() > low and chunk.counts.max() < high:
+        return chunk
+    clipped = ((chunk.counts <= low) | (chunk.counts >= high)).any(axis=1)
+    validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
+    validity[clipped & (validity == Validity.MEASURED)] = Validity.CLIPPED
+    return replace(chunk, validity=validity)
+
+
+def survey(
+    recording: Recording,
+    chunks: Iterable[Chunk],
+    segmenter: Segmenter,
+    collector: Collector,
+    progress: Progress,
+) -> Facts:
+    """Take a recording's chunks in: facts are returned, still windows go to the collector.
+
+    Raises:
+        UnreadableError: it cannot be read on.
+    """
+    observer = Observer(recording)
+    for raw in chunks:
+        chunk = with_clipping(raw, recording)
+        observer.see(chunk)
+        for windows in segmenter.feed(chunk):
+            collector.add(windows)
+        progress(chunk.end_byte)
+    return observer.facts()

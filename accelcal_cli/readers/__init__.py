@@ -1,0 +1,60 @@
+"""One file a format. Formats are found by listing this folder: nothing registers itself."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from functools import cache
+from pathlib import Path
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import Format, ReadOptions, probe_file
+from accelcal_cli.core.recording import Reader
+
+
+@cache
+def all_formats() -> tuple[Format, ...]:
+    """Every format, by name. A module whose name starts with `_` is a helper, not a format."""
+    names = [info.name for info in pkgutil.iter_modules(__path__) if not info.name.startswith("_")]
+    found = [importlib.import_module(f"{__name__}.{name}").FORMAT for name in sorted(names)]
+    return tuple(sorted(found, key=lambda item: item.name))
+
+
+def find_format(path: Path, options: ReadOptions) -> Format:
+    """The format of a file, by its content, or as the user named it.
+
+    Raises:
+        UnreadableError: no format fits, or the file cannot be read.
+        UsageError: the named format does not exist.
+    """
+    probe = probe_file(path, options)
+    if options.format is not None:
+        return named_format(options.format)
+    scored = [(item.sniff(probe), item.name, item) for item in all_formats()]
+    best = max(scored, key=lambda score: (score[0], score[1]))
+    if best[0] == 0:
+        raise UnreadableError(
+            "no known format fits its content",
+            path=path,
+            byte_offset=0,
+            hint="name one with --format, or describe a raw dump with --layout",
+        )
+    return best[2]
+
+
+def named_format(name: str) -> Format:
+    """Look a format up by name; raises UsageError where there is none."""
+    for item in all_formats():
+        if item.name == name:
+            return item
+    known = ", ".join(item.name for item in all_formats())
+    raise UsageError(f"unknown format {name!r}", hint=f"known formats: {known}")
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a recording of any format for streaming.
+
+    Raises:
+        UnreadableError, UsageError: see `find_format` and the format's own `open`.
+    """
+    return find_format(path, options).open(path, options)

@@ -1,0 +1,1 @@
+"""Simulated wrist wear with known sensor errors."""
