@@ -1,0 +1,156 @@
+"""The last step from rows to chunks: bad rows left out, breaks and problems found."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.recording import Chunk, Problem
+from accelcal_cli.readers._csv_problems import Marks, RunLog
+from accelcal_cli.readers._csv_rate import GAP_PERIODS, Pace
+from accelcal_cli.readers._csv_rows import Fault, Rows
+
+
+def _rows(count: int) -> str:
+    return "1 row" if count == 1 else f"{count} rows"
+
+
+def _missing(count: int, line: int, _: float) -> str:
+    return f"{_rows(count)} from line {line} on left out: a value is missing"
+
+
+def _out_of_range(count: int, line: int, _: float) -> str:
+    return f"{_rows(count)} from line {line} on left out: a value is beyond any sensor's range"
+
+
+def _ahead(count: int, line: int, size: float) -> str:
+    jump = f" by {size / MICROSECONDS:g} s" if size else ""
+    return f"the time jumps ahead{jump} before line {line}" + _times(count)
+
+
+def _back(count: int, line: int, size: float) -> str:
+    jump = f" by {-size / MICROSECONDS:g} s" if size else ""
+    return f"the time goes back{jump} before line {line}" + _times(count)
+
+
+def _times(count: int) -> str:
+    return f", and so on for {count} rows" if count > 1 else ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The good rows of a stretch: their numbers, lines and times (times None for a uniform clock)."""
+
+    keep: NDArray[np.bool_] | None
+    row: NDArray[np.int64]
+    line: NDArray[np.int64]
+    time_us: NDArray[np.int64] | None
+
+
+class Assembler:
+    """Makes chunks of all rows of a file, in order.
+
+    Args:
+        pace: how the rows follow each other.
+        stamped: rows carry times; else they are counted at the pace.
+    """
+
+    def __init__(self, pace: Pace, stamped: bool) -> None:
+        self._stamped = stamped
+        self._pace = pace
+        self._rate = rate_fraction(pace.rate_hz)
+        self._faults = {
+            Fault.MISSING: RunLog("missing_value", _missing),
+            Fault.OUT_OF_RANGE: RunLog("out_of_range", _out_of_range),
+        }
+        self._clocks = (RunLog("clock_gap", _ahead), RunLog("clock_back", _back))
+        self._last_row = -1
+        self._last_us = 0
+        self.samples = 0
+        self.rows = 0
+
+    def chunks(self, rows: Rows, end_byte: int, chunk_samples: int) -> Iterator[Chunk]:
+        """The good ones of the next rows, at most `chunk_samples` to a chunk."""
+        found = self._fault_problems(rows)
+        kept = self._kept(rows)
+        counts, spare = rows.counts, rows.temperature_mc
+        if kept.keep is not None:
+            counts, spare = counts[kept.keep], None if spare is None else spare[kept.keep]
+        breaks, jumps = self._breaks(kept)
+        problems = tuple(problem for _, problem in sorted((*found, *jumps), key=_by_row))
+        pieces = max(1, -(-len(counts) // chunk_samples))
+        borders = [len(counts) * piece // pieces for piece in range(pieces + 1)]
+        for start, stop in pairwise(borders):
+            part = slice(start, stop)
+            yield Chunk(
+                self.samples,
+                counts[part],
+                self._clock(kept, start, stop),
+                end_byte,
+                breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
+                temperature_mc=None if spare is None else spare[part],
+                problems=problems if start == 0 else (),
+            )
+            self.samples += stop - start
+        self.rows += len(rows)
+
+    def finish(self) -> list[Problem]:
+        """Problems that were still open at the end of the file."""
+        return [problem for log in (*self._faults.values(), *self._clocks) for problem in log.finish()]
+
+    def _fault_problems(self, rows: Rows) -> list[tuple[int, Problem]]:
+        good = rows.fault == Fault.NONE
+        sample = self.samples + np.cumsum(good) - good
+        found: list[tuple[int, Problem]] = []
+        for fault, log in self._faults.items():
+            found += log.add(Marks(rows.fault == fault, rows.row, rows.line, sample))
+        return found
+
+    def _kept(self, rows: Rows) -> _Kept:
+        if not rows.fault.any():
+            return _Kept(None, rows.row, rows.line, rows.time_us)
+        keep = rows.fault == Fault.NONE
+        stamps = rows.time_us
+        if stamps is None:
+            stamps = UniformClock(0, rows.first_row, self._rate).times(0, len(rows))
+        return _Kept(keep, rows.row[keep], rows.line[keep], stamps[keep])
+
+    def _clock(self, kept: _Kept, start: int, stop: int) -> Clock:
+        if kept.time_us is not None:
+            return StampClock(kept.time_us[start:stop])
+        return UniformClock(0, int(kept.row[start]) if len(kept.row) else 0, self._rate)
+
+    def _breaks(self, kept: _Kept) -> tuple[NDArray[np.int64], list[tuple[int, Problem]]]:
+        """Rows before which the recording is not continuous, and the jumps of the clock."""
+        if not len(kept.row):
+            return np.empty(0, np.int64), []
+        first = self._last_row < 0
+        rows = np.diff(kept.row, prepend=kept.row[0] - 1 if first else self._last_row)
+        broken = rows > 1
+        self._last_row = int(kept.row[-1])
+        if kept.time_us is None or not self._stamped:
+            return np.flatnonzero(broken), []
+        steps = np.diff(kept.time_us, prepend=kept.time_us[0] if first else self._last_us)
+        self._last_us = int(kept.time_us[-1])
+        ahead = steps > (rows + GAP_PERIODS - 1) * self._pace.period_us
+        jumps = self._jumps(kept, steps, (ahead, steps < 0))
+        return np.flatnonzero(broken | ahead | (steps < 0)), jumps
+
+    def _jumps(
+        self, kept: _Kept, steps: NDArray[np.int64], flags: tuple[NDArray[np.bool_], NDArray[np.bool_]]
+    ) -> list[tuple[int, Problem]]:
+        sample = self.samples + np.arange(len(kept.row), dtype=np.int64)
+        size = steps.astype(np.float64)
+        found: list[tuple[int, Problem]] = []
+        for flag, log in zip(flags, self._clocks, strict=True):
+            found += log.add(Marks(flag, kept.row, kept.line, sample, size))
+        return found
+
+
+def _by_row(item: tuple[int, Problem]) -> tuple[int, str]:
+    return item[0], item[1].code

@@ -1,0 +1,225 @@
+"""How a text file of numbers is laid out: delimiter, decimals, where its rows begin, column names."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+from accelcal_cli.core.formats import HEAD_BYTES
+from accelcal_cli.readers._csv_cells import COMMA_NUMBER, Kind, cell_kind, column_kind
+from accelcal_cli.readers._csv_clean import LONG_FRACTION, SPLIT_DATE, Cleaner
+from accelcal_cli.readers._csv_units import is_unit_cell
+
+DELIMITERS = (",", ";", "\t", "|", " ")
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
+SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
+TAIL_LINES = 40
+SURE_LINES = 6
+"""With fewer lines to judge by, most columns must be numbers, and half of all lines agree."""
+
+SAMPLE_ROWS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The layout of a text file, as its first 64 KiB show it.
+
+    Attributes:
+        cleaner: makes blocks of it readable for pyarrow.
+        kinds: of each column.
+        names: of the columns, None where no line names them.
+        units: from a line of units below the names, None where there is none.
+        sample: cells of the first rows.
+        skipped: lines before the first row.
+        offset: byte at which the first row begins.
+        bare_returns: lines end with a carriage return alone.
+    """
+
+    cleaner: Cleaner
+    kinds: tuple[Kind, ...]
+    names: tuple[str, ...] | None
+    units: tuple[str, ...] | None
+    sample: tuple[tuple[str, ...], ...]
+    skipped: int
+    offset: int
+    bare_returns: bool
+
+    @property
+    def columns(self) -> int:
+        """How many columns every row has."""
+        return len(self.kinds)
+
+    def cells(self, column: int) -> list[str]:
+        """The sample's cells of one column."""
+        return [row[column] for row in self.sample]
+
+
+def find_dialect(head: bytes) -> Dialect | None:
+    """The layout of the file with this beginning, None where it shows no rows of 3 or more numbers.
+
+    A last line without its end is used only where nothing else is there.
+    """
+    head = head[:HEAD_BYTES]
+    if not is_text(head):
+        return None
+    bare_returns = b"\n" not in head and b"\r" in head
+    if bare_returns:
+        head = head.replace(b"\r", b"\n")
+    whole = head[: head.rfind(b"\n") + 1]
+    found = _dialect_of(whole) or _dialect_of(head)
+    return replace(found, bare_returns=bare_returns) if found else None
+
+
+def is_text(head: bytes) -> bool:
+    """Whether all bytes are such as text has."""
+    return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
+
+
+def _dialect_of(head: bytes) -> Dialect | None:
+    mark = len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0
+    raw_lines = head[mark:].splitlines(keepends=True)
+    for tail in _tail_sizes(len(raw_lines)):
+        layouts = [_Layout.of(raw_lines, delimiter, tail) for delimiter in DELIMITERS]
+        best = max(layouts, key=lambda layout: layout.score)
+        least = 0.0 if tail >= SURE_LINES else 0.5
+        if best.score > least and (dialect := best.dialect(mark)):
+            return dialect
+    return None
+
+
+def _tail_sizes(lines: int) -> Iterator[int]:
+    """How many last lines to judge by: fewer and fewer in a short file, whose beginning may be text."""
+    size = min(TAIL_LINES, lines // 2 or lines)
+    yield size
+    while lines < 2 * TAIL_LINES and size > 1:
+        size //= 2
+        yield size
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """The cells of one line, quotes taken off."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def decode(line: bytes) -> str:
+    """A line as text: UTF-8, or Latin-1 where it is not."""
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """One delimiter, tried on the last lines of a head."""
+
+    raw_lines: list[bytes]
+    cleaner: Cleaner
+    kinds: tuple[Kind, ...]
+
+    @classmethod
+    def of(cls, raw_lines: list[bytes], delimiter: str, tail: int) -> _Layout:
+        cleaner = _cleaner_for(raw_lines, delimiter)
+        rows = _rows([line for line in raw_lines if line.strip()][-tail:], cleaner)
+        width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
+        if width < 3 or count < 0.9 * len(rows):
+            return cls(raw_lines, cleaner, ())
+        rows = [row for row in rows if len(row) == width]
+        kinds = _column_kinds(rows, delimiter, 0.9)
+        if Kind.MISSING in kinds or tail < SURE_LINES:
+            share = 0.5 if tail < SURE_LINES else 0.9
+            everywhere = [row for row in _rows(raw_lines, cleaner) if len(row) == width]
+            kinds = _column_kinds(everywhere, delimiter, share)
+        return cls(raw_lines, _with_decimals(cleaner, rows), kinds)
+
+    @property
+    def score(self) -> float:
+        if self.kinds.count(Kind.NUMBER) < 3:
+            return 0.0
+        return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
+
+    def dialect(self, mark: int) -> Dialect | None:
+        """The full layout, None where no run of rows begins anywhere."""
+        first = self._first_row()
+        if first is None:
+            return None
+        names, units = self._names(first)
+        sample = _rows(self.raw_lines[first : first + SAMPLE_ROWS], self.cleaner)
+        whole = tuple(tuple(row) for row in sample if len(row) == len(self.kinds))
+        offset = mark + sum(map(len, self.raw_lines[:first]))
+        return Dialect(self.cleaner, self.kinds, names, units, whole, first, offset, False)
+
+    def _first_row(self) -> int | None:
+        """The first of three rows that follow each other, or of the last ones."""
+        run: list[int] = []
+        for number, line in enumerate(self.raw_lines):
+            for row in _rows([line], self.cleaner):
+                run = [*run, number] if self._is_row(row) else []
+            if len(run) == 3:
+                break
+        return run[0] if run else None
+
+    def _is_row(self, row: list[str]) -> bool:
+        if len(row) != len(self.kinds):
+            return False
+        comma = self.cleaner.delimiter != ","
+        pairs = zip(row, self.kinds, strict=True)
+        found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
+        filled = any(kind is other for kind, other in found)
+        return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
+
+    def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
+        """The names and, where a second line below them gives it, the units of the columns."""
+        above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
+        rows = [self._heading(number) for number in above]
+        if rows and rows[-1] and all(map(is_unit_cell, rows[-1])) and len(rows) == 2 and rows[0]:
+            return rows[0], rows[1]
+        return (rows[-1] if rows else None), None
+
+    def _heading(self, number: int) -> tuple[str, ...] | None:
+        """A line's cells where they can be names: as many as there are columns, none a number."""
+        text = decode(self.raw_lines[number])
+        text = COMMENT.sub("", text).strip("\r\n")
+        if self.cleaner.delimiter == " ":
+            text = " ".join(text.split())
+        cells = [cell.strip() for cell in split_line(text, self.cleaner.delimiter)]
+        if len(cells) == len(self.kinds) - 1:
+            cells = [*cells, ""] if self.kinds[-1] is Kind.MISSING else ["", *cells]
+        kinds = {cell_kind(cell, False) for cell in cells}
+        words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
+        return tuple(cells) if len(cells) == len(self.kinds) and words else None
+
+
+def _rows(raw_lines: list[bytes], cleaner: Cleaner) -> list[list[str]]:
+    """The cells of all lines that are not blank, as they are written."""
+    plain = replace(cleaner, decimal_comma=False, slash_dates=False)
+    lines = [split_line(decode(plain(line)).rstrip("\r\n"), cleaner.delimiter) for line in raw_lines]
+    return [line for line in lines if line]
+
+
+def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:
+    return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
+
+
+def _cleaner_for(raw_lines: list[bytes], delimiter: str) -> Cleaner:
+    head = b"".join(raw_lines)
+    mark = delimiter.encode()
+    return Cleaner(
+        delimiter,
+        padded=delimiter != " " and (b" " + mark in head or mark + b" " in head),
+        split_date=delimiter == " " and SPLIT_DATE.search(head) is not None,
+        slash_dates=SLASH_DATE.search(head) is not None,
+        long_fraction=LONG_FRACTION.search(head) is not None,
+    )
+
+
+def _with_decimals(cleaner: Cleaner, rows: list[list[str]]) -> Cleaner:
+    commas = any(COMMA_NUMBER.fullmatch(cell.strip()) for row in rows for cell in row)
+    return replace(cleaner, decimal_comma=commas and cleaner.delimiter != ",")

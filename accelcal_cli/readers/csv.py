@@ -1,0 +1,198 @@
+"""Text files of numbers: CSV with any delimiter, header, unit and kind of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from accelcal_cli.core.clock import StampClock
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import GZIP_MAGIC, Format, Probe, ReadOptions
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.readers._csv_assemble import Assembler
+from accelcal_cli.readers._csv_blocks import Block, LineFile, lone_block
+from accelcal_cli.readers._csv_dialect import find_dialect
+from accelcal_cli.readers._csv_open import HEAD_BYTES, Opened, examine
+from accelcal_cli.readers._csv_rows import RowMaker, Rows
+from accelcal_cli.readers._csv_spread import Spreader
+from accelcal_cli.readers._csv_time import NO_TIME
+
+NAME = "csv"
+SUFFIXES = (".csv", ".txt", ".tsv", ".log")
+TAIL_BYTES = 1 << 16
+OTHER_TEXT = (b"Device Identity",)
+
+
+def sniff(probe: Probe) -> int:
+    """30 to 60 for text with three or more columns of numbers; more where name and header fit."""
+    if probe.head.startswith(OTHER_TEXT):
+        return 0
+    dialect = find_dialect(probe.head)
+    if dialect is None:
+        return 0
+    return 40 + 10 * (probe.suffix in SUFFIXES) + 10 * (dialect.names is not None)
+
+
+class CsvReader(Reader):
+    """Streams a text file. See `docs/csv-files.md` for what is recognised."""
+
+    def __init__(self, path: Path, opened: Opened, timezone: str | None) -> None:
+        self._path = path
+        self._opened = opened
+        self.recording = _recording(path, opened, timezone, self._first_time(), self._last_time())
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all usable rows, at most `chunk_samples` at a time.
+
+        Raises:
+            UnreadableError: a line is no row of the file, or most rows cannot be used.
+        """
+        assembler = Assembler(self._opened.pace, self._opened.sheet.time is not None)
+        notice = self._notices()
+        end_byte = 0
+        for rows, block in self._settled(chunk_samples):
+            end_byte = block.end_byte
+            for chunk in assembler.chunks(rows, end_byte, chunk_samples):
+                if len(chunk) or chunk.problems or notice:
+                    yield _with_problems(chunk, notice)
+                    notice = ()
+            if block.last:
+                notice += (*assembler.finish(), *self._end_problems(block, assembler.samples))
+        self._refuse_mostly_unusable(assembler)
+        if notice:
+            yield _end_chunk(assembler, notice, end_byte, self.recording.has_temperature)
+
+    def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
+        """Rows with their final times, and the block they came with."""
+        opened, dialect = self._opened, self._opened.sheet.dialect
+        maker = RowMaker(opened.sheet, opened.scale, opened.temperature_c)
+        spreader = Spreader(opened.pace) if opened.pace.stamp_period_us else None
+        block_bytes = max(1, int(0.95 * chunk_samples * opened.line_bytes))
+        file = LineFile(self._path, dialect.bare_returns)
+        try:
+            for block in file.blocks(dialect.offset, dialect.skipped + 1, block_bytes):
+                rows = maker.rows(block)
+                for ready in spreader.add(rows, block.last) if spreader else (rows,):
+                    yield ready, block
+        finally:
+            file.close()
+
+    def _notices(self) -> tuple[Problem, ...]:
+        if self._opened.dated:
+            return ()
+        text = "the file has no date; times count from 1970-01-01"
+        return (Problem("no_start_time", text, None, 0),)
+
+    def _end_problems(self, block: Block, samples: int) -> list[Problem]:
+        end = block.offset + len(block.data)
+        if block.broken:
+            text = "the compressed data ends early or is damaged; the rows before that were read"
+            return [Problem("truncated", text, end, samples)]
+        if block.tail.strip() and not self._opened.sheet.kept_tail(block):
+            line = block.line + block.lines
+            text = f"line {line}, the last one, is cut off and was left out"
+            return [Problem("truncated", text, end, samples)]
+        return []
+
+    def _refuse_mostly_unusable(self, assembler: Assembler) -> None:
+        if 2 * assembler.samples < assembler.rows or not assembler.samples:
+            raise UnreadableError(
+                f"only {assembler.samples} of {assembler.rows} rows hold usable values",
+                path=self._path,
+                line=self._opened.sheet.dialect.skipped + 1,
+                hint="check --columns and --unit",
+            )
+
+    def _first_time(self) -> int | None:
+        """Time of the first usable row [us], None without dates.
+
+        Raises:
+            UnreadableError: the beginning of the file holds no usable row.
+        """
+        assembler = Assembler(self._opened.pace, self._opened.sheet.time is not None)
+        samples = int(HEAD_BYTES / self._opened.line_bytes)
+        for rows, block in self._settled(samples):
+            for chunk in assembler.chunks(rows, 0, max(samples, 1)):
+                if len(chunk):
+                    return int(chunk.clock.times(0, 1)[0]) if self._opened.dated else None
+            if block.offset > 16 * HEAD_BYTES:
+                break
+        raise UnreadableError(
+            f"none of its first {assembler.rows} rows holds usable values",
+            path=self._path,
+            line=self._opened.sheet.dialect.skipped + 1,
+            hint="check --columns and --unit",
+        )
+
+    def _last_time(self) -> int | None:
+        """Time of the last row [us] of an uncompressed file that gives times."""
+        sheet = self._opened.sheet
+        with self._path.open("rb") as file:
+            if sheet.time is None or file.read(2) == GZIP_MAGIC or sheet.dialect.bare_returns:
+                return None
+            size = file.seek(0, 2)
+            file.seek(max(sheet.dialect.offset, size - TAIL_BYTES))
+            lines = file.read().splitlines(keepends=True)[-3:]
+        whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()][-1:]
+        try:
+            stamps = sheet.cells(lone_block(b"".join(whole), 1, 0)).time_us
+        except UnreadableError:
+            return None
+        usable = stamps is not None and len(stamps) and stamps[-1] != NO_TIME
+        return int(stamps[-1]) if stamps is not None and usable else None
+
+
+def open_csv(path: Path, options: ReadOptions) -> CsvReader:
+    """Open a text file of numbers.
+
+    Raises:
+        UnreadableError: it holds no rows of numbers, or they can be read in several ways; the
+            hint says which option settles it.
+        UsageError: an option names no column, or counts come without their scale.
+    """
+    return CsvReader(path, examine(path, options), options.timezone)
+
+
+def _recording(
+    path: Path, opened: Opened, timezone: str | None, first_us: int | None, last_us: int | None
+) -> Recording:
+    time = opened.sheet.time
+    length = None if first_us is None or last_us is None else (last_us - first_us) / 1e6
+    return Recording(
+        path=path,
+        format=NAME,
+        rate_hz=opened.pace.rate_hz,
+        lsb_per_g=opened.scale.lsb_per_g,
+        total_bytes=path.stat().st_size,
+        start_us=first_us,
+        timezone="UTC" if time is not None and time.zoned else timezone,
+        duration_s=length if length is not None and length > 0 else None,
+        has_temperature=opened.temperature_c is not None,
+        notes=opened.notes(),
+    )
+
+
+def _with_problems(chunk: Chunk, problems: tuple[Problem, ...]) -> Chunk:
+    if not problems:
+        return chunk
+    return replace(chunk, problems=(*problems, *chunk.problems))
+
+
+def _end_chunk(
+    assembler: Assembler, problems: tuple[Problem, ...], end_byte: int, temperature: bool
+) -> Chunk:
+    """An empty chunk that carries what was found at the end of the file."""
+    return Chunk(
+        assembler.samples,
+        np.empty((0, 3), np.int32),
+        StampClock(np.empty(0, np.int64)),
+        end_byte,
+        temperature_mc=np.empty(0, np.int32) if temperature else None,
+        problems=problems,
+    )
+
+
+FORMAT = Format(NAME, "text file (CSV) with a column each for x, y and z", SUFFIXES, sniff, open_csv)

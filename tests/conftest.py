@@ -1,0 +1,26 @@
+"""Where the optional real recordings are, and what is shared by all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def shared_folder() -> Path | None:
+    """The folder of real recordings and tools, or None where it is absent."""
+    named = os.environ.get("ACCELCAL_REAL_DATA")
+    data = Path(named) if named else ROOT.parent / "shared" / "data"
+    return data if data.is_dir() else None
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of real recordings; the test is skipped where it is absent."""
+    folder = shared_folder()
+    if folder is None:
+        pytest.skip("real recordings are absent (set ACCELCAL_REAL_DATA)")
+    return folder
