@@ -1,48 +1,117 @@
-"""The only way readers take bytes from a file."""
+"""The only way readers take bytes from a file, plain or gzip."""
 
 from __future__ import annotations
 
 import gzip
 import zlib
 from pathlib import Path
-from typing import BinaryIO, cast
+from types import TracebackType
+from typing import Self
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
 
+GZIP_STEP = 1 << 13
 
-def open_bytes(path: Path) -> BinaryIO:
-    """Open a file for reading, through gzip where its content is gzip.
 
-    Raises:
-        UnreadableError: the file cannot be opened.
+class ByteSource:
+    """The (uncompressed) bytes of a file, from its beginning.
+
+    A gzip file is taken in equal steps, so that a damaged one ends at the same byte however much
+    is asked for at a time.
+
+    Attributes:
+        compressed: whether the file is gzip.
+        broken: whether its bytes broke off (a truncated or damaged gzip) rather than ended.
     """
-    try:
-        raw = path.open("rb")
-        head = raw.read(2)
-        raw.seek(0)
-    except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    return cast(BinaryIO, gzip.open(raw)) if head == GZIP_MAGIC else raw
 
+    def __init__(self, path: Path) -> None:
+        """Open a file.
 
-def read_exact(stream: BinaryIO, count: int, path: Path) -> tuple[bytes, bool]:
-    """Read `count` bytes, fewer only at the end of the data.
+        Raises:
+            UnreadableError: it cannot be opened.
+        """
+        self.path = path
+        self.broken = False
+        self._ahead = b""
+        try:
+            self._file = path.open("rb")
+            self.compressed = self._file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
+            self._file.seek(0)
+        except OSError as error:
+            raise self._unreadable(error) from error
+        self._gzip = gzip.GzipFile(fileobj=self._file) if self.compressed else None
 
-    Returns:
-        the bytes, and whether the stream broke (a truncated or damaged gzip) rather than ended.
+    def read(self, count: int) -> bytes:
+        """Up to `count` bytes; none only at the end.
 
-    Raises:
-        UnreadableError: the disk fails.
-    """
-    parts: list[bytes] = []
-    left = count
-    try:
-        while left and (part := stream.read(left)):
+        Raises:
+            UnreadableError: the disk fails.
+        """
+        try:
+            return self._file.read1(count) if self._gzip is None else self._step(self._gzip, count)
+        except (EOFError, zlib.error, gzip.BadGzipFile):
+            self.broken = True
+            return b""
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    def read_exact(self, count: int) -> bytes:
+        """`count` bytes, fewer only at the end of the data.
+
+        Raises:
+            UnreadableError: the disk fails.
+        """
+        parts: list[bytes] = []
+        while count > 0 and (part := self.read(count)):
             parts.append(part)
-            left -= len(part)
-    except (EOFError, zlib.error, gzip.BadGzipFile):
-        return b"".join(parts), True
-    except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    return b"".join(parts), False
+            count -= len(part)
+        return b"".join(parts)
+
+    def seek(self, offset: int) -> None:
+        """Go to a byte of a file that is not compressed."""
+        self._file.seek(offset)
+
+    def read_into(self, buffer: memoryview) -> int:
+        """Fill a buffer from a file that is not compressed; gives the bytes, fewer at the end.
+
+        Raises:
+            UnreadableError: the disk fails.
+        """
+        size = 0
+        try:
+            while size < len(buffer) and (more := self._file.readinto(buffer[size:])):
+                size += more
+        except OSError as error:
+            raise self._unreadable(error) from error
+        return size
+
+    def disk_position(self) -> int:
+        """How far the file on the disk has been read."""
+        return self._file.tell()
+
+    def close(self) -> None:
+        """Release the file."""
+        if self._gzip is not None:
+            self._gzip.close()
+        self._file.close()
+
+    def _step(self, stream: gzip.GzipFile, count: int) -> bytes:
+        if not self._ahead and not self.broken:
+            self._ahead = stream.read1(GZIP_STEP)
+        part, self._ahead = self._ahead[:count], self._ahead[count:]
+        return part
+
+    def _unreadable(self, error: OSError) -> UnreadableError:
+        return UnreadableError(f"cannot be read ({error.strerror or error})", path=self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

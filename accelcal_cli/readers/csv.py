@@ -12,13 +12,13 @@ from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC, Format, Probe, ReadOptions
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
-from accelcal_cli.readers._csv_assemble import Assembler
-from accelcal_cli.readers._csv_blocks import Block, LineFile, lone_block
-from accelcal_cli.readers._csv_dialect import find_dialect
-from accelcal_cli.readers._csv_open import HEAD_BYTES, Opened, examine
-from accelcal_cli.readers._csv_rows import RowMaker, Rows
-from accelcal_cli.readers._csv_spread import Spreader
-from accelcal_cli.readers._csv_time import NO_TIME
+from accelcal_cli.readers._csv.assemble import Assembler
+from accelcal_cli.readers._csv.blocks import Block, LineFile, lone_block
+from accelcal_cli.readers._csv.dialect import find_dialect
+from accelcal_cli.readers._csv.open import HEAD_BYTES, Opened, examine
+from accelcal_cli.readers._csv.rows import RowMaker, Rows
+from accelcal_cli.readers._csv.spread import Spreader
+from accelcal_cli.readers._csv.time import NO_TIME
 
 NAME = "csv"
 SUFFIXES = (".csv", ".txt", ".tsv", ".log")

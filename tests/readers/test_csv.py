@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
-from accelcal_cli.readers import _csv_blocks
+from accelcal_cli.readers._csv import blocks as _csv_blocks
 from accelcal_cli.readers.csv import FORMAT
 from tests.readers.make_csv import GRID, make, read, stamp, written
 

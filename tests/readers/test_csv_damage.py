@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
-from accelcal_cli.readers import _csv_blocks
+from accelcal_cli.readers._csv import blocks as _csv_blocks
 from tests.readers.make_csv import make, read, stamp, written
 
 HEADER = "time,x,y,z\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.readers import _csv_blocks
+from accelcal_cli.readers._csv import blocks as _csv_blocks
 from tests.readers.make_csv import START_US, Read, read, stamp, written
 
 SECOND = 1_000_000

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.readers._csv_cells import Kind, cell_kind
-from accelcal_cli.readers._csv_dialect import Dialect, decode, split_line
-from accelcal_cli.readers._csv_time import STAMP
+from accelcal_cli.readers._csv.cells import Kind, cell_kind
+from accelcal_cli.readers._csv.dialect import Dialect, decode, split_line
+from accelcal_cli.readers._csv.time import STAMP
 
 SHOWN = 40
 

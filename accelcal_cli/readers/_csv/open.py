@@ -9,13 +9,13 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.readers._csv_blocks import Block, LineFile, lone_block
-from accelcal_cli.readers._csv_columns import Roles, column_name, find_roles
-from accelcal_cli.readers._csv_dialect import Dialect, find_dialect
-from accelcal_cli.readers._csv_rate import Pace, find_pace
-from accelcal_cli.readers._csv_sheet import Cells, Sheet
-from accelcal_cli.readers._csv_time import NO_TIME, find_time_format
-from accelcal_cli.readers._csv_units import Scale, guess_unit, said_unit, scale_for
+from accelcal_cli.readers._csv.blocks import Block, LineFile, lone_block
+from accelcal_cli.readers._csv.columns import Roles, column_name, find_roles
+from accelcal_cli.readers._csv.dialect import Dialect, find_dialect
+from accelcal_cli.readers._csv.rate import Pace, find_pace
+from accelcal_cli.readers._csv.sheet import Cells, Sheet
+from accelcal_cli.readers._csv.time import NO_TIME, find_time_format
+from accelcal_cli.readers._csv.units import Scale, guess_unit, said_unit, scale_for
 
 HEAD_BYTES = 1 << 20
 

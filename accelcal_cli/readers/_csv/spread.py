@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.readers._csv_rate import Pace
-from accelcal_cli.readers._csv_rows import Rows
-from accelcal_cli.readers._csv_time import NO_TIME
+from accelcal_cli.readers._csv.rate import Pace
+from accelcal_cli.readers._csv.rows import Rows
+from accelcal_cli.readers._csv.time import NO_TIME
 
 LONGEST_GROUP = 4
 """A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""

@@ -11,12 +11,12 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
-from accelcal_cli.readers._csv_blocks import Block
-from accelcal_cli.readers._csv_cells import MISSING
-from accelcal_cli.readers._csv_columns import Roles
-from accelcal_cli.readers._csv_dialect import Dialect
-from accelcal_cli.readers._csv_faults import LineCheck, blank_lines_apart
-from accelcal_cli.readers._csv_time import TimeFormat
+from accelcal_cli.readers._csv.blocks import Block
+from accelcal_cli.readers._csv.cells import MISSING
+from accelcal_cli.readers._csv.columns import Roles
+from accelcal_cli.readers._csv.dialect import Dialect
+from accelcal_cli.readers._csv.faults import LineCheck, blank_lines_apart
+from accelcal_cli.readers._csv.time import TimeFormat
 
 PARSER_BYTES = 1 << 20
 """What one thread parses at a time."""

@@ -9,9 +9,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from accelcal_cli.core.formats import HEAD_BYTES
-from accelcal_cli.readers._csv_cells import COMMA_NUMBER, Kind, cell_kind, column_kind
-from accelcal_cli.readers._csv_clean import LONG_FRACTION, SPLIT_DATE, Cleaner
-from accelcal_cli.readers._csv_units import is_unit_cell
+from accelcal_cli.readers._csv.cells import COMMA_NUMBER, Kind, cell_kind, column_kind
+from accelcal_cli.readers._csv.clean import LONG_FRACTION, SPLIT_DATE, Cleaner
+from accelcal_cli.readers._csv.units import is_unit_cell
 
 DELIMITERS = (",", ";", "\t", "|", " ")
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.readers._csv_cells import Kind, number_of
-from accelcal_cli.readers._csv_dialect import Dialect
-from accelcal_cli.readers._csv_units import acceleration_unit, microseconds_in, name_and_hint
+from accelcal_cli.readers._csv.cells import Kind, number_of
+from accelcal_cli.readers._csv.dialect import Dialect
+from accelcal_cli.readers._csv.units import acceleration_unit, microseconds_in, name_and_hint
 
 ACCELEROMETER = frozenset({"acc", "accel", "accelerometer", "acceleration", "accelerations", "a"})
 NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})

@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.readers._csv_blocks import Block
-from accelcal_cli.readers._csv_sheet import Sheet
-from accelcal_cli.readers._csv_time import NO_TIME
-from accelcal_cli.readers._csv_units import Scale
+from accelcal_cli.readers._csv.blocks import Block
+from accelcal_cli.readers._csv.sheet import Sheet
+from accelcal_cli.readers._csv.time import NO_TIME
+from accelcal_cli.readers._csv.units import Scale
 
 HOTTEST_C = 1000.0
 

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
-from gzip import BadGzipFile
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.readers._stream import open_bytes
+from accelcal_cli.readers._stream import ByteSource
 
 PIECE_BYTES = 1 << 18
 """Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""
@@ -56,16 +53,12 @@ class LineFile:
     """A text file, plain or gzip, read once from its beginning."""
 
     def __init__(self, path: Path, bare_returns: bool = False) -> None:
-        self.path = path
-        self.broken = False
-        self._stream: Any = open_bytes(path)
-        self._disk: Any = getattr(self._stream, "fileobj", self._stream)
+        self._source = ByteSource(path)
         self._bare_returns = bare_returns
 
     def close(self) -> None:
         """Release the file."""
-        self._stream.close()
-        self._disk.close()
+        self._source.close()
 
     def read(self, count: int) -> bytes:
         """At least `count` bytes, fewer only at the end of the data."""
@@ -76,21 +69,8 @@ class LineFile:
         return b"".join(parts)
 
     def _piece(self) -> bytes:
-        if self.broken:
-            return b""
-        try:
-            piece = cast(bytes, self._stream.read1(PIECE_BYTES))
-        except (EOFError, zlib.error, BadGzipFile):
-            self.broken = True
-            return b""
-        except OSError as error:
-            raise UnreadableError(f"cannot be read ({error.strerror or error})", path=self.path) from error
+        piece = self._source.read(PIECE_BYTES)
         return piece.replace(b"\r", b"\n") if self._bare_returns else piece
-
-    @property
-    def disk_position(self) -> int:
-        """How far the file on the disk has been read."""
-        return int(self._disk.tell())
 
     def blocks(self, start: int, line: int, block_bytes: int) -> Iterator[Block]:
         """All lines from byte `start`, which begins line number `line`, about `block_bytes` at a time.
@@ -105,10 +85,14 @@ class LineFile:
             fresh = self.read(block_bytes)
             last = not fresh
             if len(tail) > LONGEST_LINE and not data:
-                raise UnreadableError("a line has no end", path=self.path, line=line, byte_offset=offset)
+                raise UnreadableError(
+                    "a line has no end", path=self._source.path, line=line, byte_offset=offset
+                )
             if data or last:
                 rest, lines = tail if last else b"", count_lines(data)
-                yield Block(data, rest, line, lines, offset, self.disk_position, last, self.broken)
+                yield Block(
+                    data, rest, line, lines, offset, self._source.disk_position(), last, self._source.broken
+                )
                 line += lines
                 offset += len(data)
 

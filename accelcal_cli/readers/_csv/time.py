@@ -14,7 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.readers._csv_cells import MISSING, number_of
+from accelcal_cli.readers._csv.cells import MISSING, number_of
 
 NO_TIME = -(1 << 62)
 """Stands for a missing time; far enough from every real one to subtract without overflow."""

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk, Problem
-from accelcal_cli.readers._csv_problems import Marks, RunLog
-from accelcal_cli.readers._csv_rate import GAP_PERIODS, Pace
-from accelcal_cli.readers._csv_rows import Fault, Rows
+from accelcal_cli.readers._csv.problems import Marks, RunLog
+from accelcal_cli.readers._csv.rate import GAP_PERIODS, Pace
+from accelcal_cli.readers._csv.rows import Fault, Rows
 
 
 def _rows(count: int) -> str:
