@@ -1,0 +1,1 @@
+"""What readers of page-wise files share: blocks, timelines, problems."""
