@@ -1,0 +1,1 @@
+"""Layout files of raw dumps."""
