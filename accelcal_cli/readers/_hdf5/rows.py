@@ -1,0 +1,245 @@
+"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.readers._hdf5.deflate import DeflatedChunks
+from accelcal_cli.readers._hdf5.file import H5PY_ERRORS
+
+BLOCK_ROWS = 65_536
+STREAM_ABOVE_BYTES = 16 << 20
+REFUSE_ABOVE_BYTES = 256 << 20
+SMALLEST_LOSS_ROWS = 16
+HIGHEST_RATIO = 1100
+"""No filter in use packs rows more densely than deflate's 1032 bytes in one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """A dataset of `rows` rows of `width` numbers; the rows run along its axis `axis`."""
+
+    path: str
+    rows: int
+    width: int
+    axis: int
+    dtype: np.dtype[Any]
+
+    @property
+    def name(self) -> str:
+        """The last part of the path."""
+        return self.path.rsplit("/", 1)[-1]
+
+    @property
+    def parent(self) -> str:
+        """The group that holds it, `/` for the file itself."""
+        return self.path.rsplit("/", 1)[0] or "/"
+
+
+def as_track(path: str, dataset: Any) -> Track | None:
+    """How a dataset can be read as rows of 1 or 3 numbers; None where it cannot.
+
+    (n,), (n, 1) and (1, n) are rows of one, (n, 3) and (3, n) rows of three; (3, 3) and (1, 3)
+    are read with the rows along the first axis.
+    """
+    shape = dataset.shape
+    if shape is None or len(shape) not in (1, 2) or dataset.dtype.kind not in "iuf":
+        return None
+    if len(shape) == 1:
+        return Track(path, shape[0], 1, 0, dataset.dtype)
+    for axis in (0, 1):
+        if shape[1 - axis] in (1, 3):
+            return Track(path, shape[axis], shape[1 - axis], axis, dataset.dtype)
+    return None
+
+
+class TrackRows:
+    """Reads rows of a track in order; each HDF5 chunk is decompressed once.
+
+    A block that cannot be read is narrowed down to the HDF5 chunks concerned; their rows, and
+    those of chunks that were never written, are marked as lost.
+
+    Raises:
+        UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
+    """
+
+    def __init__(self, file: Any, track: Track, path: Path) -> None:
+        self._dataset = file[track.path]
+        self._track = track
+        self._path = path
+        self._start = self._stop = 0
+        self._values = np.empty((0, track.width), track.dtype)
+        self._good = np.empty(0, np.bool_)
+        self._chunk_rows, self._chunk_bytes = self._chunking()
+        self._refuse_unreadable()
+        self._stream = self._open_stream() if self._is_streamed() else None
+        self._has_holes = self._find_holes()
+
+    def _chunking(self) -> tuple[int, int]:
+        """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
+        chunks = self._dataset.chunks
+        if chunks is None:
+            return 1, 0
+        rows = int(chunks[self._track.axis])
+        wide = max(self._track.width, int(np.prod(chunks)) // max(rows, 1))
+        return rows, rows * wide * self._track.dtype.itemsize
+
+    def _filters(self) -> list[int]:
+        settings = self._dataset.id.get_create_plist()
+        return [settings.get_filter(index)[0] for index in range(settings.get_nfilters())]
+
+    def _is_streamed(self) -> bool:
+        return bool(self._filters()) and self._chunk_bytes > STREAM_ABOVE_BYTES
+
+    def _open_stream(self) -> DeflatedChunks | None:
+        dataset, filters = self._dataset, self._filters()
+        whole_width = dataset.ndim == 1 or dataset.chunks[1 - self._track.axis] == self._track.width
+        known = filters in ([h5py.h5z.FILTER_DEFLATE], [h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE])
+        if known and whole_width and dataset.file.userblock_size == 0:
+            shuffled = len(filters) == 2
+            return DeflatedChunks(dataset, self._path, self._track.axis, self._track.width, shuffled)
+        if self._chunk_bytes > REFUSE_ABOVE_BYTES:
+            raise self._refusal(
+                f"is packed in chunks of {self._chunk_bytes >> 20} MB, too large to unpack at once",
+                "repack it with `h5repack -l CHUNK=65536x3` (`CHUNK=65536` for one axis)",
+            )
+        return None
+
+    def _refuse_unreadable(self) -> None:
+        dataset, track = self._dataset, self._track
+        if dataset.external or dataset.is_virtual:
+            raise self._refusal("keeps its values in other files", "copy it into one file with h5repack")
+        if track.rows == 0 or self._is_unwritten():
+            raise self._refusal("is empty: its values were never written", "copy it again from its source")
+        size = self._path.stat().st_size
+        if track.rows > size * HIGHEST_RATIO:
+            raise self._refusal(
+                f"claims {track.rows} rows, more than the file can hold", "copy it again from its source"
+            )
+
+    def _is_unwritten(self) -> bool:
+        """Whether no value was ever written; a damaged index of chunks does not tell."""
+        try:
+            return bool(self._dataset.id.get_storage_size() == 0)
+        except H5PY_ERRORS:
+            return False
+
+    def _refusal(self, what: str, hint: str) -> UnreadableError:
+        return UnreadableError(f"dataset {self._track.path} {what}", path=self._path, hint=hint)
+
+    def _find_holes(self) -> bool:
+        chunks = self._dataset.chunks
+        if chunks is None:
+            return False
+        expected = 1
+        for length, step in zip(self._dataset.shape, chunks, strict=True):
+            expected *= -(-length // step)
+        try:
+            return bool(self._dataset.id.get_num_chunks() != expected)
+        except H5PY_ERRORS:
+            return True
+
+    @property
+    def path(self) -> str:
+        """The dataset's path in the file."""
+        return self._track.path
+
+    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
+        values, good = [], []
+        row = start
+        while row < stop:
+            if not self._start <= row < self._stop:
+                self._load(*self._block(row))
+            here = slice(row - self._start, min(stop, self._stop) - self._start)
+            values.append(self._values[here])
+            good.append(self._good[here])
+            row = min(stop, self._stop)
+        if len(values) == 1:
+            return values[0], good[0]
+        return np.concatenate(values), np.concatenate(good)
+
+    def _block(self, row: int) -> tuple[int, int]:
+        """The rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
+        size = self._chunk_rows
+        if size <= BLOCK_ROWS:
+            step = size * (BLOCK_ROWS // size)
+            start = row // step * step
+            return start, min(start + step, self._track.rows)
+        chunk = row // size * size
+        in_parts = self._stream is not None or not self._filters()
+        step = BLOCK_ROWS if in_parts else size
+        start = chunk + (row - chunk) // step * step
+        return start, min(start + step, chunk + size, self._track.rows)
+
+    def _load(self, start: int, stop: int) -> None:
+        self._values = np.zeros((stop - start, self._track.width), self._track.dtype)
+        self._good = np.zeros(stop - start, np.bool_)
+        self._start, self._stop = start, stop
+        self._fill(start, stop)
+
+    def _fill(self, start: int, stop: int) -> None:
+        """Read rows into the block; where that fails, halve along chunk borders and try again."""
+        try:
+            values = self._fetch(start, stop)
+            into = slice(start - self._start, start - self._start + len(values))
+            self._values[into] = values
+            self._good[into] = self._written(start, start + len(values))
+        except H5PY_ERRORS:
+            middle = self._middle(start, stop)
+            if middle is not None:
+                self._fill(start, middle)
+                self._fill(middle, stop)
+
+    def _middle(self, start: int, stop: int) -> int | None:
+        """A chunk border near the middle; None where the rows are lost together."""
+        step = self._chunk_rows * max(1, SMALLEST_LOSS_ROWS // self._chunk_rows)
+        half = start + max(1, (stop - start) // 2 // step) * step
+        return half if half < stop and self._stream is None else None
+
+    def _fetch(self, start: int, stop: int) -> NDArray[Any]:
+        if self._stream is not None:
+            return self._stream.read(start, stop)
+        part = self._dataset[start:stop] if self._track.axis == 0 else self._dataset[:, start:stop].T
+        return np.asarray(part).reshape(-1, self._track.width)
+
+    def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
+        """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
+        good = np.ones(stop - start, np.bool_)
+        if self._has_holes:
+            first = start // self._chunk_rows * self._chunk_rows
+            for row in range(first, stop, self._chunk_rows):
+                if self.chunk_offset(row) is None:
+                    good[max(row - start, 0) : row - start + self._chunk_rows] = False
+        return good
+
+    def chunk_offset(self, row: int) -> int | None:
+        """Byte in the file of the HDF5 chunk that holds a row; None where there is none.
+
+        Where the row's columns are in several chunks: the first one's, None if any is missing.
+        """
+        if self._dataset.chunks is None:
+            return None
+        offsets = []
+        try:
+            for column in self._columns():
+                place = [0] * self._dataset.ndim
+                place[self._track.axis] = row // self._chunk_rows * self._chunk_rows
+                if column:
+                    place[1 - self._track.axis] = column
+                offsets.append(self._dataset.id.get_chunk_info_by_coord(tuple(place)).byte_offset)
+        except H5PY_ERRORS:
+            return None
+        return None if None in offsets else int(offsets[0])
+
+    def _columns(self) -> range:
+        if self._dataset.ndim == 1:
+            return range(1)
+        return range(0, self._track.width, int(self._dataset.chunks[1 - self._track.axis]))
