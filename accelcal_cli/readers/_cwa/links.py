@@ -1,0 +1,209 @@
+"""How each sector goes on from the one before: lost sectors, restarts, jumps of the clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.readers._cwa.decode import SectorBlock
+
+RATE_TOLERANCE = 0.1
+"""Sensors run up to 6 % off their nominal rate; the clock may differ by this much of the time."""
+
+STAMP_TOLERANCE_US = 250_000
+"""And always by this much: a stamp may come late when the memory was slow."""
+
+LONGEST_BRIDGE = 100
+"""Times are interpolated across fewer lost sectors than this, and begin anew after more."""
+
+LONGEST_GAP_S = 365 * 86_400
+"""A sequence number that jumps further is taken for a new numbering."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Sectors on the time axis, and how each follows the one before; (p,) each.
+
+    Attributes:
+        row: int64, number of the first sample; lost sectors that are bridged count too.
+        rows: int64, samples in the sector.
+        anchor_row, anchor_us: int64, a sample number on the same axis and its time [us].
+        fresh: bool, the times begin anew here.
+        broken: bool, samples are lost before the sector, or its times begin anew.
+        missing: int64, sectors that are not in the file, by the sequence numbers.
+        restarted: bool, the sequence numbers begin anew.
+        session: bool, the recording's session number changes.
+        overflow: bool, the device lost samples before or in the sector.
+        untimed: bool, the sector has no time of its own.
+        ahead_us, behind_us: int64, jump of the clock beyond what the samples explain.
+    """
+
+    row: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    anchor_row: NDArray[np.int64]
+    anchor_us: NDArray[np.int64]
+    fresh: NDArray[np.bool_]
+    broken: NDArray[np.bool_]
+    missing: NDArray[np.int64]
+    restarted: NDArray[np.bool_]
+    session: NDArray[np.bool_]
+    overflow: NDArray[np.bool_]
+    untimed: NDArray[np.bool_]
+    ahead_us: NDArray[np.int64]
+    behind_us: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Last:
+    """What must be remembered of the sector before a block.
+
+    known_row, known_us: the last anchor that a sector gave itself.
+    """
+
+    position: int
+    sequence: int
+    session: int
+    row: int
+    rows: int
+    anchor_row: int
+    anchor_us: int
+    known_row: int
+    known_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Sectors by which the numbering went on, lost sectors, and new numberings; (p,) each."""
+
+    forward: NDArray[np.int64]
+    missing: NDArray[np.int64]
+    restarted: NDArray[np.bool_]
+
+
+def nominal_us(rows: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
+    """How long so many samples last at the nominal rate, rounded to whole microseconds."""
+    return (2 * MICROSECONDS * rate.denominator * rows + rate.numerator) // (2 * rate.numerator)
+
+
+class Linker:
+    """Takes blocks of good sectors in file order."""
+
+    def __init__(self, rate: Fraction, full_rows: int) -> None:
+        self._rate = rate
+        self._full_rows = full_rows
+        self._longest_gap = int(LONGEST_GAP_S * rate / full_rows) + 1
+        self._last: _Last | None = None
+
+    def link(self, block: SectorBlock) -> Links:
+        """Place a block (at least one sector) after the blocks before it."""
+        first = self._last is None
+        last = self._last or self._before(block)
+        steps = self._steps(block, last)
+        rows_before = _previous(last.rows, block.rows)
+        bridged = np.minimum(steps.forward, LONGEST_BRIDGE) - 1
+        row = last.row + np.cumsum(rows_before + bridged * self._full_rows)
+        anchor_row = row + block.anchors.row
+        anchor_us, source = self._filled(block, anchor_row, last)
+        lost = (steps.forward - 1 - bridged) * self._full_rows
+        passed = _steps(anchor_row, last.anchor_row) + lost
+        off = self._clock_jumps(passed, _steps(anchor_us, last.anchor_us))
+        session = _steps(block.session, last.session) != 0
+        fresh = (off != 0) | steps.restarted | session | (steps.forward > LONGEST_BRIDGE)
+        broken = fresh | (steps.forward > 1) | block.overflow
+        fresh[0] |= first
+        broken[0] &= not first
+        links = Links(
+            row,
+            block.rows,
+            anchor_row,
+            anchor_us,
+            fresh,
+            broken,
+            steps.missing,
+            steps.restarted,
+            session,
+            block.overflow,
+            ~block.anchors.known,
+            np.maximum(off, 0),
+            np.maximum(-off, 0),
+        )
+        self._last = _last_of(block, links, source)
+        return links
+
+    def _before(self, block: SectorBlock) -> _Last:
+        """A full sector that the recording's first one would continue; its first sample is number 0."""
+        anchor_row = int(block.anchors.row[0])
+        start = np.array([anchor_row, self._full_rows], np.int64)
+        since_1970, length = (int(us) for us in nominal_us(start, self._rate))
+        anchor_us = int(block.anchors.time_us[0]) if block.anchors.known[0] else since_1970
+        return _Last(
+            position=int(block.position[0]) - 1,
+            sequence=int(block.sequence[0]) - 1,
+            session=int(block.session[0]),
+            row=-self._full_rows,
+            rows=self._full_rows,
+            anchor_row=anchor_row - self._full_rows,
+            anchor_us=anchor_us - length,
+            known_row=anchor_row,
+            known_us=anchor_us,
+        )
+
+    def _steps(self, block: SectorBlock, last: _Last) -> _Steps:
+        rise = _steps(block.sequence, last.sequence)
+        if (rise == 1).all():
+            return _Steps(rise, np.zeros_like(rise), np.zeros(len(rise), np.bool_))
+        across = _steps(block.position, last.position)
+        restarted = (rise <= 0) | (rise > self._longest_gap)
+        missing = np.where(restarted, 0, np.maximum(rise - across, 0))
+        return _Steps(np.where(restarted, 1, rise), missing, restarted)
+
+    def _filled(
+        self, block: SectorBlock, anchor_row: NDArray[np.int64], last: _Last
+    ) -> tuple[NDArray[np.int64], tuple[int, int]]:
+        """Anchor times, by counting samples where a sector has none; and the last true anchor."""
+        known, time_us = block.anchors.known, block.anchors.time_us
+        if known.all():
+            return time_us, (int(anchor_row[-1]), int(time_us[-1]))
+        source = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+        from_row = np.where(source < 0, last.known_row, anchor_row[source])
+        from_us = np.where(source < 0, last.known_us, time_us[source])
+        filled = from_us + nominal_us(anchor_row - from_row, self._rate)
+        return np.where(known, time_us, filled), (int(from_row[-1]), int(from_us[-1]))
+
+    def _clock_jumps(self, passed: NDArray[np.int64], passed_us: NDArray[np.int64]) -> NDArray[np.int64]:
+        """By how much the clock jumps before each sector [us], 0 where it goes on as it should."""
+        expected = passed * (MICROSECONDS * self._rate.denominator / self._rate.numerator)
+        off = passed_us - expected
+        jump = np.abs(off) > np.maximum(RATE_TOLERANCE * np.abs(expected), STAMP_TOLERANCE_US)
+        jump |= (passed <= 0) | (passed_us <= 0)
+        if not jump.any():
+            return np.zeros(len(jump), np.int64)
+        size = np.rint(off).astype(np.int64)
+        return np.where(jump, np.where(size == 0, -1, size), 0)
+
+
+def _last_of(block: SectorBlock, links: Links, known: tuple[int, int]) -> _Last:
+    return _Last(
+        position=int(block.position[-1]),
+        sequence=int(block.sequence[-1]),
+        session=int(block.session[-1]),
+        row=int(links.row[-1]),
+        rows=int(block.rows[-1]),
+        anchor_row=int(links.anchor_row[-1]),
+        anchor_us=int(links.anchor_us[-1]),
+        known_row=known[0],
+        known_us=known[1],
+    )
+
+
+def _steps(column: NDArray[np.int64], last: int) -> NDArray[np.int64]:
+    """From each sector to the next, the first from `last`."""
+    return column - _previous(last, column)
+
+
+def _previous(last: int, column: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate(([last], column[:-1]))
