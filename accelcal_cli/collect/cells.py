@@ -15,16 +15,19 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect._to_points import Sums, quotient, to_points
+from accelcal_cli.collect.plausible import plausible
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import Windows
 
 MAX_POINTS = 4096
+SPREAD_BITS = 8
 NEARLY_CONSTANT_SHARE = 10
 """Constant windows are believed where nearly constant ones are at least a tenth as many."""
 
@@ -47,17 +50,16 @@ class CellCollector:
         self.length = length
         self.lsb_per_g = lsb_per_g
         self.temperature = temperature
-        self.cells_per_g = settings.cells_per_g
-        self.norm_limits_g = (settings.norm_low_g, settings.norm_high_g)
+        self.settings = settings
         self.implausible = 0
         self.spreads: dict[int, int] = defaultdict(int)
         self._cells: dict[tuple[int, ...], list[int]] = {}
 
     def add(self, windows: Windows) -> None:
         """Take still windows in."""
-        plausible = self._plausible(windows.sums)
-        self.implausible += int(len(windows) - plausible.sum())
-        windows = windows.select(plausible)
+        usable = plausible(windows, self.lsb_per_g, self.settings)
+        self.implausible += int(len(windows) - usable.sum())
+        windows = windows.select(usable)
         if not len(windows):
             return
         widest = windows.spread.max(axis=1)
@@ -96,40 +98,32 @@ class CellCollector:
         """What was left out and why."""
         return CellCounts(self.implausible, self.spreads.get(0, 0), self._constants_are_real())
 
-    def _plausible(self, sums: NDArray[np.int64]) -> NDArray[np.bool_]:
-        mean_g = sums / (self.length * self.lsb_per_g)
-        squared = mean_g[:, 0] ** 2 + mean_g[:, 1] ** 2 + mean_g[:, 2] ** 2
-        low, high = self.norm_limits_g
-        return np.asarray((squared > low * low) & (squared < high * high))
-
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)
         border = Fraction(self.lsb_per_g).limit_denominator(1000) * self.length
-        keys[:, :3] = windows.sums * (self.cells_per_g * border.denominator) // border.numerator
+        keys[:, :3] = windows.sums * (self.settings.cells_per_g * border.denominator) // border.numerator
         if self.temperature and windows.temperature_sums is not None:
             keys[:, 3] = windows.temperature_sums // (self.length * 1000)
         keys[:, _CONSTANT] = constant
         return keys
 
     def _note_spreads(self, widest: NDArray[np.int64]) -> None:
-        """A histogram of spreads that stays small: exact up to 64, then by leading bits."""
+        """A histogram of spreads that stays small: exact up to 256, then by eight leading bits."""
         values, numbers = np.unique(widest, return_counts=True)
         for value, number in zip(values.tolist(), numbers.tolist(), strict=True):
-            drop = max(0, value.bit_length() - 6)
+            drop = max(0, value.bit_length() - SPREAD_BITS)
             self.spreads[value >> drop << drop] += number
 
     def _constants_are_real(self) -> bool:
         """Whether windows without any spread can be a coarse sensor's stillness.
 
-        A sensor whose noise is far below its step often shows windows of one step as well;
-        where a device repeats a sample or writes a constant (idle sleep mode), there are none.
+        A sensor whose noise is far below its step shows many windows of one step as well; where a
+        device repeats a sample or writes a constant (idle sleep mode), there are none.
         """
-        steps = [spread for spread in self.spreads if spread > 0]
-        if not steps:
-            return False
-        one_step = min(steps) * 3 // 2
-        nearly = sum(number for spread, number in self.spreads.items() if 0 < spread <= one_step)
-        return nearly * NEARLY_CONSTANT_SHARE >= self.spreads.get(0, 0)
+        step = _step(self.spreads)
+        limit = step * 3 // 2
+        nearly = sum(number for spread, number in self.spreads.items() if 0 < spread <= limit)
+        return step > 0 and nearly * NEARLY_CONSTANT_SHARE >= self.spreads.get(0, 0)
 
     def _believed(self) -> dict[tuple[int, ...], list[int]]:
         real = self._constants_are_real()
@@ -143,6 +137,17 @@ class CellCollector:
         _add(self._cells, key, value)
 
 
+def _step(spreads: dict[int, int]) -> int:
+    """The sensor's step as the smallest difference between spreads, 0 among them.
+
+    Differences below 1/64 of the smallest spread are the rounding of printed decimals.
+    """
+    ordered = sorted({0, *spreads})
+    if len(ordered) < 2:
+        return 0
+    return min(b - a for a, b in pairwise(ordered) if (b - a) * 64 >= ordered[1])
+
+
 def _add(cells: dict[tuple[int, ...], list[int]], key: tuple[int, ...], value: list[int]) -> None:
     held = cells.get(key)
     cells[key] = list(value) if held is None else [a + b for a, b in zip(held, value, strict=True)]
@@ -153,8 +158,8 @@ def _group(key: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _merged(cells: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
-    """Cells of twice the width."""
+    """Cells of twice the width, in space and in temperature."""
     wider: dict[tuple[int, ...], list[int]] = {}
     for key, value in cells.items():
-        _add(wider, (*_group(key), key[3]), value)
+        _add(wider, (*_group(key), key[3] >> 1), value)
     return wider

@@ -11,7 +11,9 @@ from fractions import Fraction
 from math import ceil, floor
 
 from accelcal_cli.collect._to_points import Sums, to_points
+from accelcal_cli.collect.plausible import plausible
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
+from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import Windows
 
 INTERVALS_G = (
@@ -64,12 +66,17 @@ class SubsetCollector:
 class PaperCollector:
     """F's two distinct sets: what the first does not take is offered to the second (control)."""
 
-    def __init__(self, length: int, lsb_per_g: float) -> None:
+    def __init__(self, length: int, lsb_per_g: float, settings: Settings) -> None:
+        self.lsb_per_g = lsb_per_g
+        self.settings = settings
+        self.implausible = 0
         self.fit = SubsetCollector(length, lsb_per_g)
         self.control = SubsetCollector(length, lsb_per_g)
 
     def add(self, windows: Windows) -> None:
         """Take still windows in, in the order of time."""
-        for x, y, z in windows.sums.tolist():
+        usable = plausible(windows, self.lsb_per_g, self.settings)
+        self.implausible += int(len(windows) - usable.sum())
+        for x, y, z in windows.select(usable).sums.tolist():
             if not self.fit.offer((x, y, z)):
                 self.control.offer((x, y, z))

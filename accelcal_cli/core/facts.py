@@ -30,6 +30,10 @@ class Facts:
         first_us, last_us: times of the first and last sample; None without samples.
         rate_hz: measured: samples over time within unbroken stretches; None if unknown.
         gaps_omitted: gaps beyond those that are listed.
+        still_error_mg: mean | |v| - 1 g | of the raw means of all plausible still windows; None
+            without any.
+        utc_offset_s: seconds that the device's clock is ahead of UTC; None where its zone, or the
+            time of the start, is not known.
     """
 
     samples: int
@@ -43,3 +47,5 @@ class Facts:
     clipped: int
     has_temperature: bool
     has_gyroscope: bool
+    still_error_mg: float | None = None
+    utc_offset_s: int | None = None

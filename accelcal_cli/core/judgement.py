@@ -58,7 +58,7 @@ class Coverage:
         subsets: points in F's nine subsets (eq. 10), rows n, 0, p and columns x, y, z; a point
             counts on every axis.
         axis_min_g, axis_max_g: extreme raw values of x, y, z.
-        cells: number of orientation cells with points.
+        cells: number of orientation cells with points (split by temperature where it is used).
         condition_number: of the fit's Jacobian with columns of unit length; None if not fitted.
         worst_direction_mg: standard error of |a| in the least certain of 162 directions.
     """

@@ -21,7 +21,7 @@ def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:
     """
     limit = round(4096 * cos(radians(degrees)) ** 2)
     coarse = points.xyz >> (FRACTION_BITS - _COARSE_BITS)
-    norms = (coarse * coarse).sum(axis=1)
+    norms = np.maximum(1, (coarse * coarse).sum(axis=1))
     label = np.full(len(points), -1, np.int64)
     leaders: list[int] = []
     for index in np.lexsort((np.arange(len(points)), -points.windows)).tolist():

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.errors import FixedPointOverflowError
 from accelcal_cli.core.judgement import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet
 from accelcal_cli.core.settings import Settings
@@ -18,6 +19,7 @@ from accelcal_cli.judge.uncertainty import coverage as coverage_of
 from accelcal_cli.judge.uncertainty import uncertainty
 
 FULL_MODELS = ("9", "9T")
+DIVERGES = "the fit diverges: the points do not determine the parameters"
 LONGER = "record longer, with more turns of the wrist"
 
 
@@ -41,7 +43,10 @@ def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
     outcome, message = _outcome(chosen, trials, seen, settings)
     if outcome is Outcome.REFUSED or chosen.holdout is None:
         return Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
-    found = fit(points, MODELS[chosen.model])
+    try:
+        found = fit(points, MODELS[chosen.model])
+    except FixedPointOverflowError:
+        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, trials)
     return _complete(
         Judgement(outcome, message, seen, trials, holdout=chosen.holdout), points, label, chosen, found
     )
@@ -57,7 +62,10 @@ def judge_paper(
         return Judgement(Outcome.REFUSED, f"{text}, profile default does not", seen, ())
     if not len(control_points):
         return Judgement(Outcome.REFUSED, f"no control points are left to judge by; {LONGER}", seen, ())
-    found = fit(fit_points, MODELS["9"])
+    try:
+        found = fit(fit_points, MODELS["9"])
+    except FixedPointOverflowError:
+        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, ())
     held = control(control_points, found.parameters)
     label = np.arange(len(fit_points), dtype=np.int64)
     text = f"nine parameters from {len(fit_points)} points: {_change(held)} on {held.points} control points"

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from accelcal_cli.core.errors import FixedPointOverflowError
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, checked, narrow
 from accelcal_cli.core.points import WEIGHT_ONE, Operations, PointSet
 
@@ -54,8 +55,11 @@ def evaluate(points: PointSet, parameters: Fixed, tally: Tally) -> State:
         a state of (n,) or (k, n) arrays.
 
     Raises:
-        FixedPointOverflowError: a parameter, a point or a residual leaves its range.
+        FixedPointOverflowError: a parameter, a point or a residual leaves its range, or there are
+            more than MAX_POINTS points.
     """
+    if len(points) > MAX_POINTS:
+        raise FixedPointOverflowError(f"{len(points)} points are more than the {MAX_POINTS} that sums hold")
     p = np.moveaxis(checked(parameters, "a parameter", VALUE_LIMIT), -1, 0)[..., np.newaxis]
     x, y, z = (_shifted(points, p, axis) for axis in range(3))
     calibrated = (

@@ -13,7 +13,13 @@ import numpy as np
 
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed
 from accelcal_cli.core.points import IDENTITY, Fit, Model, Optimizer, PointSet
-from accelcal_cli.optimize._fixed_model import Tally, cost, evaluate, gradient, rounded_quotient
+from accelcal_cli.optimize._fixed_model import (
+    Tally,
+    cost,
+    evaluate,
+    gradient,
+    rounded_quotient,
+)
 
 RATE_BITS = 24
 RISE_TOLERANCE_BITS = 12
@@ -53,7 +59,8 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     """Fit the free parameters of a model.
 
     Raises:
-        FixedPointOverflowError: the descent leaves the fixed-point range.
+        FixedPointOverflowError: the descent leaves the fixed-point range, or there are more than
+            MAX_POINTS points.
     """
     if not model.free or not len(points):
         return Fit(IDENTITY, 0, "nothing to fit", Tally().total())

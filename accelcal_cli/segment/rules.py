@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from math import isqrt
 from typing import Any
 
 import numpy as np
@@ -41,9 +42,14 @@ class StillRule:
 
         Returns:
             (m,) bool.
+
+        Two of n values d apart make a variance of at least d^2 / 2n, so that wide windows are
+        moving without a look at their squares.
         """
         still = np.asarray((spread[list(self.axes)] < self.spread_limit).all(axis=0))
         if self.variance_limit is not None:
+            widest = isqrt(int(2 * columns.shape[2] * self.variance_limit))
+            still &= (spread <= widest).all(axis=0)
             for axis in range(3):
                 at = np.flatnonzero(still)
                 still[at] = self._quiet(columns[axis][at], spread[axis][at], sums[axis][at])

@@ -1,0 +1,326 @@
+"""The cell collector against a plain dictionary of Fractions, and its rules one by one."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import replace
+from fractions import Fraction
+from math import floor
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+
+from accelcal_cli.collect import cells
+from accelcal_cli.collect.cells import CellCollector, CellCounts
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import WEIGHT_ONE
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.windows import Windows
+from accelcal_cli.segment.rules import still_rule
+from tests.collect.made import plain, windows
+from tests.segment.streams import Stream, segmented
+
+HALF = Fraction(1, 2)
+LENGTH = 8
+
+
+def collector(lsb_per_g: float = 256.0, *, length: int = LENGTH, temperature: bool = False) -> CellCollector:
+    return CellCollector(length, lsb_per_g, DEFAULT, temperature=temperature)
+
+
+def collected(items: Windows, lsb_per_g: float = 256.0, *, temperature: bool = False) -> CellCollector:
+    held = collector(lsb_per_g, length=items.length, temperature=temperature)
+    held.add(items)
+    return held
+
+
+@st.composite
+def wear(draw: st.DrawFn, widest: int = 20) -> Windows:
+    """Windows of a wrist at 256 counts per g: some postures, some of them implausible."""
+    number = draw(st.integers(0, 40))
+    seed = draw(st.integers(0, 2**32 - 1))
+    random = np.random.default_rng(seed)
+    postures = random.standard_normal((draw(st.integers(1, 8)), 3))
+    postures /= np.sqrt((postures**2).sum(axis=1))[:, None] / random.uniform(0.4, 1.6, (len(postures), 1))
+    g = postures[random.integers(len(postures), size=number)] + 0.05 * random.standard_normal((number, 3))
+    sums = np.rint(g * 256 * LENGTH).astype(np.int64)
+    spread = np.array(draw(st.lists(st.integers(0, widest), min_size=number, max_size=number)), np.int64)
+    warm = random.integers(20_000 * LENGTH, 24_000 * LENGTH, number)
+    return windows(LENGTH, sums.tolist(), np.stack([spread // 2, spread, spread // 3], 1), warm)
+
+
+def naive_points(
+    items: Windows, lsb_per_g: float, *, temperature: bool, constants: bool
+) -> list[tuple[list[int], int, int]]:
+    """One (position, weight, windows) for each cell, in the order of the cells."""
+    scale = Fraction(lsb_per_g) * items.length
+    held: dict[tuple[int, ...], list[list[int]]] = defaultdict(list)
+    for index, sums in enumerate(items.sums.tolist()):
+        g = [Fraction(value) / scale for value in sums]
+        if not Fraction(1, 4) < sum(value * value for value in g) < Fraction(9, 4):
+            continue
+        if not constants and not items.spread[index].any():
+            continue
+        heat = int(items.temperature_sums[index]) if temperature else 0
+        degree = floor(Fraction(heat, 1000 * items.length))
+        held[*(floor(value * 20) for value in g), degree].append(sums)
+    groups: dict[tuple[int, ...], int] = defaultdict(int)
+    for key, members in held.items():
+        groups[tuple(floor(Fraction(part, 2)) for part in key[:3])] += len(members)
+    found = []
+    for key, members in sorted(held.items()):
+        share = Fraction(len(members), groups[tuple(floor(Fraction(part, 2)) for part in key[:3])])
+        means = [Fraction(sum(axis)) / len(members) / scale for axis in zip(*members, strict=True)]
+        weight = max(1, floor(share * WEIGHT_ONE + HALF))
+        found.append(([floor(mean * ONE + HALF) for mean in means], weight, len(members)))
+    return found
+
+
+@given(wear(), st.sampled_from([256.0, 250.0, 341.0]), st.booleans())
+def test_points_are_those_of_a_plain_dictionary(items: Windows, lsb_per_g: float, temperature: bool) -> None:
+    held = collected(items, lsb_per_g, temperature=temperature)
+    points = held.points()
+    constants = held.counts().constant_used
+    expected = naive_points(items, lsb_per_g, temperature=temperature, constants=constants)
+    found = zip(points.xyz.tolist(), points.weights.tolist(), points.windows.tolist(), strict=True)
+    assert list(found) == expected
+    assert (points.tau is not None) == (temperature and len(points) > 0)
+
+
+@given(
+    wear(), st.lists(st.integers(0, 4), min_size=40, max_size=40), st.permutations(range(5)), st.booleans()
+)
+def test_merged_parts_in_any_order_equal_the_batch(
+    items: Windows, which: list[int], order: list[int], temperature: bool
+) -> None:
+    part_of = np.array(which[: len(items)], np.int64)
+    parts = [collected(items.select(part_of == part), temperature=temperature) for part in order]
+    merged = collector(temperature=temperature)
+    for part in parts:
+        merged.merge(part)
+    batch = collected(items, temperature=temperature)
+    assert plain(merged.points()) == plain(batch.points())
+    assert merged.counts() == batch.counts()
+    assert merged.spreads == batch.spreads
+
+
+@given(wear(), st.randoms())
+def test_the_order_of_windows_does_not_matter(items: Windows, random: object) -> None:
+    order = list(range(len(items)))
+    random.shuffle(order)
+    one_by_one = collector(temperature=True)
+    for index in order:
+        one_by_one.add(items.select(np.arange(len(items)) == index))
+    assert plain(one_by_one.points()) == plain(collected(items, temperature=True).points())
+
+
+def test_merging_leaves_the_other_collector_as_it_was() -> None:
+    one, other = (collected(windows(LENGTH, [(256 * LENGTH, 0, 0)])) for _ in range(2))
+    one.merge(other)
+    one.merge(other)
+    assert other.points().windows.tolist() == [1]
+    assert one.points().windows.tolist() == [3]
+
+
+@given(wear())
+def test_weights_of_each_group_of_eight_cells_sum_to_one(items: Windows) -> None:
+    points = collected(items).points()
+    sums: dict[tuple[int, ...], list[int]] = defaultdict(list)
+    cell = np.floor(points.xyz_g() * 20).astype(int)
+    on_a_border = (abs(points.xyz_g() * 20 - np.rint(points.xyz_g() * 20)) < 1e-6).any()
+    assume(not on_a_border)
+    for group, weight in zip((cell // 2).tolist(), points.weights.tolist(), strict=True):
+        sums[tuple(group)].append(weight)
+    for weights in sums.values():
+        assert abs(sum(weights) - WEIGHT_ONE) <= len(weights)
+
+
+def test_a_rare_posture_weighs_as_much_as_a_frequent_one() -> None:
+    often, once = (0, 0, 256 * LENGTH), (256 * LENGTH, 0, 0)
+    points = collected(windows(LENGTH, [often] * 500 + [once])).points()
+    assert points.weights.tolist() == [WEIGHT_ONE, WEIGHT_ONE]
+    assert points.windows.tolist() == [500, 1]
+
+
+def test_cells_of_one_group_share_a_point_by_their_windows() -> None:
+    # cells 0 and 1 of x: 0 to 0.05 and 0.05 to 0.1 g, at 100 counts per g
+    low, high = (2 * LENGTH, 0, 100 * LENGTH), (7 * LENGTH, 0, 100 * LENGTH)
+    points = collected(windows(LENGTH, [low] * 3 + [high]), 100.0).points()
+    assert points.weights.tolist() == [WEIGHT_ONE * 3 // 4, WEIGHT_ONE // 4]
+
+
+def test_a_border_between_cells_belongs_to_the_upper_one() -> None:
+    # 0.05 g is 5 counts at 100 counts per g
+    below, at = (5 * LENGTH - 1, 0, 100 * LENGTH), (5 * LENGTH, 0, 100 * LENGTH)
+    assert len(collected(windows(LENGTH, [at, at]), 100.0).points()) == 1
+    assert len(collected(windows(LENGTH, [below, at]), 100.0).points()) == 2
+
+
+@pytest.mark.parametrize(
+    ("g", "plausible"),
+    [(0.5, False), (0.50049, True), (1.0, True), (1.4995, True), (1.5, False), (0.0, False)],
+)
+def test_norms_that_gravity_cannot_give_are_left_out_and_counted(g: float, plausible: bool) -> None:
+    held = collected(windows(LENGTH, [(0, -round(g * 256 * LENGTH), 0)]))
+    assert held.counts().implausible == (not plausible)
+    assert len(held.points()) == plausible
+
+
+def test_norms_are_judged_by_the_settings() -> None:
+    held = CellCollector(LENGTH, 256.0, replace(DEFAULT, norm_low_g=0.9, norm_high_g=1.1), temperature=False)
+    held.add(windows(LENGTH, [(round(g * 256 * LENGTH), 0, 0) for g in (0.8, 1.0, 1.2)]))
+    assert (held.counts().implausible, len(held.points())) == (2, 1)
+
+
+UP, SIDE = (0, 0, 256 * LENGTH), (256 * LENGTH, 0, 0)
+
+
+def noisy(number: int, deviation: float, samples: int = 500) -> list[tuple[int, ...]]:
+    """Spreads in counts of still windows of a sensor with white noise."""
+    random = np.random.default_rng(3)
+    spreads = []
+    for _ in range(number):
+        counts = np.rint(deviation * random.standard_normal((samples, 3)) + random.random(3))
+        spreads.append(tuple(int(value) for value in counts.max(axis=0) - counts.min(axis=0)))
+    return spreads
+
+
+@pytest.mark.parametrize("deviation", [1.0, 4.0, 12.0])
+@pytest.mark.parametrize("constant", [50, 500, 5000])
+def test_constants_among_windows_of_a_noisy_sensor_are_a_devices_fill(
+    deviation: float, constant: int
+) -> None:
+    sums = [UP] * constant + [SIDE] * 500
+    held = collected(windows(LENGTH, sums, [(0, 0, 0)] * constant + noisy(500, deviation)))
+    assert held.counts() == CellCounts(implausible=0, constant=constant, constant_used=False)
+    assert held.points().windows.tolist() == [500]
+
+
+def test_constants_of_a_coarse_sensor_are_kept() -> None:
+    # one step is one count: stillness shows as none or one step
+    held = collected(windows(LENGTH, [UP] * 90 + [SIDE] * 10, [(0, 0, 0)] * 90 + [(1, 0, 1)] * 10))
+    assert held.counts() == CellCounts(implausible=0, constant=90, constant_used=True)
+    assert sorted(held.points().windows.tolist()) == [10, 90]
+
+
+def test_constants_are_believed_from_a_tenth_of_nearly_constant_ones_on() -> None:
+    for nearly, believed in ((9, False), (10, True)):
+        held = collected(
+            windows(LENGTH, [UP] * 100 + [SIDE] * nearly, [(0, 0, 0)] * 100 + [(0, 4, 0)] * nearly)
+        )
+        assert held.counts().constant_used is believed
+
+
+def test_constants_alone_are_a_devices_fill() -> None:
+    held = collected(windows(LENGTH, [UP] * 5, 0))
+    assert held.counts() == CellCounts(implausible=0, constant=5, constant_used=False)
+    assert len(held.points()) == 0
+
+
+def test_believed_constants_share_the_cell_of_the_others() -> None:
+    held = collected(windows(LENGTH, [UP] * 6, [(0, 0, 0)] * 3 + [(1, 0, 0)] * 3))
+    assert held.points().windows.tolist() == [6]
+
+
+def test_cells_are_split_by_whole_degrees_where_temperature_is_used() -> None:
+    warm = [LENGTH * mc for mc in (30_999, 31_000, 31_999, -1, 0)]
+    items = windows(LENGTH, [UP] * 5, temperature_sums=warm)
+    assert collected(items, temperature=True).points().windows.tolist() == [1, 1, 1, 2]
+    assert collected(items).points().windows.tolist() == [5]
+
+
+def test_the_histogram_of_spreads_stays_small_and_is_exact_for_small_ones() -> None:
+    spreads = [(value, 0, 0) for value in [*range(1, 64), *range(64, 60_000, 7)]]
+    held = collected(windows(LENGTH, [UP] * len(spreads), spreads))
+    assert [held.spreads[value] for value in range(1, 64)] == [1] * 63
+    assert sum(held.spreads.values()) == len(spreads)
+    assert len(held.spreads) < len(spreads) // 4
+
+
+def many_cells(temperatures: range = range(20_000, 21_000, 1000)) -> Windows:
+    index = np.arange(600) + 0.5
+    z, turn = 1 - index / 300, 10.166407 * index
+    ring = np.sqrt(1 - z * z)
+    g = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
+    sums = np.repeat(np.rint(g * 256 * LENGTH).astype(np.int64), len(temperatures), axis=0)
+    warm = np.tile(np.array(temperatures) * LENGTH, 600)
+    return windows(LENGTH, sums.tolist(), temperature_sums=warm.tolist())
+
+
+@pytest.mark.parametrize("limit", [599, 200, 60, 8])
+def test_too_many_cells_are_made_coarser_and_lose_no_window(
+    limit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    items = many_cells()
+    fine = collected(items).points()
+    assert len(fine) == 600
+    monkeypatch.setattr(cells, "MAX_POINTS", limit)
+    coarse = collected(items).points()
+    assert 8 <= len(coarse) <= limit
+    assert coarse.windows.sum() == fine.windows.sum() == 600
+    totals = [(points.xyz * points.windows[:, None]).sum(axis=0) for points in (fine, coarse)]
+    assert (abs(totals[0] - totals[1]) <= 600).all(), "sums are kept but for the rounding of the means"
+
+
+def test_merged_collectors_are_made_coarser_like_the_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells, "MAX_POINTS", 100)
+    items = many_cells()
+    odd = np.arange(600) % 2 == 1
+    merged = collected(items.select(odd))
+    merged.merge(collected(items.select(~odd)))
+    assert plain(merged.points()) == plain(collected(items).points())
+
+
+def test_making_cells_coarser_ends_with_any_number_of_temperatures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Eight octants and 600 whole degrees are more than the 4096 points that are allowed."""
+    rounds = 0
+
+    def counted(held: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
+        nonlocal rounds
+        rounds += 1
+        assert rounds < 40, "cells are made coarser without end"
+        return merged(held)
+
+    merged = cells._merged
+    monkeypatch.setattr(cells, "_merged", counted)
+    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
+    sums = [[148 * LENGTH * part for part in corner] for corner in corners for _ in range(600)]
+    warm = [LENGTH * 1000 * degree for _ in corners for degree in range(600)]
+    points = collected(windows(LENGTH, sums, temperature_sums=warm), temperature=True).points()
+    assert len(points) <= cells.MAX_POINTS
+
+
+@given(wear(30), st.booleans())
+def test_the_unit_of_the_counts_does_not_matter(items: Windows, temperature: bool) -> None:
+    fine = Windows(LENGTH, items.first_sample, items.sums << 16, items.spread << 16, items.temperature_sums)
+    one = collected(items, 256.0, temperature=temperature)
+    other = collected(fine, float(1 << 24), temperature=temperature)
+    assert plain(one.points()) == plain(other.points())
+    assert one.counts() == other.counts()
+
+
+def test_int16_and_int32_recordings_of_one_wear_give_identical_points() -> None:
+    random = np.random.default_rng(5)
+    directions = random.standard_normal((60, 3))
+    directions /= np.sqrt((directions**2).sum(axis=1))[:, None]
+    noise = np.repeat(random.choice([0.0, 0.003, 0.0125, 0.014], 60), 100)[:, None]
+    g = np.repeat(directions, 100, axis=0) + noise * random.standard_normal((6000, 3))
+    counts = np.rint(g * 256).astype(np.int16)
+    warm = np.repeat(random.integers(25_000, 35_000, 60), 100).astype(np.int32)
+    points = []
+    for kind, shift in ((np.int16, 0), (np.int32, 16)):
+        lsb_per_g = float(256 << shift)
+        rule = still_rule((0, 1, 2), 0.12, 0.013, lsb_per_g)
+        stream = Stream(counts.astype(kind) << shift, temperature_mc=warm)
+        found, fates = segmented(stream, 50, rule, (1, 777, 3001))
+        assert 0 < fates.still < fates.complete
+        _, sums, spread, heat = zip(*found, strict=True)
+        points.append(plain(collected(windows(50, sums, spread, heat), lsb_per_g, temperature=True).points()))
+    assert points[0] == points[1]
+
+
+def test_nothing_collected_is_no_points() -> None:
+    assert len(collector(temperature=True).points()) == 0
+    assert collector().counts() == CellCounts(0, 0, False)

@@ -1,0 +1,154 @@
+"""F's nine subsets by hand-made windows and by a plain reading of its Fig. 6."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import floor
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from accelcal_cli.collect.subsets import PaperCollector, SubsetCollector
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import WEIGHT_ONE
+from accelcal_cli.core.settings import DEFAULT
+from tests.collect.made import windows
+
+LENGTH, LSB = 4, 256.0
+G = 1024
+"""Sum of counts of a window that rests at 1 g."""
+
+ALL = ["xn", "x0", "xp", "yn", "y0", "yp", "zn", "z0", "zp"]
+NOWHERE = G // 2
+"""0.5 g lies in no interval."""
+
+ONE_SUBSET = {
+    f"{axis}{level}": tuple(value if place == index else NOWHERE for place in range(3))
+    for index, axis in enumerate("xyz")
+    for level, value in (("n", -G), ("0", 0), ("p", G))
+}
+
+
+def collector(length: int = LENGTH, lsb_per_g: float = LSB) -> SubsetCollector:
+    return SubsetCollector(length, lsb_per_g)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_point_fills_its_subset(name: str) -> None:
+    held = collector()
+    assert held.missing() == ALL
+    assert held.offer(ONE_SUBSET[name])
+    assert held.missing() == ALL, "one point of two"
+    assert held.offer(ONE_SUBSET[name])
+    assert held.missing() == [other for other in ALL if other != name]
+    assert not held.offer(ONE_SUBSET[name]), "full"
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize(
+    ("border", "outside"),
+    [(-5, -1), (-3, 1), (-1, -1), (1, 1), (3, -1), (5, 1)],
+)
+def test_the_borders_belong_to_the_intervals(axis: int, border: int, outside: int) -> None:
+    quarter = G // 4
+    inside = [NOWHERE] * 3
+    inside[axis] = border * quarter
+    beyond = list(inside)
+    beyond[axis] += outside
+    assert collector().offer((inside[0], inside[1], inside[2]))
+    assert not collector().offer((beyond[0], beyond[1], beyond[2]))
+
+
+@pytest.mark.parametrize(
+    ("value", "taken"), [(255, True), (256, False), (-255, True), (-256, False), (767, False), (768, True)]
+)
+def test_borders_between_counts_are_not_rounded(value: int, taken: bool) -> None:
+    # 1 g is 1023 counts here, a quarter 255.75, three quarters 767.25
+    assert collector(3, 341.0).offer((512, 512, value)) == taken
+
+
+def test_axes_are_asked_in_the_order_x_y_z() -> None:
+    held = collector()
+    point = (0, G, -G)
+    for name in ("x0", "x0", "yp", "yp", "zn", "zn"):
+        before = held.missing()
+        assert held.offer(point)
+        assert set(before) - set(held.missing()) <= {name}
+    assert not held.offer(point)
+    assert held.missing() == [name for name in ALL if name not in ("x0", "yp", "zn")]
+
+
+def test_a_point_outside_all_intervals_is_not_taken() -> None:
+    assert not collector().offer((NOWHERE, -NOWHERE, 2 * G))
+
+
+def test_eighteen_points_fill_all_and_come_subset_by_subset() -> None:
+    held = collector()
+    for name in reversed(ALL):
+        assert held.offer(ONE_SUBSET[name])
+        assert held.offer(ONE_SUBSET[name])
+    points = held.points()
+    assert held.missing() == [] and len(points) == 18
+    assert points.weights.tolist() == [WEIGHT_ONE] * 18
+    assert points.windows.tolist() == [1] * 18
+    assert points.xyz[::2].tolist() == points.xyz[1::2].tolist()
+    assert points.xyz[::2].tolist() == [[value * (ONE // G) for value in ONE_SUBSET[name]] for name in ALL]
+    assert points.tau is None
+
+
+INTERVALS = tuple((Fraction(low, 4), Fraction(high, 4)) for low, high in ((-5, -3), (-1, 1), (3, 5)))
+
+
+def by_the_paper(stream: list[tuple[int, int, int]], count: Fraction) -> tuple[list[int], list[int]]:
+    """Numbers of the windows that the first and the second set take."""
+    sets: list[dict[tuple[int, int], list[int]]] = [{}, {}]
+    for number, window in enumerate(stream):
+        if not Fraction(1, 4) < sum(value * value for value in window) / count**2 < Fraction(9, 4):
+            continue
+        for held in sets:
+            places = [
+                (axis, level)
+                for axis, value in enumerate(window)
+                for level, (low, high) in enumerate(INTERVALS)
+                if low <= value / count <= high and len(held.get((axis, level), [])) < 2
+            ]
+            if places:
+                held.setdefault(places[0], []).append(number)
+                break
+    return tuple([n for _, item in sorted(held.items()) for n in item] for held in sets)
+
+
+STREAM = st.lists(
+    st.tuples(*[st.integers(-1300, 1300) | st.sampled_from([-1280, -768, -256, 256, 768, 1280])] * 3),
+    max_size=60,
+)
+
+
+@given(STREAM, st.sampled_from([(4, 256.0), (3, 341.0), (7, 150.5)]), st.integers(1, 7))
+def test_both_sets_are_those_of_the_paper(
+    stream: list[tuple[int, int, int]], kind: tuple[int, float], batch: int
+) -> None:
+    length, lsb_per_g = kind
+    paper = PaperCollector(length, lsb_per_g, DEFAULT)
+    for start in range(0, len(stream), batch):
+        paper.add(windows(length, stream[start : start + batch]))
+    count = Fraction(lsb_per_g) * length
+    for held, numbers in zip((paper.fit, paper.control), by_the_paper(stream, count), strict=True):
+        expected = [[floor(Fraction(v) / count * ONE + Fraction(1, 2)) for v in stream[n]] for n in numbers]
+        assert held.points().xyz.tolist() == expected
+
+
+def test_no_window_is_in_both_sets() -> None:
+    paper = PaperCollector(LENGTH, LSB, DEFAULT)
+    stream = [(number, NOWHERE, NOWHERE) for number in range(6)]
+    paper.add(windows(LENGTH, stream))
+    sets = [[int(x) * G // ONE for x in held.points().xyz[:, 0]] for held in (paper.fit, paper.control)]
+    assert sets == [[0, 1], [2, 3]]
+
+
+def test_windows_that_gravity_cannot_give_enter_neither_set_and_are_counted() -> None:
+    paper = PaperCollector(LENGTH, LSB, DEFAULT)
+    paper.add(windows(LENGTH, [(0, 0, 0)] * 5 + [(G, 8 * G, 0), (G, 0, 0)]))
+    assert paper.implausible == 6
+    assert (len(paper.fit.points()), len(paper.control.points())) == (1, 0)

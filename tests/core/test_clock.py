@@ -1,0 +1,115 @@
+"""Clocks against exact rational rounding."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from itertools import pairwise
+from math import floor
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from accelcal_cli.core.clock import PageClock, StampClock, UniformClock, rate_fraction
+
+HALF = Fraction(1, 2)
+RATES = st.builds(Fraction, st.integers(1, 10_000_000), st.integers(1, 10_000))
+STARTS = st.integers(-(2**52), 2**52)
+
+
+def exact_time(start_us: int, sample: int, rate: Fraction) -> int:
+    return start_us + floor(Fraction(sample) * 1_000_000 / rate + HALF)
+
+
+@given(STARTS, st.integers(0, 10**8), RATES, st.integers(0, 1000), st.integers(0, 20))
+def test_uniform_times_are_the_nearest_microsecond(
+    start_us: int, first: int, rate: Fraction, start: int, number: int
+) -> None:
+    times = UniformClock(start_us, first, rate).times(start, start + number)
+    assert times.dtype == np.int64
+    assert times.tolist() == [exact_time(start_us, first + start + k, rate) for k in range(number)]
+
+
+@given(STARTS, RATES, st.integers(1, 60), st.lists(st.integers(0, 60)))
+def test_uniform_times_do_not_depend_on_chunking(
+    start_us: int, rate: Fraction, number: int, cuts: list[int]
+) -> None:
+    edges = sorted({0, number, *(cut for cut in cuts if cut < number)})
+    parts = [UniformClock(start_us, low, rate).times(0, high - low) for low, high in pairwise(edges)]
+    slices = [UniformClock(start_us, 0, rate).times(low, high) for low, high in pairwise(edges)]
+    whole = UniformClock(start_us, 0, rate).times(0, number).tolist()
+    assert np.concatenate(parts).tolist() == whole
+    assert np.concatenate(slices).tolist() == whole
+
+
+def test_a_month_at_an_awkward_rate_stays_exact_in_the_last_row_of_a_large_chunk() -> None:
+    rate = Fraction(999_983, 10_000)
+    first, rows = 30 * 86_400 * 100, 500_000
+    times = UniformClock(1_709_510_400_000_000, first, rate).times(0, rows)
+    assert times[-1] == exact_time(1_709_510_400_000_000, first + rows - 1, rate)
+    assert (np.diff(times) > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "expected"),
+    [
+        (100.0, Fraction(100)),
+        (12.5, Fraction(25, 2)),
+        (85.7, Fraction(857, 10)),
+        (99.97, Fraction(9997, 100)),
+        (100 / 3, Fraction(100, 3)),
+        (0.1, Fraction(1, 10)),
+    ],
+)
+def test_a_rate_becomes_the_fraction_that_was_meant(rate_hz: float, expected: Fraction) -> None:
+    assert rate_fraction(rate_hz) == expected
+
+
+def test_stamps_are_passed_on() -> None:
+    stamps = np.array([5, 7, 7, 20, 19], np.int64)
+    assert StampClock(stamps).times(1, 4).tolist() == [7, 7, 20]
+    assert StampClock(stamps).times(2, 2).tolist() == []
+
+
+PAGES = st.lists(
+    st.tuples(st.integers(1, 30), st.integers(-(2**50), 2**50), st.integers(1, 400), st.integers(0, 10**9)),
+    min_size=1,
+    max_size=6,
+)
+
+
+@given(PAGES, st.integers(0, 10), st.integers(0, 60))
+def test_page_times_are_spread_evenly_from_each_pages_stamp(
+    pages: list[tuple[int, int, int, int]], before: int, row: int
+) -> None:
+    lengths = [page[0] for page in pages]
+    first = np.concatenate([[0], np.cumsum(lengths[:-1])]).astype(np.int64) - before
+    times, rows, spans = (np.array([page[i] for page in pages], np.int64) for i in (1, 2, 3))
+    page = max(index for index, value in enumerate(first) if value <= row)
+    into = Fraction((row - int(first[page])) * int(spans[page]), int(rows[page]))
+    clock = PageClock(first, times, rows, spans)
+    assert clock.times(row, row + 1).tolist() == [int(times[page]) + floor(into + HALF)]
+
+
+@given(PAGES, st.integers(0, 80), st.integers(0, 80))
+def test_page_times_do_not_depend_on_where_they_are_asked_from(
+    pages: list[tuple[int, int, int, int]], one: int, other: int
+) -> None:
+    lengths = [page[0] for page in pages]
+    first = np.concatenate([[0], np.cumsum(lengths[:-1])]).astype(np.int64)
+    clock = PageClock(first, *(np.array([page[i] for page in pages], np.int64) for i in (1, 2, 3)))
+    cut, end = sorted((one, other))
+    parts = np.concatenate([clock.times(0, cut), clock.times(cut, end)])
+    assert parts.tolist() == clock.times(0, end).tolist()
+
+
+def test_two_pages_by_hand() -> None:
+    clock = PageClock(
+        np.array([-2, 2], np.int64),
+        np.array([1000, 9000], np.int64),
+        np.array([4, 3], np.int64),
+        np.array([6, 10], np.int64),
+    )
+    # page 0: 1.5 us a row, row 0 is its third; page 1: 3.333 us a row
+    assert clock.times(0, 5).tolist() == [1003, 1005, 9000, 9003, 9007]

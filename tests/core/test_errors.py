@@ -1,0 +1,47 @@
+"""The one line that people see, and the exit code behind it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core import errors
+
+
+@pytest.mark.parametrize(
+    ("place", "text"),
+    [
+        ({}, "it broke"),
+        ({"path": "a.bin"}, "a.bin: it broke"),
+        ({"path": Path("a.bin"), "byte_offset": 0}, "a.bin, byte 0: it broke"),
+        ({"path": "a.csv", "line": 3}, "a.csv, line 3: it broke"),
+        (
+            {"path": "a.csv", "line": 3, "byte_offset": 9, "hint": "mend it"},
+            "a.csv, line 3, byte 9: it broke; mend it",
+        ),
+        ({"hint": "mend it"}, "it broke; mend it"),
+    ],
+)
+def test_an_error_names_its_place_and_remedy(place: dict[str, object], text: str) -> None:
+    assert str(errors.AccelcalError("it broke", **place)) == text
+
+
+def test_an_error_is_one_line() -> None:
+    assert "\n" not in str(errors.AccelcalError("it\nbroke", hint="mend\n it"))
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("AccelcalError", 70),
+        ("UsageError", 2),
+        ("UnreadableError", 3),
+        ("RefusedError", 4),
+        ("OutputError", 5),
+        ("FixedPointOverflowError", 4),
+    ],
+)
+def test_every_kind_has_its_exit_code(name: str, code: int) -> None:
+    assert getattr(errors, name).exit_code == code
+    assert issubclass(getattr(errors, name), errors.AccelcalError)

@@ -1,0 +1,65 @@
+"""Fixed point against Fractions."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from math import floor
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE, checked, narrow, to_fixed, to_float
+
+
+def test_the_format_is_32_bits_with_29_of_fraction() -> None:
+    assert (FRACTION_BITS, ONE, LIMIT) == (29, 536_870_912, 2_147_483_648)
+
+
+@given(st.lists(st.integers(-(2**62), 2**62 - 1)), st.integers(1, 40))
+def test_narrowing_rounds_to_nearest_halves_up(values: list[int], bits: int) -> None:
+    expected = [floor(Fraction(value, 2**bits) + Fraction(1, 2)) for value in values]
+    assert narrow(np.array(values, np.int64), bits).tolist() == expected
+
+
+@given(st.integers(-LIMIT, LIMIT))
+def test_to_float_is_exact_and_to_fixed_takes_it_back(value: int) -> None:
+    assert Fraction(to_float(value)) == Fraction(value, ONE)
+    assert to_fixed(to_float(value)) == value
+
+
+@given(st.fractions(-4, 4))
+def test_to_fixed_is_the_nearest_integer_ties_to_even(value: Fraction) -> None:
+    fixed = to_fixed(value)
+    distance = abs(value * ONE - fixed)
+    assert distance < Fraction(1, 2) or (distance == Fraction(1, 2) and fixed % 2 == 0)
+
+
+@pytest.mark.parametrize(("value", "expected"), [(1, 0), (3, 2), (-1, 0), (-3, -2)])
+def test_ties_by_hand(value: int, expected: int) -> None:
+    assert to_fixed(Fraction(value, 2 * ONE)) == expected
+
+
+@pytest.mark.parametrize("value", [LIMIT - 1, 1 - LIMIT, 0])
+def test_values_within_the_range_pass(value: int) -> None:
+    values = np.array([0, value], np.int64)
+    assert checked(values, "a value") is values
+
+
+@pytest.mark.parametrize("value", [LIMIT, -LIMIT, 2**62, -(2**62), -(2**63)])
+def test_values_beyond_the_range_raise_with_their_name(value: int) -> None:
+    with pytest.raises(FixedPointOverflowError, match="a value leaves the 32-bit"):
+        checked(np.array([0, value], np.int64), "a value")
+
+
+@pytest.mark.parametrize("value", [10, -10])
+def test_a_narrower_limit_can_be_asked_for(value: int) -> None:
+    checked(np.array([value]), "it", 11)
+    with pytest.raises(FixedPointOverflowError):
+        checked(np.array([value]), "it", 10)
+
+
+def test_nothing_is_within_every_range() -> None:
+    assert checked(np.empty(0, np.int64), "nothing").size == 0

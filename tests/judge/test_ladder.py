@@ -1,0 +1,173 @@
+"""Which model? By held-out postures, with rules for what the points cannot hold."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.judgement import Trial
+from accelcal_cli.core.points import MODELS, Fit, Model, PointSet, TemperatureScale
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.judge.ladder import (
+    LADDER,
+    Evidence,
+    choose,
+    not_eligible,
+    one_sided_axes,
+    temperature_range_c,
+    try_models,
+)
+from accelcal_cli.judge.postures import postures
+from accelcal_cli.judge.uncertainty import coverage
+from accelcal_cli.optimize import fixed32
+from tests.judge.made import NINE, OFFSET, SIX, WARM, spread, trial
+from tests.optimize.oracle import IDEAL, directions, fast_fit, measured, points
+
+
+def evidence(held: PointSet) -> Evidence:
+    return Evidence(held, postures(held, DEFAULT.posture_degrees), coverage(held))
+
+
+def chosen(held: PointSet) -> str:
+    return choose(try_models(evidence(held), DEFAULT, fixed32.fit)).model
+
+
+@pytest.mark.parametrize(
+    ("p", "warm", "model"),
+    [
+        (IDEAL, False, "0"),
+        (OFFSET, False, "3"),
+        (SIX, False, "6"),
+        (NINE, False, "9"),
+        (NINE, True, "9"),
+        (WARM, True, "9T"),
+    ],
+    ids=["ideal", "offset", "scale", "misalignment", "constant temperature error", "slopes"],
+)
+def test_the_simplest_model_that_describes_the_sensor_is_chosen(
+    p: np.ndarray, warm: bool, model: str
+) -> None:
+    picks = Counter(chosen(spread(p, seed=seed, warm=warm)) for seed in range(6))
+    assert picks.most_common(1)[0][0] == model, picks
+    assert picks[model] >= 5, picks
+
+
+def test_the_ladder_rises_by_number_of_parameters() -> None:
+    assert set(LADDER) == set(MODELS)
+    numbers = [len(MODELS[name].free) for name in LADDER]
+    assert numbers == sorted(numbers)
+
+
+@pytest.mark.parametrize(
+    ("model", "warm", "tried"),
+    [
+        ("auto", False, ["0", "3", "6", "9"]),
+        ("auto", True, ["0", "3", "6", "3T", "9", "6T", "9T"]),
+        ("6", False, ["0", "6"]),
+        ("9", True, ["0", "9", "9T"]),
+        ("3", True, ["0", "3", "3T"]),
+    ],
+)
+def test_the_identity_and_the_models_the_user_allows_are_tried(
+    model: str, warm: bool, tried: list[str]
+) -> None:
+    held = spread(NINE, number=60, warm=warm)
+    trials = try_models(evidence(held), replace(DEFAULT, model=model), fast_fit)
+    assert [item.model for item in trials] == tried
+    assert all(item.holdout is not None and item.reason is None for item in trials)
+
+
+def one_sided() -> PointSet:
+    d = directions(200)
+    return points(measured(NINE, d[d[:, 0] > -0.1]))
+
+
+def test_scale_needs_stillness_on_both_sides_of_every_axis() -> None:
+    trials = {item.model: item for item in try_models(evidence(one_sided()), DEFAULT, fast_fit)}
+    for model in ("6", "9"):
+        assert trials[model].holdout is None
+        assert trials[model].reason == "no stillness with x below -0.3 g"
+    assert trials["3"].holdout is not None and trials["0"].holdout is not None
+
+
+def test_a_model_the_user_insists_on_need_not_be_covered() -> None:
+    insisted = replace(DEFAULT, model="9")
+    assert not_eligible(evidence(one_sided()), insisted, MODELS["9"]) is None
+
+
+def test_sides_without_points_are_named() -> None:
+    seen = replace(coverage(spread()), axis_min_g=(-0.3, -0.29, -1.0), axis_max_g=(0.2, 0.3, 1.0))
+    assert one_sided_axes(seen, 0.3) == ["x above 0.3 g", "y below -0.3 g"]
+
+
+def warm_points(degrees: float) -> PointSet:
+    held = spread(NINE, number=60)
+    tau = np.linspace(-0.5, 0.5, 60) * degrees / 4
+    fixed = np.rint(tau * ONE).astype(np.int64)
+    return PointSet(held.xyz, held.weights, held.windows, fixed, TemperatureScale(30_000, 4.0))
+
+
+def test_the_range_of_temperatures_is_in_degrees() -> None:
+    assert temperature_range_c(warm_points(2.5)) == pytest.approx(2.5)
+    assert temperature_range_c(spread()) == 0
+    assert temperature_range_c(warm_points(3.0).select(np.zeros(60, bool))) == 0
+
+
+@pytest.mark.parametrize("model", ["auto", "9"])
+@pytest.mark.parametrize(("degrees", "tried"), [(1.9, False), (2.1, True)])
+def test_slopes_need_a_range_of_temperatures(degrees: float, tried: bool, model: str) -> None:
+    trials = try_models(evidence(warm_points(degrees)), replace(DEFAULT, model=model), fast_fit)
+    for item in trials:
+        if item.model.endswith("T"):
+            assert (item.holdout is not None) == tried
+            assert item.reason == (None if tried else "temperature varies by less than 2 C")
+        else:
+            assert item.holdout is not None
+
+
+def diverging(held: PointSet, model: Model) -> Fit:
+    if model.name == "9":
+        raise FixedPointOverflowError("a residual leaves the range")
+    return fast_fit(held, model)
+
+
+def test_a_model_whose_fit_diverges_is_not_eligible() -> None:
+    trials = {item.model: item for item in try_models(evidence(spread(NINE)), DEFAULT, diverging)}
+    assert trials["9"].holdout is None
+    assert trials["9"].reason == "the fit diverges: the points do not determine it"
+    assert trials["6"].holdout is not None
+
+
+BEST = trial("9", [2.0, 2.0, 2.0, 2.0])
+
+
+@pytest.mark.parametrize(
+    ("simple", "model"),
+    [
+        ([2.0, 2.0, 2.0, 2.0], "6"),
+        ([1.0, 3.5, 1.5, 2.5], "6"),
+        ([3.0, 2.0, 2.0, 2.0], "6"),
+        ([3.0, 3.0, 2.0, 2.0], "9"),
+        ([2.1, 2.1, 2.1, 2.1], "9"),
+        ([9.0, 8.0, 9.0, 8.0], "9"),
+    ],
+    ids=["equal", "within", "just one standard error", "beyond", "little but always", "much"],
+)
+def test_a_tie_goes_to_the_simpler_model(simple: list[float], model: str) -> None:
+    # [1, 0, 0, 0]: mean 1/4, standard error sqrt(0.25 / 4) = 1/4; [1, 1, 0, 0]: 1/2 and 0.289
+    trials = (trial("0", [20.0, 21.0, 20.0, 21.0]), trial("6", simple), BEST)
+    assert choose(trials).model == model
+
+
+def test_a_better_simple_model_wins_outright() -> None:
+    assert choose((trial("6", [1.0, 1.0]), trial("9", [2.0, 2.0]))).model == "6"
+
+
+def test_models_that_were_not_eligible_are_never_chosen() -> None:
+    out: Trial = trial("6", [0.0] * 4, reason="no stillness")
+    assert choose((trial("0", [20.0] * 4), out, BEST)).model == "9"

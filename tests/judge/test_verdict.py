@@ -1,0 +1,189 @@
+"""Outcomes and their reasons."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
+from accelcal_cli.judge.postures import postures
+from accelcal_cli.judge.uncertainty import uncertainty
+from accelcal_cli.judge.verdict import judge, judge_paper
+from accelcal_cli.optimize import fixed32
+from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
+from tests.optimize.oracle import IDEAL, directions, fast_fit, measured, points, random_directions
+
+
+def test_no_points_are_refused() -> None:
+    found = judge(points(np.empty((0, 3))), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REFUSED
+    assert found.message.startswith("no still window was found; record longer")
+    assert found.calibration is None and found.holdout is None and found.trials == ()
+
+
+@pytest.mark.parametrize(("number", "text"), [(1, "only 1 posture,"), (8, "only 8 postures,")])
+def test_too_few_postures_are_refused(number: int, text: str) -> None:
+    held, _ = clusters(directions(number), NINE, width=0.02)
+    found = judge(held, DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REFUSED
+    assert text in found.message and "at least 9 are needed" in found.message
+    assert found.calibration is None and found.coverage.cells == len(held)
+
+
+def test_nine_postures_are_enough() -> None:
+    held, _ = clusters(directions(9), NINE, width=0.02)
+    assert judge(held, DEFAULT, fast_fit).trials
+
+
+def test_a_misaligned_sensor_is_calibrated_with_all_evidence() -> None:
+    held = spread(NINE)
+    found = judge(held, DEFAULT, fixed32.fit)
+    assert found.outcome is Outcome.CALIBRATED
+    assert found.calibration is not None and found.fit is not None and found.fit_errors is not None
+    assert found.calibration.model == "9" and found.calibration.temperature is None
+    assert found.calibration.parameters == found.fit.parameters == fixed32.fit(held, MODELS["9"]).parameters
+    assert np.abs(np.array(found.calibration.parameters) / ONE - NINE).max() < 2e-3
+    chosen = next(trial for trial in found.trials if trial.model == "9")
+    assert found.holdout == chosen.holdout
+    known = uncertainty(held, found.fit.parameters, MODELS["9"])
+    assert known is not None and found.standard_errors == known.standard_errors
+    assert found.coverage.condition_number == known.condition_number
+    assert found.coverage.worst_direction_mg == known.worst_direction_mg
+    label = postures(held, 15.0)
+    assert (found.fit_errors.points, found.fit_errors.postures) == (150, label.max() + 1)
+    for p, value in (
+        (IDENTITY, found.fit_errors.before_mg),
+        (found.fit.parameters, found.fit_errors.after_mg),
+    ):
+        assert value == mean(list(per_posture(deviations_mg(held, p), held.weights, label).values()))
+    assert found.message.startswith("model 9: ") and "on postures it did not see" in found.message
+
+
+def test_a_sensor_that_warms_is_calibrated_with_slopes() -> None:
+    held = spread(WARM, warm=True)
+    found = judge(held, DEFAULT, fixed32.fit)
+    assert (found.outcome, found.calibration is not None) == (Outcome.CALIBRATED, True)
+    assert found.calibration.model == "9T" and found.calibration.temperature == held.temperature
+    assert found.calibration.slope_g_per_c() == pytest.approx(WARM[9:] / 4.0, abs=5e-4)
+
+
+@pytest.mark.parametrize(("p", "model"), [(OFFSET, "3"), (SIX, "6")])
+def test_a_smaller_model_says_why(p: np.ndarray, model: str) -> None:
+    found = judge(spread(p), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REDUCED_MODEL
+    assert found.calibration is not None and found.calibration.model == model
+    assert found.message.endswith("; misalignment is left out: it does not lower the held-out error")
+
+
+def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
+    d = directions(300)
+    d = d[d[:, 2] > -0.1]
+    return points(measured(p, d) + noise * np.random.default_rng(0).standard_normal(d.shape))
+
+
+def test_a_model_reduced_by_coverage_names_the_missing_side() -> None:
+    found = judge(one_sided(OFFSET), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REDUCED_MODEL
+    assert found.message.endswith("misalignment is left out: no stillness with z below -0.3 g")
+
+
+def test_a_good_sensor_is_left_alone() -> None:
+    found = judge(spread(IDEAL), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.ALREADY_GOOD
+    assert found.calibration is not None and found.calibration.parameters == IDENTITY
+    assert "no model improves on the" in found.message
+
+
+def test_a_sensor_that_nothing_helps_is_refused() -> None:
+    noisy = spread(IDEAL, noise=0.06)
+    found = judge(noisy, DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REFUSED
+    assert found.calibration is None and found.holdout is not None
+    assert "no model improves" in found.message and "record longer" in found.message
+
+
+def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
+    scaled = np.array([0.85, 0.85, 0.85, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+    found = judge(spread(scaled, noise=0.03), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REFUSED and found.calibration is None
+    assert found.holdout is not None and found.holdout.after.mean >= 10
+    assert "10 mg is the limit" in found.message and f"{found.holdout.after.mean:.1f} mg" in found.message
+    lenient = judge(spread(scaled, noise=0.03), replace(DEFAULT, max_error_mg=60.0), fast_fit)
+    assert lenient.calibration is not None
+
+
+def test_a_refusal_names_the_sides_that_are_missing() -> None:
+    found = judge(one_sided(IDEAL, noise=0.06), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REFUSED
+    assert "there is no stillness with z below -0.3 g" in found.message
+
+
+@pytest.mark.parametrize("model", ["3", "6", "9"])
+def test_a_model_can_be_forced(model: str) -> None:
+    found = judge(spread(NINE), replace(DEFAULT, model=model, max_error_mg=50.0), fast_fit)
+    assert found.calibration is not None and found.calibration.model == model
+    assert found.message.startswith(f"model {model} as asked for: ")
+    assert [trial.model for trial in found.trials] == ["0", model]
+    assert found.outcome is (Outcome.CALIBRATED if model == "9" else Outcome.REDUCED_MODEL)
+
+
+def test_a_forced_model_that_does_not_improve_is_refused() -> None:
+    found = judge(spread(IDEAL, number=40, noise=0.005), replace(DEFAULT, model="9"), fast_fit)
+    assert found.outcome is Outcome.REFUSED and found.calibration is None
+    assert found.message.startswith("model 9 as asked for does not improve: ")
+
+
+def overflowing() -> PointSet:
+    v = measured(NINE, directions(60))
+    v[5] *= 1.6
+    return points(v)
+
+
+def test_points_out_of_range_are_no_traceback_but_a_reason() -> None:
+    found = judge(overflowing(), DEFAULT, fixed32.fit)
+    reasons = {trial.model: trial.reason for trial in found.trials}
+    assert reasons["9"] == "the fit diverges: the points do not determine it"
+    forced = judge(overflowing(), replace(DEFAULT, model="9"), fixed32.fit)
+    assert forced.outcome is Outcome.REFUSED
+    assert forced.message == "model 9 cannot be fitted: the fit diverges: the points do not determine it"
+
+
+def test_a_verdict_can_be_repeated() -> None:
+    assert judge(spread(NINE), DEFAULT, fixed32.fit) == judge(spread(NINE), DEFAULT, fixed32.fit)
+
+
+def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
+    random = np.random.default_rng(4)
+    v = measured(p, random_directions(random, 36)) + 0.001 * random.standard_normal((36, 3))
+    return points(v[:18]), points(v[18:])
+
+
+def test_the_paper_needs_every_subset() -> None:
+    fitted, control = two_sets(NINE)
+    found = judge_paper(fitted, control, ["xn", "z0"], fast_fit)
+    assert found.outcome is Outcome.REFUSED and found.calibration is None
+    assert "subsets without two points: xn z0" in found.message
+
+
+def test_the_paper_needs_control_points() -> None:
+    fitted, control = two_sets(NINE)
+    found = judge_paper(fitted, control.select(np.zeros(18, bool)), [], fast_fit)
+    assert found.outcome is Outcome.REFUSED and "no control points" in found.message
+
+
+def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
+    fitted, control = two_sets(NINE)
+    found = judge_paper(fitted, control, [], fast_fit)
+    assert found.outcome is Outcome.CALIBRATED
+    assert found.calibration is not None and found.holdout is not None
+    p = fast_fit(fitted, MODELS["9"]).parameters
+    assert found.calibration.parameters == p and found.calibration.model == "9"
+    assert found.holdout.after.mean == pytest.approx(float(deviations_mg(control, p).mean()))
+    assert found.holdout.before.mean == pytest.approx(float(deviations_mg(control, IDENTITY).mean()))
+    assert "18 control points" in found.message
