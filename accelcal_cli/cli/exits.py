@@ -23,7 +23,7 @@ INTERRUPTED = 130
 
 
 class InterruptedBySignalError(BaseException):
-    """SIGTERM or SIGHUP: unwinds like Ctrl-C, so that temporaries are removed."""
+    """A signal that ends the command: unwinds the stack, so that temporaries are removed."""
 
 
 def run_safely(command: Callable[[], Any]) -> int:
@@ -74,9 +74,10 @@ def _watch_signals() -> None:
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise InterruptedBySignalError
 
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), interrupt)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
 
 
 def _silence_stdout() -> None:

@@ -11,6 +11,7 @@ import click
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PROFILES, Settings
+from accelcal_cli.core.zones import utc_offset_s
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -102,7 +103,8 @@ method_options = _decorate(_METHOD)
 
 
 def read_options(values: dict[str, Any]) -> ReadOptions:
-    """What the user said about the recording."""
+    """What the user said about the recording; raises UsageError for a zone that does not exist."""
+    utc_offset_s(values["timezone"], 0)
     return ReadOptions(
         format=values["format_name"],
         rate_hz=values["rate_hz"],

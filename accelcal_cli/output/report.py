@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from functools import cache
 from importlib import resources
 from math import floor, log10
@@ -17,10 +16,10 @@ from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.judgement import Coverage, ErrorSummary, Holdout, Judgement, Trial
 from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit
 from accelcal_cli.core.recording import Problem, Recording, as_json_device
+from accelcal_cli.core.zones import iso_time
 
 SCHEMA_VERSION = 1
 EQUATION = "a = K (v + o + s (T - Tref))"
-_EPOCH = datetime(1970, 1, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +62,7 @@ def build(data: ReportInput) -> dict[str, Any]:
         "message": verdict.message,
         "calibration": calibration_json(verdict, data.optimizer),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
-        "fit": _fit(verdict, data.windows),
+        "fit": _fit(data),
         "coverage": _coverage(verdict.coverage),
         "models_tried": [_trial(trial) for trial in verdict.trials],
         "file_health": _health(data),
@@ -92,11 +91,11 @@ def recording_json(recording: Recording, sha256: str, facts: Facts) -> dict[str,
         "sample_rate_hz": recording.rate_hz,
         "lsb_per_g": recording.lsb_per_g,
         "range_g": recording.range_g,
-        "start_time": iso_time(start, recording.timezone) if known else None,
+        "start_time": iso_time(start, facts.utc_offset_s) if known else None,
         "timezone": recording.timezone,
         "samples": facts.samples,
         "duration_s": duration_s(recording, facts),
-        "gaps": [_gap(gap, recording.timezone) for gap in facts.gaps],
+        "gaps": [_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
         "gaps_omitted": facts.gaps_omitted,
         "notes": list(recording.notes),
     }
@@ -109,19 +108,10 @@ def duration_s(recording: Recording, facts: Facts) -> float:
     return round((facts.last_us - facts.first_us) / 1e6 + 1 / recording.rate_hz, 6)
 
 
-def iso_time(time_us: int | None, timezone: str | None) -> str | None:
-    """ISO 8601 with microseconds; with an offset only where the zone is UTC."""
-    if time_us is None:
-        return None
-    moment = _EPOCH + timedelta(microseconds=time_us)
-    zone = UTC if timezone == "UTC" else None
-    return moment.replace(tzinfo=zone).isoformat(timespec="microseconds")
-
-
-def _gap(gap: Gap, timezone: str | None) -> dict[str, Any]:
+def _gap(gap: Gap, offset_s: int | None) -> dict[str, Any]:
     return {
         "sample": gap.sample,
-        "start_time": iso_time(gap.start_us, timezone),
+        "start_time": iso_time(gap.start_us, offset_s),
         "seconds": round(gap.seconds, 6),
     }
 
@@ -197,14 +187,17 @@ def _summary(errors: ErrorSummary) -> dict[str, float]:
     return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
 
 
-def _fit(verdict: Judgement, windows: WindowUse) -> dict[str, Any]:
-    errors = verdict.fit_errors
+def _fit(data: ReportInput) -> dict[str, Any]:
+    verdict, errors, raw = data.judgement, data.judgement.fit_errors, data.facts.still_error_mg
     return {
         "points": verdict.coverage.cells if errors is None else errors.points,
         "postures": None if errors is None else errors.postures,
         "before_mg": None if errors is None else round(errors.before_mg, 4),
         "after_mg": None if errors is None else round(errors.after_mg, 4),
-        "windows": {name: getattr(windows, name) for name in windows.__dataclass_fields__},
+        "windows": {
+            **{name: getattr(data.windows, name) for name in data.windows.__dataclass_fields__},
+            "raw_error_mg": None if raw is None else round(raw, 4),
+        },
     }
 
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.points import Calibration
-from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.output.parquet import ParquetSink
 from accelcal_cli.pipeline.request import Progress
 from accelcal_cli.pipeline.survey import with_clipping
@@ -55,10 +57,23 @@ def applier(calibration: Calibration, lsb_per_g: float) -> Applier:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Where calibrated rows go.
+
+    Attributes:
+        offset_s: seconds that the device's clock is ahead of the times to write.
+    """
+
+    apply: Applier
+    sink: ParquetSink
+    offset_s: int
+
+
 def write_calibrated(
-    reader: Reader, apply: Applier, sink: ParquetSink, chunk_samples: int, progress: Progress
+    recording: Recording, chunks: Iterable[Chunk], target: Target, progress: Progress
 ) -> int:
-    """Read a recording, write it calibrated.
+    """Write a recording's chunks calibrated.
 
     Returns:
         how many calibrated samples lie beyond the sensor's range.
@@ -67,12 +82,12 @@ def write_calibrated(
         OutputError: the output cannot be written.
     """
     beyond = 0
-    for raw in reader.chunks(chunk_samples):
-        chunk = with_clipping(raw, reader.recording)
+    for raw in chunks:
+        chunk = with_clipping(raw, recording)
         if len(chunk):
-            xyz = apply.apply(chunk)
-            beyond += _beyond(xyz, reader.recording.range_g)
-            sink.write(rows(chunk, xyz, reader.recording, sink.schema.names))
+            xyz = target.apply.apply(chunk)
+            beyond += _beyond(xyz, recording.range_g)
+            target.sink.write(rows(chunk, xyz, recording, target))
         progress(chunk.end_byte)
     return beyond
 
@@ -85,10 +100,12 @@ def _beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:
 
 
 def rows(
-    chunk: Chunk, xyz: list[NDArray[np.float32]], recording: Recording, names: list[str]
+    chunk: Chunk, xyz: list[NDArray[np.float32]], recording: Recording, target: Target
 ) -> list[NDArray[Any]]:
     """One array a column, in the order of the schema's names."""
-    columns: list[NDArray[Any]] = [chunk.clock.times(0, len(chunk)), *xyz]
+    names = target.sink.schema.names
+    times = chunk.clock.times(0, len(chunk)) - target.offset_s * MICROSECONDS
+    columns: list[NDArray[Any]] = [times, *xyz]
     if "temperature" in names:
         columns.append(_temperature(chunk))
     if "gx" in names:

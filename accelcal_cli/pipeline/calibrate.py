@@ -11,7 +11,7 @@ from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.atomic import replacing, write_text
 from accelcal_cli.output.parquet import Columns, ParquetSink
-from accelcal_cli.pipeline.applying import applier, write_calibrated
+from accelcal_cli.pipeline.applying import Target, applier, write_calibrated
 from accelcal_cli.pipeline.existing import prepare, remove, up_to_date
 from accelcal_cli.pipeline.identity import hashing
 from accelcal_cli.pipeline.plan import Job
@@ -88,11 +88,16 @@ def _write_parquet(
     """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
     calibration, facts, recording = data.judgement.calibration, data.facts, data.recording
     assert calibration is not None
-    columns = Columns(facts.has_temperature, facts.has_gyroscope, recording.timezone == "UTC")
+    columns = Columns(facts.has_temperature, facts.has_gyroscope, facts.utc_offset_s is not None)
     apply = applier(calibration, recording.lsb_per_g)
     shown = progress("writing", recording.total_bytes)
     with (
         replacing(job.parquet) as temporary,
         ParquetSink(temporary, job.parquet, columns, reports.parquet_metadata(data)) as sink,
     ):
-        return write_calibrated(reader, apply, sink, request.chunk_samples, shown)
+        return write_calibrated(
+            recording,
+            reader.chunks(request.chunk_samples),
+            Target(apply, sink, facts.utc_offset_s or 0),
+            shown,
+        )

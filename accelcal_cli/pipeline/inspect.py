@@ -16,8 +16,9 @@ from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts
+from accelcal_cli.core.zones import iso_time
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.report import holdout_json, iso_time, problem_json
+from accelcal_cli.output.report import holdout_json, problem_json
 from accelcal_cli.pipeline.profiles import make_procedure, make_segmenter
 from accelcal_cli.pipeline.survey import survey
 from accelcal_cli.readers import open_recording
@@ -78,7 +79,7 @@ def as_json(seen: Inspection) -> dict[str, Any]:
             "sample_rate_hz": recording.rate_hz,
             "lsb_per_g": recording.lsb_per_g,
             "range_g": recording.range_g,
-            "start_time": iso_time(start_us(seen), recording.timezone),
+            "start_time": iso_time(start_us(seen), facts.utc_offset_s),
             "timezone": recording.timezone,
             "samples": facts.samples if seen.whole else recording.samples,
             "duration_s": duration_s(seen),

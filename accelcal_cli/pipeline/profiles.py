@@ -38,7 +38,7 @@ def make_procedure(recording: Recording, settings: Settings, optimizer: Optimize
     fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
     length = window_length(recording, settings)
     if settings.profile == "paper":
-        return PaperProcedure(PaperCollector(length, recording.lsb_per_g), fit)
+        return PaperProcedure(PaperCollector(length, recording.lsb_per_g, settings), fit)
     warm = settings.temperature and recording.has_temperature
     return CellProcedure(
         CellCollector(length, recording.lsb_per_g, settings, temperature=warm), settings, fit
@@ -118,7 +118,7 @@ class PaperProcedure:
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""
-        return window_use(counts, 0, 0)
+        return window_use(counts, self.collector.implausible, 0)
 
 
 def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:

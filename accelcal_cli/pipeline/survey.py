@@ -8,15 +8,18 @@ from typing import Protocol
 
 import numpy as np
 
+from accelcal_cli.collect.plausible import norms_g
 from accelcal_cli.core.facts import Facts, Gap
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.windows import Windows
+from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.pipeline.request import Progress
 from accelcal_cli.segment.segmenter import Segmenter
 
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000
 GAP_PERIODS = 1.5
+PLAUSIBLE_ERROR_G = 0.5
 
 
 class Collector(Protocol):
@@ -41,6 +44,7 @@ class Observer:
         self._problems_omitted = 0
         self._run_start_us = self._run_first = 0
         self._run_steps = self._run_us = 0
+        self._still_ng = self._still_windows = 0
 
     def see(self, chunk: Chunk) -> None:
         """Take a chunk's facts in."""
@@ -54,6 +58,16 @@ class Observer:
             self.clipped += int((chunk.validity == Validity.CLIPPED).sum())
         self._note_times(chunk)
         self.samples += len(chunk)
+
+    def see_still(self, windows: Windows) -> None:
+        """Take still windows' raw errors in, as whole nano-g so that the sum is exact.
+
+        Windows of less than 0.5 or more than 1.5 g, such as zeros, are no stillness under gravity.
+        """
+        error_g = np.abs(norms_g(windows, self.recording.lsb_per_g) - 1)
+        plausible = np.rint(error_g[error_g < PLAUSIBLE_ERROR_G] * 1e9).astype(np.int64)
+        self._still_ng += int(plausible.sum())
+        self._still_windows += len(plausible)
 
     def facts(self) -> Facts:
         """What was found; call after the last chunk."""
@@ -73,7 +87,14 @@ class Observer:
             self.clipped,
             self.has_temperature,
             self.has_gyroscope,
+            self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
+            self._utc_offset_s(),
         )
+
+    def _utc_offset_s(self) -> int | None:
+        """Of the device's clock at the start; None for a recording without a date."""
+        dated = all(problem.code != "no_start_time" for problem in self.problems)
+        return utc_offset_s(self.recording.timezone, self.first_us or 0) if dated else None
 
     def _rate_hz(self) -> float | None:
         """Steps over time within unbroken runs, the last of which is still open."""
@@ -143,6 +164,7 @@ def survey(
         chunk = with_clipping(raw, recording)
         observer.see(chunk)
         for windows in segmenter.feed(chunk):
+            observer.see_still(windows)
             collector.add(windows)
         progress(chunk.end_byte)
     return observer.facts()

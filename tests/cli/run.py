@@ -1,0 +1,58 @@
+"""Running the command line inside and outside this process."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.main import cli
+
+
+@dataclass(frozen=True)
+class Ran:
+    code: int
+    out: str
+    err: str
+
+    @property
+    def lines(self) -> list[str]:
+        return self.out.splitlines()
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: object) -> Ran:
+    """Run in this process, through the same error handling as the console command."""
+    capsys.readouterr()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exits, "_watch_signals", lambda: None)
+        code = exits.run_safely(
+            lambda: cli.main([str(word) for word in words], "accelcal", standalone_mode=False)
+        )
+    captured = capsys.readouterr()
+    return Ran(code, captured.out, captured.err)
+
+
+def command(*words: object) -> list[str]:
+    """The command line as a new process."""
+    return [sys.executable, "-m", "accelcal_cli", *map(str, words)]
+
+
+def run_process(*words: object, stdin: bytes | None = None, cwd: Path | None = None) -> Ran:
+    """Run in a process of its own."""
+    done = subprocess.run(
+        command(*words), input=stdin, capture_output=True, cwd=cwd, env=os.environ, timeout=120, check=False
+    )
+    return Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
+
+
+def assert_one_line(ran: Ran, *parts: str) -> None:
+    """stderr is one line without a traceback and holds these parts."""
+    assert ran.err.count("\n") == 1, ran.err
+    assert "Traceback" not in ran.err
+    for part in parts:
+        assert part in ran.err, ran.err

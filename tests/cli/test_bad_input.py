@@ -1,0 +1,169 @@
+"""Whatever the input, one line that helps, the right code, and nothing left behind."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.cli.run import Ran, assert_one_line, command, run
+from tests.recordings import RATE_HZ, directions, good_csv, still_counts, write_csv
+
+Capture = pytest.CaptureFixture[str]
+
+
+def files(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def refuse(capsys: Capture, path: Path, code: int, *parts: str, options: tuple[object, ...] = ()) -> Ran:
+    before = files(path.parent)
+    ran = run(capsys, "calibrate", path, *options)
+    assert ran.code == code, ran
+    assert_one_line(ran, str(path), *parts)
+    left = [name for name in files(path.parent) if name not in before]
+    assert left in ([], [path.stem + ".calibration.json"] if code == 4 else [])
+    return ran
+
+
+def test_a_missing_file(tmp_path: Path, capsys: Capture) -> None:
+    refuse(capsys, tmp_path / "absent.csv", 3, "No such file")
+
+
+def test_an_empty_file(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "empty.bin"
+    path.touch()
+    refuse(capsys, path, 3, "is empty", "byte 0")
+
+
+def test_a_folder(tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / "recordings"
+    folder.mkdir()
+    refuse(capsys, folder, 3, "is a folder")
+
+
+@pytest.mark.parametrize("suffix", ["bin", "cwa", "csv", "h5", "raw", "gt3x", "csv.gz", ""])
+def test_random_bytes_under_any_name(tmp_path: Path, capsys: Capture, suffix: str) -> None:
+    path = tmp_path / f"noise.{suffix}"
+    path.write_bytes(np.random.RandomState(1).bytes(50_000))
+    refuse(capsys, path, 3)
+
+
+def test_text_in_a_column(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    lines = path.read_text().splitlines()
+    lines[1000] = lines[1000].rsplit(",", 1)[0] + ",broken"
+    path.write_text("\n".join(lines) + "\n")
+    refuse(capsys, path, 3, "line 1001", "broken")
+
+
+def test_some_missing_values_are_reported_and_the_rest_is_used(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    lines = path.read_text().splitlines()
+    for index in (1000, 1001, 5000):
+        lines[index] = lines[index].rsplit(",", 1)[0] + ",NaN"
+    path.write_text("\n".join(lines) + "\n")
+    ran = run(capsys, "calibrate", path)
+    assert ran.code == 0
+    assert "missing_value" in ran.err
+
+
+def test_nothing_but_nan(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "nan.csv"
+    path.write_text("time,x,y,z\n" + "".join(f"{i / 25},nan,nan,nan\n" for i in range(1000)))
+    refuse(capsys, path, 3)
+
+
+def test_constant_data(tmp_path: Path, capsys: Capture) -> None:
+    path = write_csv(tmp_path / "constant.csv", np.tile(np.array([[0, 0, 256]], np.int16), (5000, 1)))
+    refuse(capsys, path, 4, "refused")
+
+
+def test_no_still_window(tmp_path: Path, capsys: Capture) -> None:
+    time_s = np.arange(10_000) / RATE_HZ
+    shaken = np.stack([np.sin(time_s * f) for f in (3.0, 4.0, 5.0)], axis=1)
+    path = write_csv(tmp_path / "shaken.csv", (256 * shaken).astype(np.int16))
+    refuse(capsys, path, 4, "no still window")
+
+
+def test_an_output_folder_that_cannot_be_made(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    (tmp_path / "file").touch()
+    ran = run(capsys, "calibrate", path, "-d", tmp_path / "file" / "out")
+    assert ran.code == 5
+    assert_one_line(ran, "out", "cannot be made")
+
+
+def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    for words in (
+        ("--format", "x"),
+        ("--optimizer", "x"),
+        ("--columns", "a,b"),
+        ("--model", "7"),
+        ("--nope",),
+    ):
+        ran = run(capsys, "calibrate", path, *words)
+        assert ran.code == 2, ran
+        assert "Traceback" not in ran.err
+    assert files(tmp_path) == ["good.csv"]
+
+
+def test_a_full_disk(tmp_path: Path) -> None:
+    path = good_csv(tmp_path)
+    out = tmp_path / "out"
+
+    def little_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    done = subprocess.run(
+        command("calibrate", path, "-d", out),
+        capture_output=True,
+        preexec_fn=little_room,
+        timeout=60,
+        check=False,
+    )
+    ran = Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
+    assert ran.code == 5
+    assert_one_line(ran, "good.calibrated.parquet", "cannot be written")
+    assert files(out) == []
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_leaves_nothing_behind(tmp_path: Path, number: int) -> None:
+    path = write_csv(tmp_path / "long.csv", still_counts(directions(600)))
+    out = tmp_path / "out"
+    process = subprocess.Popen(
+        command("calibrate", path, "-d", out, "--chunk-samples", 50),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    deadline = time.monotonic() + 60
+    while not (out.is_dir() and any(name.endswith(".tmp") for name in files(out))):
+        assert time.monotonic() < deadline, "never began to write"
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.001)
+    process.send_signal(number)
+    out_text, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert out_text == b""
+    assert err.count(b"\n") == 1
+    assert b"interrupted" in err
+    assert files(out) == []
+
+
+def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
+    path = good_csv(tmp_path)
+    process = subprocess.Popen(command("calibrate", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process.stdout.close()
+    err = process.stderr.read()
+    process.stderr.close()
+    process.wait(60)
+    assert b"Traceback" not in err
+    assert b"Exception" not in err

@@ -1,0 +1,253 @@
+"""`accelcal calibrate` from outside: lines, codes, files."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pandas as pd
+import pytest
+
+from accelcal_cli.output.report import report_schema
+from tests.cli.run import assert_one_line, run, run_process
+from tests.recordings import (
+    GAIN,
+    LSB_PER_G,
+    OFFSET_G,
+    directions,
+    good_csv,
+    still_counts,
+    worst_errors,
+    write_csv,
+    write_raw,
+)
+
+Capture = pytest.CaptureFixture[str]
+
+
+def report_of(path: Path) -> dict:
+    return json.loads(path.read_text())
+
+
+def files(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_a_recording_gives_parquet_report_and_one_line(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    ran = run(capsys, "calibrate", path)
+    assert (ran.code, ran.err) == (0, "")
+    assert len(ran.lines) == 1
+    fields = ran.lines[0].split("\t")
+    assert fields[:3] == [str(path), "calibrated", "9"]
+    assert fields[6] == str(tmp_path / "good.calibrated.parquet")
+    assert float(fields[3]) > 20
+    assert float(fields[4]) < 0.5
+    assert files(tmp_path) == ["good.calibrated.parquet", "good.calibration.json", "good.csv"]
+
+
+def test_the_report_validates_and_holds_the_true_errors(tmp_path: Path, capsys: Capture) -> None:
+    run(capsys, "calibrate", good_csv(tmp_path))
+    report = report_of(tmp_path / "good.calibration.json")
+    jsonschema.validate(report, report_schema())
+    gain, offset = worst_errors(report)
+    assert gain < 2.5e-4
+    assert offset < 1e-4
+    names = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz")
+    places = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+    found = report["calibration"]
+    assert [found["parameters"][name] for name in names] == [found["gain"][i][j] for i, j in places]
+    assert [found["parameters"][name] for name in ("ox", "oy", "oz")] == found["offset_g"]
+    integers = found["fixed_point"]["parameters"]
+    assert all(integers[name] / 2**29 == found["parameters"][name] for name in names)
+
+
+def test_parquet_holds_the_calibrated_counts_and_all_times(tmp_path: Path, capsys: Capture) -> None:
+    counts = still_counts(directions(60))
+    run(capsys, "calibrate", write_csv(tmp_path / "a.csv", counts))
+    found = report_of(tmp_path / "a.calibration.json")["calibration"]
+    frame = pd.read_parquet(tmp_path / "a.calibrated.parquet")
+    assert list(frame.columns) == ["time", "x", "y", "z", "validity"]
+    expected = (counts / LSB_PER_G + found["offset_g"]) @ np.array(found["gain"]).T
+    np.testing.assert_allclose(frame[["x", "y", "z"]].to_numpy(), expected, rtol=2**-24, atol=2**-30)
+    start = np.datetime64("2024-03-04T00:00:00", "us")
+    steps = (np.arange(len(counts)) * 40_000).astype("timedelta64[us]")
+    assert (frame["time"].to_numpy() == start + steps).all()
+    assert (frame["validity"] == 0).all()
+
+
+def test_json_prints_the_report_on_one_line(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "calibrate", "--json", good_csv(tmp_path))
+    assert len(ran.lines) == 1
+    assert json.loads(ran.out) == report_of(tmp_path / "good.calibration.json")
+
+
+@pytest.mark.parametrize("samples", [1, 499, 4096, 10**7])
+def test_any_chunk_size_gives_the_same_bytes(tmp_path: Path, capsys: Capture, samples: int) -> None:
+    path = write_raw(tmp_path / "a.raw", still_counts(directions(20)))
+    run(capsys, "calibrate", path, "-d", tmp_path / "one")
+    run(capsys, "calibrate", path, "-d", tmp_path / "two", "--chunk-samples", samples)
+    reports = [report_of(tmp_path / name / "a.calibration.json") for name in ("one", "two")]
+    for report in reports:
+        del report["provenance"]
+    assert reports[0] == reports[1]
+    parquets = [(tmp_path / name / "a.calibrated.parquet").read_bytes() for name in ("one", "two")]
+    assert parquets[0] == parquets[1]
+
+
+def test_csv_and_raw_of_the_same_counts_give_the_same_integers(tmp_path: Path, capsys: Capture) -> None:
+    counts = still_counts(directions(40))
+    run(capsys, "calibrate", write_csv(tmp_path / "a.csv", counts), write_raw(tmp_path / "b.raw", counts))
+    integers = [
+        report_of(tmp_path / name)["calibration"]["fixed_point"]["parameters"]
+        for name in ("a.calibration.json", "b.calibration.json")
+    ]
+    assert integers[0] == integers[1]
+
+
+def test_a_rerun_does_nothing_and_says_so(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    first = run(capsys, "calibrate", path)
+    before = {name: (tmp_path / name).stat().st_mtime_ns for name in files(tmp_path)}
+    again = run(capsys, "calibrate", path)
+    assert again.code == 0
+    assert again.out == first.out
+    assert "up to date" in again.err
+    assert before == {name: (tmp_path / name).stat().st_mtime_ns for name in files(tmp_path)}
+
+
+@pytest.mark.parametrize("change", ["input", "settings", "parquet", "force"])
+def test_a_rerun_redoes_what_changed(tmp_path: Path, capsys: Capture, change: str) -> None:
+    path = good_csv(tmp_path)
+    run(capsys, "calibrate", path)
+    words = ["calibrate", path]
+    if change == "input":
+        write_csv(path, still_counts(directions(60), seed=2))
+    elif change == "settings":
+        words += ["--model", "6"]
+    elif change == "parquet":
+        (tmp_path / "good.calibrated.parquet").unlink()
+    else:
+        words += ["--force"]
+    ran = run(capsys, *words)
+    assert ran.code == 0
+    assert "up to date" not in ran.err
+    assert (tmp_path / "good.calibrated.parquet").exists()
+
+
+def test_a_recording_that_is_now_refused_loses_its_old_parquet(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    run(capsys, "calibrate", path)
+    write_csv(path, still_counts(directions(4)))
+    assert run(capsys, "calibrate", path).code == 4
+    assert files(tmp_path) == ["good.calibration.json", "good.csv"]
+
+
+def test_refused_has_a_reason_a_report_and_no_parquet(tmp_path: Path, capsys: Capture) -> None:
+    path = write_csv(tmp_path / "few.csv", still_counts(directions(4)))
+    ran = run(capsys, "calibrate", path)
+    assert ran.code == 4
+    assert_one_line(ran, str(path), "refused", "4 postures")
+    assert ran.lines[0].split("\t")[1:] == ["refused", "-", "-", "-", "-", "-"]
+    assert files(tmp_path) == ["few.calibration.json", "few.csv"]
+    report = report_of(tmp_path / "few.calibration.json")
+    jsonschema.validate(report, report_schema())
+    assert report["calibration"] is None
+
+
+def test_report_only_writes_no_parquet(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "calibrate", "--report-only", good_csv(tmp_path))
+    assert ran.code == 0
+    assert ran.lines[0].endswith("\t-")
+    assert files(tmp_path) == ["good.calibration.json", "good.csv"]
+
+
+def test_foreign_files_are_not_overwritten_without_force(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    for name in ("good.calibrated.parquet", "good.calibration.json"):
+        (tmp_path / name).write_text("{}")
+        ran = run(capsys, "calibrate", path)
+        assert ran.code == 5
+        assert_one_line(ran, name, "not written by accelcal", "--force")
+        assert (tmp_path / name).read_text() == "{}"
+        assert run(capsys, "calibrate", path, "--force").code == 0
+        (tmp_path / "good.calibrated.parquet").unlink()
+        (tmp_path / "good.calibration.json").unlink()
+
+
+def test_two_inputs_with_one_output_are_refused_before_any_work(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "other").mkdir()
+    one, two = good_csv(tmp_path), good_csv(tmp_path / "other")
+    ran = run(capsys, "calibrate", one, two, "-d", tmp_path / "out")
+    assert ran.code == 2
+    assert_one_line(ran, str(one), str(two))
+    assert not (tmp_path / "out").exists()
+
+
+def test_gz_and_plain_of_one_stem_collide(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    packed = path.with_suffix(".csv.gz")
+    packed.write_bytes(gzip.compress(path.read_bytes()))
+    assert run(capsys, "calibrate", path, packed).code == 2
+    assert run(capsys, "calibrate", packed, "-d", tmp_path / "out").code == 0
+    assert (tmp_path / "out" / "good.calibrated.parquet").exists()
+
+
+def test_output_names_the_parquet_and_the_report_lies_beside(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "calibrate", good_csv(tmp_path), "-o", tmp_path / "sub" / "mine.parquet")
+    assert ran.code == 0
+    assert files(tmp_path / "sub") == ["mine.calibration.json", "mine.parquet"]
+    other = good_csv(tmp_path, "b.csv")
+    assert run(capsys, "calibrate", other, other, "-o", tmp_path / "x.parquet").code == 2
+
+
+def test_several_recordings_one_bad(tmp_path: Path, capsys: Capture) -> None:
+    good, bad = good_csv(tmp_path), tmp_path / "absent.csv"
+    ran = run(capsys, "calibrate", bad, good)
+    assert ran.code == 1
+    assert [line.split("\t")[0] for line in ran.lines] == [str(good)]
+    assert str(bad) in ran.err
+
+
+def test_standard_input(tmp_path: Path) -> None:
+    data = good_csv(tmp_path).read_bytes()
+    ran = run_process("calibrate", "-", "-d", tmp_path / "out", stdin=data)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.lines[0].split("\t")[:3] == ["-", "calibrated", "9"]
+    assert files(tmp_path / "out") == ["stdin.calibrated.parquet", "stdin.calibration.json"]
+
+
+def test_model_and_profile_are_in_the_report(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    run(capsys, "calibrate", path, "--model", "6")
+    report = report_of(tmp_path / "good.calibration.json")
+    assert report["settings"]["model"] == "6"
+    assert report["calibration"]["model"] == "6"
+    assert report["outcome"] == "reduced_model"
+    assert "as asked for" in report["message"]
+
+
+def test_profile_paper_fits_eighteen_points_in_fifty_iterations(tmp_path: Path, capsys: Capture) -> None:
+    faces = np.concatenate([np.eye(3), -np.eye(3)])
+    corners = directions(200)
+    counts = still_counts(np.concatenate([faces, faces, faces, corners]))
+    ran = run(capsys, "calibrate", write_csv(tmp_path / "a.csv", counts), "--profile", "paper")
+    report = report_of(tmp_path / "a.calibration.json")
+    assert ran.code == 0
+    assert report["fit"]["points"] == 18
+    assert report["calibration"]["optimizer"]["iterations"] == 50
+    assert report["calibration"]["optimizer"]["operations"] == {
+        "additions": 90_150,
+        "multiplications": 90_150,
+    }
+    assert report["holdout"]["method"].startswith("control points")
+
+
+def test_the_true_offsets_are_not_in_the_raw_data(tmp_path: Path, capsys: Capture) -> None:
+    run(capsys, "calibrate", good_csv(tmp_path))
+    report = report_of(tmp_path / "good.calibration.json")
+    assert report["holdout"]["before_mg"]["mean"] > 1000 * np.abs(OFFSET_G).min()
+    assert GAIN[1, 0] != 0

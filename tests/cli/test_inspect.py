@@ -1,0 +1,48 @@
+"""`accelcal inspect`: what a recording holds, and what calibrating it would give."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run import assert_one_line, run
+from tests.recordings import directions, good_csv, still_counts, write_csv, write_raw
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_people_see_rate_duration_and_prediction(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "inspect", write_raw(tmp_path / "a.raw", still_counts(directions(60))))
+    assert (ran.code, ran.err) == (0, "")
+    for part in ("25 Hz", "256 counts per g", "45000 samples", "0.50 h", "prediction   calibrated: model 9"):
+        assert part in ran.out
+
+
+def test_json_has_one_object_a_recording(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "inspect", "--json", "--full", good_csv(tmp_path), good_csv(tmp_path, "b.csv"))
+    shown = [json.loads(line) for line in ran.lines]
+    assert [item["recording"]["samples"] for item in shown] == [45_000, 45_000]
+    assert shown[0]["recording"]["start_time"] == "2024-03-04T00:00:00.000000"
+    assert shown[0]["recording"]["duration_s"] == 1800.0
+    assert shown[0]["read"]["whole"] is True
+    assert shown[0]["prediction"]["outcome"] == "calibrated"
+
+
+def test_it_writes_nothing(tmp_path: Path, capsys: Capture) -> None:
+    run(capsys, "inspect", good_csv(tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == ["good.csv"]
+
+
+def test_a_hopeless_recording_is_predicted_to_be_refused(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "inspect", write_csv(tmp_path / "a.csv", still_counts(directions(3))))
+    assert ran.code == 0
+    assert "prediction   refused" in ran.out
+
+
+def test_an_unreadable_recording_has_its_code_and_line(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "inspect", tmp_path / "absent.cwa")
+    assert ran.code == 3
+    assert_one_line(ran, "absent.cwa")
+    assert run(capsys, "inspect", tmp_path / "absent.cwa", good_csv(tmp_path)).code == 1

@@ -1,0 +1,67 @@
+"""The command itself: help, version, bugs, imports."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli import __version__
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.main import COMMANDS
+from tests.cli.run import run, run_process
+
+Capture = pytest.CaptureFixture[str]
+ROOT = Path(__file__).resolve().parent.parent.parent
+
+
+def test_version_and_help(capsys: Capture) -> None:
+    assert run(capsys, "--version").out == f"accelcal, version {__version__}\n"
+    ran = run(capsys, "--help")
+    assert ran.code == 0
+    assert all(name in ran.out for name in COMMANDS)
+    assert run_process("--help").out == ran.out
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_each_command_has_help_and_is_in_the_readme(capsys: Capture, name: str) -> None:
+    ran = run(capsys, name, "--help")
+    assert ran.code == 0
+    assert "Usage: accelcal " + name in ran.out
+    assert f"accelcal {name}" in (ROOT / "README.md").read_text()
+
+
+def test_help_imports_no_heavy_library() -> None:
+    code = (
+        "import sys; from accelcal_cli.cli.main import cli\n"
+        "cli.main(['--help'], standalone_mode=False)\n"
+        "heavy = {'numpy', 'pyarrow', 'pandas', 'h5py', 'tqdm'} & set(sys.modules)\n"
+        "sys.exit(f'imported {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_bug_is_one_line_and_the_traceback_is_kept(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+
+    def broken() -> None:
+        raise ZeroDivisionError("a\nb")
+
+    monkeypatch.setattr(exits, "_watch_signals", lambda: None)
+    assert exits.run_safely(broken) == 70
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    (kept,) = tmp_path.glob("accelcal-bug-*.txt")
+    assert str(kept) in err
+    assert "ZeroDivisionError" in kept.read_text()
+    monkeypatch.undo()
+
+
+def test_an_unknown_command_is_wrong_usage(capsys: Capture) -> None:
+    assert run(capsys, "calibrat").code == 2

@@ -1,0 +1,75 @@
+"""`accelcal simulate`: every format holds the same counts, and its truth is found again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.encode import all_encoders
+from accelcal_cli.readers import open_recording
+from tests.cli.run import assert_one_line, run
+
+Capture = pytest.CaptureFixture[str]
+FORMATS = [encoder.name for encoder in all_encoders()]
+SMALL = ("--days", 0.02, "--rate", 20, "--seed", 4, "-q")
+
+
+def read_g(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    with open_recording(path, ReadOptions()) as reader:
+        chunks = list(reader.chunks(5000))
+        counts = np.concatenate([chunk.counts for chunk in chunks]) / reader.recording.lsb_per_g
+    times = np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
+    warm = [chunk.temperature_mc for chunk in chunks if chunk.temperature_mc is not None]
+    return counts, times, np.concatenate(warm) if warm else None
+
+
+def test_all_formats_hold_the_same_samples_and_times(tmp_path: Path, capsys: Capture) -> None:
+    held = []
+    for name in FORMATS:
+        ran = run(capsys, "simulate", tmp_path / name, "--format", name, *SMALL)
+        assert ran.code == 0, ran
+        held.append(read_g(Path(ran.lines[0].split("\t")[0])))
+    for counts, times, _ in held[1:]:
+        np.testing.assert_array_equal(counts, held[0][0])
+        assert np.abs(times - held[0][1]).max() <= 1
+    assert len(held[0][0]) == round(0.02 * 86_400 * 20)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_the_truth_is_found_again(tmp_path: Path, capsys: Capture, name: str) -> None:
+    words = ("--days", 0.4, "--rate", 12.5, "--seed", 6, "--truth", 2, "-q", "--json")
+    truth = json.loads(run(capsys, "simulate", tmp_path / "a", "--format", name, *words).out)
+    path = next(
+        p for p in tmp_path.iterdir() if p.name.startswith("a.") and p.suffix not in (".json", ".toml")
+    )
+    report = json.loads(run(capsys, "calibrate", path, "--report-only", "--json", "--no-temperature").out)
+    assert np.abs(np.array(report["calibration"]["gain"]) - truth["sensor"]["gain"]).max() < 2.5e-4
+    assert np.abs(np.array(report["calibration"]["offset_g"]) - truth["sensor"]["offset_g"]).max() < 2.5e-4
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, capsys: Capture) -> None:
+    for name in FORMATS:
+        run(capsys, "simulate", tmp_path / f"one-{name}", "--format", name, *SMALL)
+        run(capsys, "simulate", tmp_path / f"two-{name}", "--format", name, *SMALL)
+        ones = sorted(tmp_path.glob(f"one-{name}*"))
+        for one in ones:
+            two = one.with_name(one.name.replace("one-", "two-"))
+            assert one.read_bytes() == two.read_bytes(), one
+
+
+def test_existing_files_are_kept_without_force(tmp_path: Path, capsys: Capture) -> None:
+    run(capsys, "simulate", tmp_path / "a", *SMALL)
+    ran = run(capsys, "simulate", tmp_path / "a", *SMALL)
+    assert ran.code == 5
+    assert_one_line(ran, "exists already", "--force")
+    assert run(capsys, "simulate", tmp_path / "a", *SMALL, "--force").code == 0
+
+
+def test_impossible_wishes(tmp_path: Path, capsys: Capture) -> None:
+    for words in (("--format", "nothing"), ("--lsb-per-g", 9000), ("--days", 0), ("--days", 1e-9)):
+        assert run(capsys, "simulate", tmp_path / "a", *words, "-q").code == 2
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,67 @@
+"""Files appear complete or not at all."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.output.atomic import replacing, write_text
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_the_file_appears_only_at_the_end(tmp_path: Path) -> None:
+    target = tmp_path / "a.txt"
+    with replacing(target) as temporary:
+        temporary.write_text("new")
+        assert not target.exists()
+        assert temporary.parent == tmp_path
+    assert target.read_text() == "new"
+    assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
+def test_an_error_leaves_the_old_file_and_no_temporary(tmp_path: Path, error: type[BaseException]) -> None:
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    with pytest.raises(error), replacing(target) as temporary:
+        temporary.write_text("half")
+        raise error
+    assert target.read_text() == "old"
+    assert names(tmp_path) == ["a.txt"]
+
+
+def test_a_missing_folder_is_an_output_error_with_the_path(tmp_path: Path) -> None:
+    target = tmp_path / "absent" / "a.txt"
+    with pytest.raises(OutputError, match=r"absent/a\.txt.*cannot be written"):
+        write_text(target, "x")
+
+
+def test_a_full_disk_is_an_output_error_that_says_so() -> None:
+    if not Path("/dev/full").exists():
+        pytest.skip("no /dev/full here")
+    error = None
+    try:
+        with Path("/dev/full").open("wb", buffering=0) as file:
+            file.write(b"x")
+    except OSError as caught:
+        error = caught
+    assert error is not None
+    from accelcal_cli.output.atomic import output_error
+
+    assert "free some space" in str(output_error(error, Path("out.parquet")))
+
+
+def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
+    mask = os.umask(0o027)
+    try:
+        write_text(tmp_path / "a.txt", "x")
+    finally:
+        os.umask(mask)
+    assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o640

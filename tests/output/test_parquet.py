@@ -1,0 +1,93 @@
+"""The Parquet sink: schema, metadata, and bytes that do not depend on portions."""
+
+from __future__ import annotations
+
+import itertools
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.output import parquet
+from accelcal_cli.output.parquet import Columns, ParquetSink, refuse_foreign, written_by_us
+
+
+def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
+    random = np.random.RandomState(3)
+    held = [1_700_000_000_000_000 + 10_000 * np.arange(number, dtype=np.int64)]
+    held += [random.randn(number).astype(np.float32) for _ in range(3)]
+    if temperature:
+        held.append(np.repeat(np.float32(30.5), number))
+    if gyroscope:
+        held += [random.randn(number).astype(np.float32) for _ in range(3)]
+    return [*held, random.randint(0, 4, number).astype(np.uint8)]
+
+
+def write(path: Path, columns: Columns, held: list[np.ndarray], edges: list[int]) -> None:
+    with ParquetSink(path, path, columns, {"a": 1}) as sink:
+        for start, stop in itertools.pairwise(edges):
+            sink.write([array[start:stop] for array in held])
+
+
+def test_columns_types_units_and_metadata(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    write(path, Columns(temperature=True, gyroscope=True, utc=False), arrays(10), [0, 10])
+    schema = pq.read_schema(path)
+    assert schema.names == ["time", "x", "y", "z", "temperature", "gx", "gy", "gz", "validity"]
+    assert schema.field("time").type == pa.timestamp("us")
+    assert [schema.field(name).type for name in ("x", "temperature", "gz")] == [pa.float32()] * 3
+    assert schema.field("validity").type == pa.uint8()
+    assert schema.field("x").metadata[b"unit"] == b"g"
+    assert json.loads(schema.metadata[b"accelcal"]) == {"a": 1}
+
+
+def test_a_known_zone_makes_the_times_utc(tmp_path: Path) -> None:
+    path = tmp_path / "a.parquet"
+    columns = Columns(temperature=False, gyroscope=False, utc=True)
+    write(path, columns, arrays(3, temperature=False, gyroscope=False), [0, 3])
+    assert pq.read_schema(path).field("time").type == pa.timestamp("us", "UTC")
+
+
+def test_pandas_reads_the_same_values(tmp_path: Path) -> None:
+    path, held = tmp_path / "a.parquet", arrays(1000)
+    write(path, Columns(temperature=True, gyroscope=True, utc=False), held, [0, 1000])
+    frame = pd.read_parquet(path)
+    assert (frame["time"].to_numpy("datetime64[us]").astype(np.int64) == held[0]).all()
+    assert (frame["x"].to_numpy() == held[1]).all()
+    assert (frame["validity"].to_numpy() == held[-1]).all()
+
+
+@given(st.lists(st.integers(0, 5000), max_size=6))
+@settings(max_examples=20, deadline=None)
+def test_the_bytes_do_not_depend_on_the_portions(cuts: list[int]) -> None:
+    import tempfile
+
+    held = arrays(5000)
+    columns = Columns(temperature=True, gyroscope=True, utc=False)
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
+        patch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
+        write(Path(name) / "a", columns, held, [0, 5000])
+        write(Path(name) / "b", columns, held, [0, *sorted(cuts), 5000])
+        assert (Path(name) / "a").read_bytes() == (Path(name) / "b").read_bytes()
+
+
+def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:
+    ours, foreign, text = tmp_path / "o.parquet", tmp_path / "f.parquet", tmp_path / "t.parquet"
+    write(
+        ours, Columns(temperature=False, gyroscope=False, utc=False), [*arrays(3)[:4], arrays(3)[-1]], [0, 3]
+    )
+    pd.DataFrame({"x": [1]}).to_parquet(foreign)
+    text.write_text("mine")
+    assert written_by_us(ours)
+    refuse_foreign(ours)
+    refuse_foreign(tmp_path / "absent.parquet")
+    for path in (foreign, text):
+        with pytest.raises(OutputError, match="not written by accelcal"):
+            refuse_foreign(path)

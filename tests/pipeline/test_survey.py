@@ -1,0 +1,85 @@
+"""Facts of a recording: gaps, measured rate, clipping, bounded lists."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.clock import StampClock
+from accelcal_cli.core.facts import Facts
+from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
+from accelcal_cli.pipeline import survey as module
+from accelcal_cli.pipeline.survey import Observer, with_clipping
+
+RECORDING = Recording(Path("a"), "test", rate_hz=10.0, lsb_per_g=256.0, total_bytes=0, range_g=8.0)
+
+
+def observed(times: np.ndarray, breaks: list[int], cuts: list[int]) -> Facts:
+    observer = Observer(RECORDING)
+    edges = [0, *cuts, len(times)]
+    for start, stop in itertools.pairwise(edges):
+        inner = np.array([row - start for row in breaks if start <= row < stop], np.int64)
+        counts = np.zeros((stop - start, 3), np.int16)
+        observer.see(Chunk(start, counts, StampClock(times[start:stop]), 0, inner))
+    return observer.facts()
+
+
+@pytest.mark.parametrize("cuts", [[], [1], [50], [49, 51], [50, 50, 60], list(range(1, 100))])
+def test_gaps_and_rate_do_not_depend_on_chunks(cuts: list[int]) -> None:
+    times = np.arange(100, dtype=np.int64) * 100_000
+    times[50:] += 7_000_000
+    facts = observed(times, [50], cuts)
+    assert facts.samples == 100
+    assert (facts.first_us, facts.last_us) == (0, 16_900_000)
+    assert facts.rate_hz == 10.0
+    (gap,) = facts.gaps
+    assert (gap.sample, gap.start_us, gap.seconds) == (50, 4_900_000, 7.1)
+
+
+def test_a_step_back_of_the_clock_is_a_gap_too() -> None:
+    times = np.arange(100, dtype=np.int64) * 100_000
+    times[50:] -= 3_000_000
+    (gap,) = observed(times, [50], []).gaps
+    assert gap.seconds == pytest.approx(-2.9)
+
+
+def test_a_break_without_lost_time_is_no_gap() -> None:
+    assert observed(np.arange(100, dtype=np.int64) * 100_000, [50], []).gaps == ()
+
+
+def test_an_empty_recording_has_no_times() -> None:
+    facts = Observer(RECORDING).facts()
+    assert (facts.samples, facts.first_us, facts.rate_hz) == (0, None, None)
+
+
+def test_lists_stay_bounded_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_GAPS", 5)
+    monkeypatch.setattr(module, "MAX_PROBLEMS", 5)
+    times = np.arange(100, dtype=np.int64) * 1_000_000
+    facts = observed(times, list(range(1, 100)), [])
+    assert (len(facts.gaps), facts.gaps_omitted) == (5, 94)
+    observer = Observer(RECORDING)
+    many = tuple(Problem("checksum", "x", index, 0) for index in range(12))
+    observer.see(Chunk(0, np.zeros((0, 3), np.int16), StampClock(times[:0]), 0, problems=many))
+    problems = observer.facts().problems
+    assert len(problems) == 6
+    assert (problems[-1].code, problems[-1].count) == ("more_problems", 7)
+
+
+def test_rows_at_the_range_are_clipped_and_other_marks_stay() -> None:
+    counts = np.zeros((6, 3), np.int16)
+    counts[1, 0], counts[2, 1], counts[3, 2], counts[4, 0] = 2047, -2048, 2046, -2048
+    validity = np.array([0, 0, 0, 0, Validity.FILLED, 0], np.uint8)
+    chunk = Chunk(0, counts, StampClock(np.arange(6)), 0, validity=validity)
+    marked = with_clipping(chunk, RECORDING)
+    assert marked.validity is not None
+    assert marked.validity.tolist() == [0, 2, 2, 0, 1, 0]
+    assert validity.tolist() == [0, 0, 0, 0, 1, 0]
+
+
+def test_without_a_range_nothing_is_clipped() -> None:
+    chunk = Chunk(0, np.full((2, 3), 32_767, np.int16), StampClock(np.arange(2)), 0)
+    assert with_clipping(chunk, Recording(Path("a"), "t", 10.0, 256.0, 0)).validity is None

@@ -1,0 +1,139 @@
+"""Against an independent generator with known errors: one day at 100 Hz in four formats."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from tests.cli.run import run_process
+
+LAYOUT = """
+[dump]
+rate_hz = 100.0
+lsb_per_g = 256.0
+range_g = 8.0
+start_time = "2024-03-04T00:00:00"
+[fields]
+x = { offset = 0, type = "int16" }
+y = { offset = 2, type = "int16" }
+z = { offset = 4, type = "int16" }
+"""
+SUFFIXES = ("cwa", "raw", "h5", "csv")
+START = np.datetime64("2024-03-04T00:00:00", "us")
+
+
+@dataclass(frozen=True)
+class Day:
+    folder: Path
+    truth: dict
+    counts: np.ndarray
+    still: np.ndarray
+    reports: dict[str, dict]
+
+    def parquet(self, suffix: str) -> Path:
+        return self.folder / suffix / "day.calibrated.parquet"
+
+
+def make(real_data: Path, folder: Path, truth: int, words: tuple[str, ...]) -> None:
+    tool = real_data.parent / "tools" / "make_recording.py"
+    command = [
+        sys.executable,
+        str(tool),
+        "--truth",
+        str(truth),
+        "--seed",
+        str(truth),
+        "--out",
+        str(folder / "day"),
+    ]
+    subprocess.run([*command, *words], check=True, capture_output=True)
+    (folder / "day.layout.toml").write_text(LAYOUT)
+
+
+def calibrated(folder: Path, suffix: str, *words: str) -> dict:
+    ran = run_process("calibrate", folder / f"day.{suffix}", "-d", folder / suffix, "--json", *words)
+    assert ran.code == 0, ran
+    report = json.loads(ran.out)
+    del report["provenance"]
+    return report
+
+
+def whole_day(real_data: Path, folder: Path, truth: int) -> Day:
+    make(real_data, folder, truth, ("--days", "1", "--raw", "--hdf5", "--csv"))
+    reports = {suffix: calibrated(folder, suffix, "--no-temperature") for suffix in SUFFIXES}
+    known = json.loads((folder / "day.truth.json").read_text())
+    return Day(folder, known, np.load(folder / "day.i16.npy"), np.load(folder / "day.still.npy"), reports)
+
+
+@pytest.fixture(
+    scope="module",
+    params=[3, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (5, 8, 21))],
+)
+def day(request: pytest.FixtureRequest, real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Day:
+    if not (real_data.parent / "tools" / "make_recording.py").exists():
+        pytest.skip("the independent generator is absent")
+    pytest.importorskip("polars")
+    return whole_day(real_data, tmp_path_factory.mktemp("day"), request.param)
+
+
+def gain_and_offset(report: dict) -> tuple[np.ndarray, np.ndarray]:
+    return np.array(report["calibration"]["gain"]), np.array(report["calibration"]["offset_g"])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_true_errors_are_found(day: Day, suffix: str) -> None:
+    gain, offset = gain_and_offset(day.reports[suffix])
+    assert np.abs(gain - day.truth["K"]).max() < 1e-4
+    assert np.abs(offset + day.truth["b"]).max() < 0.1e-3
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_stillness_measures_one_g(day: Day, suffix: str) -> None:
+    gain, offset = gain_and_offset(day.reports[suffix])
+    means = np.stack([day.counts[at : at + 1000].mean(axis=0) for at in day.still]) / 256
+    left_mg = 1000 * np.abs(np.linalg.norm((means + offset) @ gain.T, axis=1) - 1).mean()
+    assert left_mg < day.truth["err_perfect_mg"] + 0.01 < 0.1
+
+
+def test_the_same_counts_give_the_same_integers(day: Day) -> None:
+    found = [day.reports[suffix]["calibration"]["fixed_point"] for suffix in SUFFIXES]
+    assert all(item == found[0] for item in found)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_parquet_is_the_calibration_of_every_sample_at_its_time(day: Day, suffix: str) -> None:
+    gain, offset = gain_and_offset(day.reports[suffix])
+    table = pq.read_table(day.parquet(suffix), columns=["time", "x", "y", "z"])
+    assert table.num_rows == len(day.counts) == day.reports[suffix]["recording"]["samples"]
+    expected = (day.counts / 256 + offset) @ gain.T
+    for axis, name in enumerate("xyz"):
+        np.testing.assert_allclose(table[name].to_numpy(), expected[:, axis], rtol=2**-23, atol=2**-26)
+    times = table["time"].to_numpy()
+    exact = START + (np.arange(len(times)) * 10_000).astype("timedelta64[us]")
+    stamp_resolution_us = 31 if suffix == "cwa" else 0
+    assert np.abs((times - exact).astype(np.int64)).max() <= stamp_resolution_us
+
+
+@pytest.mark.parametrize("samples", [1000, 77_777, 10**7])
+def test_the_chunk_size_changes_nothing(day: Day, samples: int) -> None:
+    report = calibrated(
+        day.folder, "cwa", "--no-temperature", "--report-only", "--chunk-samples", str(samples), "--force"
+    )
+    for key in ("calibration", "holdout", "fit", "coverage", "models_tried"):
+        assert report[key] == day.reports["cwa"][key]
+
+
+@pytest.mark.nightly
+def test_temperature_slopes_are_found(real_data: Path, tmp_path: Path) -> None:
+    make(real_data, tmp_path, 4, ("--days", "2", "--temp-slope", "1", "-0.5", "0.8"))
+    report = calibrated(tmp_path, "cwa", "--report-only")
+    assert report["calibration"]["model"] == "9T"
+    slopes = 1000 * np.array(report["calibration"]["temperature"]["slope_g_per_c"])
+    np.testing.assert_allclose(-slopes, [1, -0.5, 0.8], atol=0.05)

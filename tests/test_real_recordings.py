@@ -1,0 +1,155 @@
+"""Real recordings: what calibrating each gives, and the figures known of them (data/SOURCES.md)."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from accelcal_cli.output.report import report_schema
+from tests.cli.run import run
+
+Capture = pytest.CaptureFixture[str]
+NILSPOD = """
+[dump]
+rate_hz = 204.8
+lsb_per_g = 2048.0
+range_g = 16.0
+header_bytes = {header}
+frame_bytes = 20
+[fields]
+gx = {{ offset = 0, type = "int16", per_unit = 0.061 }}
+gy = {{ offset = 2, type = "int16", per_unit = 0.061 }}
+gz = {{ offset = 4, type = "int16", per_unit = 0.061 }}
+x = {{ offset = 6, type = "int16" }}
+y = {{ offset = 8, type = "int16" }}
+z = {{ offset = 10, type = "int16" }}
+"""
+
+
+def calibrated(capsys: Capture, path: Path, folder: Path, *words: object) -> tuple[int, dict]:
+    ran = run(capsys, "calibrate", path, "-d", folder, "-q", *words)
+    reports = list(folder.glob("*.calibration.json"))
+    assert len(reports) == 1, ran
+    report = json.loads(reports[0].read_text())
+    jsonschema.validate(report, report_schema())
+    return ran.code, report
+
+
+def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = real_data / "vendor" / "zio_chest_1.56hz_14d.csv.gz"
+    code, report = calibrated(capsys, path, tmp_path)
+    assert code == 0
+    assert report["calibration"]["model"] == "9"
+    assert report["holdout"]["after_mg"]["mean"] < 3.0
+    assert 13.9 < report["recording"]["duration_s"] / 86_400 < 14.1
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "raw_error_mg"),
+    [
+        ("zio_chest_1.56hz_14d.csv.gz", (), 25.4),
+        ("actigraph_30hz_12h.csv.gz", (), 22.9),
+        ("actigraph_gt3xplus_30hz_9h.csv.gz", ("--rate", 30), 16.8),
+    ],
+)
+def test_raw_errors_over_still_windows_are_the_known_ones(
+    real_data: Path,
+    tmp_path: Path,
+    capsys: Capture,
+    name: str,
+    words: tuple[object, ...],
+    raw_error_mg: float,
+) -> None:
+    options = ("--profile", "paper", "--report-only", *words)
+    _, report = calibrated(capsys, real_data / "vendor" / name, tmp_path, *options)
+    assert report["fit"]["windows"]["raw_error_mg"] == pytest.approx(raw_error_mg, abs=0.05)
+
+
+def test_zeros_that_a_device_wrote_are_left_out(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    code, report = calibrated(capsys, real_data / "vendor" / "actigraph_30hz_12h.csv.gz", tmp_path)
+    assert code == 0
+    assert report["calibration"]["model"] == "9"
+    assert report["holdout"]["after_mg"]["mean"] < 2.5
+    assert report["fit"]["windows"]["implausible"] > 4000
+
+
+def test_one_sided_stillness_gives_no_scale(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = real_data / "vendor" / "actigraph_gt3xplus_30hz_9h.csv.gz"
+    code, report = calibrated(capsys, path, tmp_path, "--rate", 30)
+    assert code == 0
+    assert (report["outcome"], report["calibration"]["model"]) == ("reduced_model", "3")
+    assert "x below -0.3 g" in report["message"]
+
+
+def test_too_few_postures_are_refused(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    code, report = calibrated(capsys, real_data / "vendor" / "must_refuse_30hz_4h.csv.gz", tmp_path)
+    assert code == 4
+    assert report["outcome"] == "refused"
+    assert not list(tmp_path.glob("*.parquet"))
+
+
+@pytest.mark.parametrize(
+    ("name", "samples", "rate_hz"),
+    [
+        ("ax3_100hz_3min.cwa", 17_400, 98.86),
+        ("ax3_corrupt_blocks_0_13_14_142_143_144.cwa", 16_680, 98.86),
+        ("ax3_200hz_5min.cwa", 58_800, 197.25),
+        ("ax3_sacrum_100hz_3h.cwa", 1_208_160, 98.17),
+    ],
+)
+def test_axivity_recordings(
+    real_data: Path, tmp_path: Path, capsys: Capture, name: str, samples: int, rate_hz: float
+) -> None:
+    code, report = calibrated(capsys, real_data / "vendor" / name, tmp_path, "--report-only")
+    assert code == 4
+    assert report["recording"]["samples"] == samples
+    assert report["recording"]["device"]["model"] == "AX3"
+    assert report["file_health"]["rate_hz_measured"] == pytest.approx(rate_hz, rel=2e-3)
+
+
+def test_the_sacrum_recording_says_which_side_is_missing(
+    real_data: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    path = real_data / "vendor" / "ax3_sacrum_100hz_3h.cwa"
+    _, report = calibrated(capsys, path, tmp_path, "--report-only")
+    assert report["recording"]["device"]["serial"] == "51888"
+    assert "x below -0.3 g" in report["message"]
+    _, paper = calibrated(capsys, path, tmp_path, "--report-only", "--profile", "paper")
+    assert "xn" in paper["message"]
+    assert paper["fit"]["windows"]["raw_error_mg"] == pytest.approx(15.9, abs=0.15)
+
+
+def test_six_bad_blocks_are_listed(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = real_data / "vendor" / "ax3_corrupt_blocks_0_13_14_142_143_144.cwa"
+    _, report = calibrated(capsys, path, tmp_path, "--report-only")
+    bad = [item for item in report["file_health"]["problems"] if item["code"] == "checksum"]
+    assert sum(item["count"] for item in bad) == 6
+    assert [(item["byte_offset"] - 1024) // 512 for item in bad] == [0, 13, 142]
+
+
+def test_an_opal_file_asks_which_sensor_and_reads_it(
+    real_data: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    path = real_data / "vendor" / "apdm_opal.h5"
+    ran = run(capsys, "calibrate", path, "-d", tmp_path)
+    assert ran.code == 3
+    assert "Right Wrist" in ran.err
+    assert "--sensor" in ran.err
+    code, report = calibrated(capsys, path, tmp_path, "--sensor", "Right Wrist")
+    assert code in (0, 4)
+    assert report["recording"]["samples"] == 36_460
+    assert report["recording"]["sample_rate_hz"] == 128
+
+
+@pytest.mark.parametrize("name", ["nilspod_84965c0.bin", "nilspod_92338c81.bin"])
+def test_a_dump_through_a_layout(real_data: Path, tmp_path: Path, capsys: Capture, name: str) -> None:
+    path = real_data / "imu" / name
+    layout = tmp_path / "nilspod.toml"
+    layout.write_text(NILSPOD.format(header=path.stat().st_size % 20))
+    code, report = calibrated(capsys, path, tmp_path, "--layout", layout)
+    assert code == 0
+    assert report["recording"]["samples"] == path.stat().st_size // 20
+    assert all(number > 0 for row in report["coverage"]["subsets"] for number in row)
