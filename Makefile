@@ -1,0 +1,47 @@
+# make demo   set everything up and calibrate sample_data/recording.bin
+# make test   set everything up and run the test suite
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+DEMO   := demo
+
+.PHONY: setup demo test nightly lint sample-data figure clean
+
+setup: $(READY)
+
+$(READY): pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "accelcal needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	touch $(READY)
+
+demo: $(READY)
+	$(BIN)/accelcal inspect sample_data/recording.bin
+	$(BIN)/accelcal calibrate sample_data/recording.bin --output-dir $(DEMO) --force
+	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
+
+test: $(READY)
+	$(BIN)/python -m pytest -m 'not nightly'
+
+nightly: $(READY)
+	$(BIN)/python -m pytest -m nightly
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+sample-data: $(READY)
+	$(BIN)/python tools/make_sample_data.py
+
+figure: $(READY)
+	$(BIN)/python tools/make_figure.py
+
+clean:
+	rm -rf $(VENV) $(DEMO) .pytest_cache .mypy_cache .ruff_cache
+
+.PHONY: golden
+golden: $(READY)
+	$(BIN)/python -m tests.golden
