@@ -12,6 +12,7 @@ import click
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PROFILES, Settings
 from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -83,7 +84,7 @@ _METHOD = [
 _CHUNK = click.option(
     "--chunk-samples",
     type=click.IntRange(1),
-    default=1 << 18,
+    default=DEFAULT_CHUNK_SAMPLES,
     show_default=True,
     help="Samples held in memory at once; the result does not depend on it.",
 )

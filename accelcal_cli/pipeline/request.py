@@ -11,7 +11,7 @@ from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.pipeline.plan import Job
 
-DEFAULT_CHUNK_SAMPLES = 1 << 18
+DEFAULT_CHUNK_SAMPLES = 1 << 17
 
 Progress = Callable[[int], None]
 """Called with the number of bytes of the file that have been read."""
