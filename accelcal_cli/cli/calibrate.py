@@ -31,6 +31,9 @@ from accelcal_cli.pipeline.request import Request, Result
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object a line.")
 @click.option("--report-only", is_flag=True, help="Write the report but no Parquet.")
+@click.option(
+    "--integers", is_flag=True, help="Also write the fit's points and result as fixed-point integers."
+)
 @click.option("--force", is_flag=True, help="Redo what is up to date; overwrite what accelcal did not write.")
 @click.option("-q", "--quiet", is_flag=True, help="Say nothing on stderr but errors.")
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
@@ -49,6 +52,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         settings=settings(values),
         chunk_samples=values["chunk_samples"],
         report_only=values["report_only"],
+        integers=values["integers"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
     )

@@ -1,21 +1,23 @@
-"""The main job: a recording in, calibrated Parquet and a report out."""
+"""The main job: a recording in, calibrated Parquet and an honest report out."""
 
 from __future__ import annotations
 
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.atomic import replacing, write_text
+from accelcal_cli.output.integers import integers_json
 from accelcal_cli.output.parquet import Columns, ParquetSink
 from accelcal_cli.pipeline.applying import Target, applier, write_calibrated
 from accelcal_cli.pipeline.existing import prepare, remove, up_to_date
 from accelcal_cli.pipeline.identity import hashing
 from accelcal_cli.pipeline.plan import Job
-from accelcal_cli.pipeline.profiles import make_procedure, make_segmenter, optimizer_json
+from accelcal_cli.pipeline.profiles import Procedure, make_procedure, make_segmenter, optimizer_json
 from accelcal_cli.pipeline.provenance import provenance
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.survey import survey
@@ -38,66 +40,71 @@ def calibrate(
     with open_recording(path, request.options) as reader:
         if not request.force and (held := up_to_date(job, path, request)) is not None:
             return held
+        return _Run(job, request, progress, reader).run(path)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One calibration of one open recording."""
+
+    job: Job
+    request: Request
+    progress: ProgressMaker
+    reader: Reader
+
+    def run(self, path: Path) -> Result:
+        """Survey, judge, write; `path` is where the bytes are."""
+        settings = self.request.settings
+        procedure = make_procedure(self.reader.recording, settings, named_optimizer(settings.optimizer))
         with hashing(path) as digest:
-            data = _survey(reader, request, progress, digest)
-        data = replace(data, recording=replace(data.recording, path=job.source))
-        return _write(job, reader, data, request, progress)
+            data = self._survey(procedure, digest)
+        data = replace(data, recording=replace(data.recording, path=self.job.source))
+        return self._write(data, integers_json(data, procedure.points()) if self.request.integers else None)
 
-
-def _survey(
-    reader: Reader, request: Request, progress: ProgressMaker, digest: Future[str]
-) -> reports.ReportInput:
-    """First pass: everything the report says but what the second pass counts."""
-    recording, settings = reader.recording, request.settings
-    optimizer = named_optimizer(settings.optimizer)
-    segmenter = make_segmenter(recording, settings)
-    procedure = make_procedure(recording, settings, optimizer)
-    shown = progress("reading", recording.total_bytes)
-    chunks = reader.chunks(request.chunk_samples)
-    facts = survey(recording, chunks, segmenter, procedure, shown)
-    return reports.ReportInput(
-        recording=recording,
-        sha256=digest.result(),
-        facts=facts,
-        settings=request.effective_settings(),
-        judgement=procedure.judge(),
-        windows=procedure.window_use(segmenter.counts),
-        optimizer=optimizer_json(optimizer, settings),
-        clipped_after=None,
-    )
-
-
-def _write(
-    job: Job, reader: Reader, data: reports.ReportInput, request: Request, progress: ProgressMaker
-) -> Result:
-    """Parquet first, the report last: it is the commit mark."""
-    remove(job.report)
-    if data.judgement.calibration is None or request.report_only:
-        remove(job.parquet)
-    else:
-        beyond = _write_parquet(job, reader, data, request, progress)
-        data = replace(data, clipped_after=beyond)
-    report = {**reports.build(data), "provenance": provenance(list(request.command))}
-    write_text(job.report, reports.dumps(report, pretty=True) + "\n")
-    return Result(job, report)
-
-
-def _write_parquet(
-    job: Job, reader: Reader, data: reports.ReportInput, request: Request, progress: ProgressMaker
-) -> int:
-    """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
-    calibration, facts, recording = data.judgement.calibration, data.facts, data.recording
-    assert calibration is not None
-    columns = Columns(facts.has_temperature, facts.has_gyroscope, facts.utc_offset_s is not None)
-    apply = applier(calibration, recording.lsb_per_g)
-    shown = progress("writing", recording.total_bytes)
-    with (
-        replacing(job.parquet) as temporary,
-        ParquetSink(temporary, job.parquet, columns, reports.parquet_metadata(data)) as sink,
-    ):
-        return write_calibrated(
-            recording,
-            reader.chunks(request.chunk_samples),
-            Target(apply, sink, facts.utc_offset_s or 0),
-            shown,
+    def _survey(self, procedure: Procedure, digest: Future[str]) -> reports.ReportInput:
+        """First pass: everything the report says but what the second pass counts."""
+        recording, settings = self.reader.recording, self.request.settings
+        segmenter = make_segmenter(recording, settings)
+        shown = self.progress("reading", recording.total_bytes)
+        chunks = self.reader.chunks(self.request.chunk_samples)
+        facts = survey(recording, chunks, segmenter, procedure, shown)
+        return reports.ReportInput(
+            recording=recording,
+            sha256=digest.result(),
+            facts=facts,
+            settings=self.request.effective_settings(),
+            judgement=procedure.judge(),
+            windows=procedure.window_use(segmenter.counts),
+            optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
+            clipped_after=None,
         )
+
+    def _write(self, data: reports.ReportInput, integers: dict[str, Any] | None) -> Result:
+        """Parquet first, the report last: it is the commit mark."""
+        remove(self.job.report)
+        if data.judgement.calibration is None or self.request.report_only:
+            remove(self.job.parquet)
+        else:
+            data = replace(data, clipped_after=self._write_parquet(data))
+        if integers is None:
+            remove(self.job.integers)
+        else:
+            write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
+        report = {**reports.build(data), "provenance": provenance(list(self.request.command))}
+        write_text(self.job.report, reports.dumps(report, pretty=True) + "\n")
+        return Result(self.job, report)
+
+    def _write_parquet(self, data: reports.ReportInput) -> int:
+        """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
+        calibration, facts, recording = data.judgement.calibration, data.facts, data.recording
+        assert calibration is not None
+        columns = Columns(facts.has_temperature, facts.has_gyroscope, facts.utc_offset_s is not None)
+        apply = applier(calibration, recording.lsb_per_g)
+        shown = self.progress("writing", recording.total_bytes)
+        chunks = self.reader.chunks(self.request.chunk_samples)
+        with (
+            replacing(self.job.parquet) as temporary,
+            ParquetSink(temporary, self.job.parquet, columns, reports.parquet_metadata(data)) as sink,
+        ):
+            target = Target(apply, sink, facts.utc_offset_s or 0)
+            return write_calibrated(recording, chunks, target, shown)

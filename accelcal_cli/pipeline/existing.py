@@ -33,12 +33,13 @@ def prepare(job: Job, *, force: bool) -> None:
     if force:
         return
     refuse_foreign(job.parquet)
-    if job.report.exists() and load(job.report) is None:
-        raise OutputError(
-            "exists and was not written by accelcal",
-            path=job.report,
-            hint="move it away, or use --force to replace it",
-        )
+    for path in (job.report, job.integers):
+        if path.exists() and load(path) is None:
+            raise OutputError(
+                "exists and was not written by accelcal",
+                path=path,
+                hint="move it away, or use --force to replace it",
+            )
 
 
 def up_to_date(job: Job, source: Path, request: Request) -> Result | None:
@@ -50,6 +51,8 @@ def up_to_date(job: Job, source: Path, request: Request) -> Result | None:
         return None
     held = Result(job, report, up_to_date=True)
     if held.has_parquet and not job.parquet.exists():
+        return None
+    if request.integers and report["calibration"] is not None and not job.integers.exists():
         return None
     recorded = report["recording"]
     same = recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source)

@@ -11,6 +11,7 @@ from accelcal_cli.readers import all_formats
 STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
+INTEGERS_SUFFIX = ".integers.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +21,11 @@ class Job:
     source: Path
     parquet: Path
     report: Path
+
+    @property
+    def integers(self) -> Path:
+        """Where the fit's integers go, if they are asked for."""
+        return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + INTEGERS_SUFFIX)
 
 
 def stem(path: Path) -> str:

@@ -26,6 +26,9 @@ class Procedure(Protocol):
     def add(self, windows: Windows) -> None:
         """Take windows in."""
 
+    def points(self) -> PointSet:
+        """The points that are fitted."""
+
     def judge(self) -> Judgement:
         """The verdict on all windows so far."""
 
@@ -89,9 +92,13 @@ class CellProcedure:
         """Take windows in."""
         self.collector.add(windows)
 
+    def points(self) -> PointSet:
+        """One point for each orientation cell."""
+        return self.collector.points()
+
     def judge(self) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.collector.points(), self.settings, self.fit)
+        return judge(self.points(), self.settings, self.fit)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate."""
@@ -111,10 +118,14 @@ class PaperProcedure:
         """Take windows in."""
         self.collector.add(windows)
 
+    def points(self) -> PointSet:
+        """The first set."""
+        return self.collector.fit.points()
+
     def judge(self) -> Judgement:
         """Fit the first set, judge by the second."""
-        first, second = self.collector.fit, self.collector.control
-        return judge_paper(first.points(), second.points(), first.missing(), self.fit)
+        control, missing = self.collector.control, self.collector.fit.missing()
+        return judge_paper(self.points(), control.points(), missing, self.fit)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

@@ -31,6 +31,7 @@ class Request:
 
     Attributes:
         report_only: write no Parquet.
+        integers: also write the fit's points and result as integers.
         force: overwrite what accelcal did not write, and redo what is up to date.
         command: the command line, for the provenance.
     """
@@ -39,6 +40,7 @@ class Request:
     settings: Settings = DEFAULT
     chunk_samples: int = DEFAULT_CHUNK_SAMPLES
     report_only: bool = False
+    integers: bool = False
     force: bool = False
     command: tuple[str, ...] = ()
 

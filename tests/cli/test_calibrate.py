@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from accelcal_cli.core.points import MODELS, PARAMETER_NAMES, PointSet
+from accelcal_cli.optimize import fixed32
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run, run_process
 from tests.recordings import (
@@ -251,3 +253,21 @@ def test_the_true_offsets_are_not_in_the_raw_data(tmp_path: Path, capsys: Captur
     report = report_of(tmp_path / "good.calibration.json")
     assert report["holdout"]["before_mg"]["mean"] > 1000 * np.abs(OFFSET_G).min()
     assert GAIN[1, 0] != 0
+
+
+def test_the_integers_fit_again_to_the_same_bits(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    run(capsys, "calibrate", path)
+    ran = run(capsys, "calibrate", path, "--integers")
+    assert "up to date" not in ran.err
+    held = json.loads((tmp_path / "good.integers.json").read_text())
+    points = PointSet(
+        np.array(held["points"], np.int64),
+        np.array(held["weights"], np.int64),
+        np.ones(len(held["points"]), np.int64),
+    )
+    again = fixed32.fit(points, MODELS[held["model"]])
+    assert dict(zip(PARAMETER_NAMES, again.parameters, strict=True)) == held["parameters"]
+    found = report_of(tmp_path / "good.calibration.json")["calibration"]
+    assert found["fixed_point"]["parameters"] == held["parameters"]
+    assert "up to date" in run(capsys, "calibrate", path, "--integers").err
