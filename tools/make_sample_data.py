@@ -14,7 +14,7 @@ RECORDINGS = (
     (
         "night",
         "hdf5",
-        ["--days", "0.3", "--rate", "25", "--seed", "13", "--temp-slope", "0.8", "-0.5", "0.6"],
+        ["--days", "0.3", "--rate", "25", "--seed", "13", "--temp-slope", *SLOPE_MG_PER_C],
     ),
 )
 

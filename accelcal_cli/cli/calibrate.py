@@ -6,15 +6,16 @@ import contextlib
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import click
 
 from accelcal_cli.cli import exits
 from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
 from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.core.errors import AccelcalError
+from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.names import printable
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.identity import spooled
 from accelcal_cli.pipeline.plan import STDIN, Job, plan
@@ -22,12 +23,12 @@ from accelcal_cli.pipeline.request import Request, Result
 
 
 @click.command("calibrate")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
 @click.option(
-    "-d", "--output-dir", type=click.Path(file_okay=False, path_type=Path), help="Folder of the outputs."
+    "-d", "--output-dir", type=click.Path(path_type=Path, readable=False), help="Folder of the outputs."
 )
 @click.option(
-    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="Name of the Parquet file."
+    "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Name of the Parquet file."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object a line.")
 @click.option("--report-only", is_flag=True, help="Write the report but no Parquet.")
@@ -64,14 +65,15 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _one(job: Job, request: Request, values: dict[str, Any]) -> int:
     """Calibrate one recording and print its result; a failure is said and does not stop the rest."""
+    source = None
     try:
         with contextlib.ExitStack() as stack:
-            source = None
             if job.source == STDIN:
-                source = stack.enter_context(spooled(sys.stdin.buffer))
+                source = stack.enter_context(spooled(_stdin()))
             bars = stack.enter_context(progress_bars(job.source.name, quiet=values["quiet"]))
             result = calibrate(job, request, bars, source)
     except AccelcalError as error:
+        error.path = STDIN if source is not None and error.path == source else error.path
         exits.say(str(error))
         return error.exit_code
     except Exception:
@@ -81,18 +83,24 @@ def _one(job: Job, request: Request, values: dict[str, Any]) -> int:
     return exits.REFUSED if result.outcome is Outcome.REFUSED else exits.OK
 
 
+def _stdin() -> BinaryIO:
+    if sys.stdin is None:
+        raise UsageError("standard input is closed", hint="name a file")
+    return sys.stdin.buffer
+
+
 def line(result: Result) -> str:
     """One recording's result in tab-separated fields; `-` where there is nothing to say."""
     report = result.report
     held, found = report["holdout"], report["calibration"]
     fields = [
-        str(result.job.source),
+        printable(result.job.source),
         report["outcome"],
         "-" if found is None else found["model"],
         "-" if held is None else f"{held['before_mg']['mean']:.3f}",
         "-" if held is None or found is None else f"{held['after_mg']['mean']:.3f}",
         "-" if held is None or found is None else _percent(held["improvement_percent"]),
-        str(result.job.parquet) if result.has_parquet else "-",
+        printable(result.job.parquet) if result.has_parquet else "-",
     ]
     return "\t".join(fields)
 
@@ -105,11 +113,11 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
     """Reasons and warnings, on stderr."""
     report = result.report
     if result.outcome is Outcome.REFUSED:
-        exits.say(f"{result.job.source}: refused: {report['message']}")
+        exits.say(f"{printable(result.job.source)}: refused: {report['message']}")
     if values["quiet"]:
         return
     if result.up_to_date:
-        exits.say(f"{result.job.source}: up to date")
+        exits.say(f"{printable(result.job.source)}: up to date")
     problems = report["file_health"]["problems"]
     for problem in problems if values["verbose"] else problems[:1]:
         more = (
@@ -117,9 +125,9 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
             if values["verbose"] or len(problems) == 1
             else f" (and {len(problems) - 1} more, see the report)"
         )
-        exits.say(f"{result.job.source}: {problem['code']}: {problem['message']}{more}")
+        exits.say(f"{printable(result.job.source)}: {problem['code']}: {problem['message']}{more}")
     if values["verbose"]:
-        exits.say(f"{result.job.source}: {report['message']}")
+        exits.say(f"{printable(result.job.source)}: {report['message']}")
         for trial in report["models_tried"]:
             found = trial["reason"] if trial["after_mg"] is None else f"{trial['after_mg']:.3f} mg held out"
-            exits.say(f"{result.job.source}: model {trial['model']}: {found}")
+            exits.say(f"{printable(result.job.source)}: model {trial['model']}: {found}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import sys
@@ -13,7 +14,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError
+from accelcal_cli.core.errors import AccelcalError, OutputError
 
 OK = 0
 SOME_FAILED = 1
@@ -34,7 +35,8 @@ def run_safely(command: Callable[[], Any]) -> int:
     _watch_signals()
     try:
         code = command()
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except click.ClickException as error:
         error.show()
         code = error.exit_code
@@ -47,14 +49,26 @@ def run_safely(command: Callable[[], Any]) -> int:
     except BrokenPipeError:
         _silence_stdout()
         code = SOME_FAILED
+    except OSError as error:
+        code = _output_failed(error)
     except Exception:
         code = report_bug()
     return code if isinstance(code, int) else OK
 
 
+def _output_failed(error: OSError) -> int:
+    """A write that failed outside the outputs is one to standard output; all else is a bug."""
+    if error.errno not in (errno.ENOSPC, errno.EIO, errno.EDQUOT) or error.filename is not None:
+        return report_bug()
+    say(f"standard output cannot be written ({error.strerror})")
+    _silence_stdout()
+    return OutputError.exit_code
+
+
 def say(message: str) -> None:
     """One line on stderr."""
-    click.echo(f"accelcal: {message}", err=True)
+    if sys.stderr is not None:
+        click.echo(f"accelcal: {message}", err=True)
 
 
 def report_bug() -> int:

@@ -15,7 +15,7 @@ from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 
 
 @click.command("inspect")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
 @click.option("--full", is_flag=True, help="Read everything, not only pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object a line.")
 @reading_options
@@ -48,11 +48,11 @@ def text(seen: Inspection, shown: dict[str, Any]) -> str:
     device = " ".join(value for value in about["device"].values() if value) or "unknown"
     scope = "all of it" if seen.whole else f"{seen.facts.samples} samples in pieces"
     lines = [
-        str(about["path"]),
+        about["path"],
         f"  format       {about['format']}, {about['bytes']} bytes",
         f"  device       {device}",
         f"  rate         {about['sample_rate_hz']:g} Hz{_measured(seen)}",
-        f"  scale        {about['lsb_per_g']:g} counts per g{_range(about['range_g'])}",
+        f"  scale        {about['lsb_per_g']:.10g} counts per g{_range(about['range_g'])}",
         f"  start        {about['start_time'] or 'unknown'}{_zone(about['timezone'])}",
         f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
         f"  also holds   {_extras(about)}",

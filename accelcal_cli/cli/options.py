@@ -9,12 +9,32 @@ from typing import Any, TypeVar
 
 import click
 
+from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import PROFILES, Settings
 from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+class Positive(click.ParamType[float]):
+    """A finite number above zero, at most `largest`."""
+
+    name = "number"
+
+    def __init__(self, largest: float = 1e9) -> None:
+        self.largest = largest
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse and check."""
+        try:
+            number = float(value)
+        except ValueError:
+            self.fail(f"{value!r} is not a number", param, ctx)
+        if not 0 < number <= self.largest:
+            self.fail(f"{value} is not between 0 and {self.largest:g}", param, ctx)
+        return number
 
 
 class ColumnNames(click.ParamType[tuple[str, str, str]]):
@@ -38,19 +58,15 @@ _READING = [
     click.option(
         "--format", "format_name", metavar="NAME", help="Format of the recording, if not by content."
     ),
-    click.option(
-        "--rate", "rate_hz", type=click.FloatRange(0, min_open=True), metavar="HZ", help="Sampling rate."
-    ),
+    click.option("--rate", "rate_hz", type=Positive(1e5), metavar="HZ", help="Sampling rate."),
     click.option("--unit", type=click.Choice(["g", "mg", "m/s2", "counts"]), help="Unit of the raw values."),
-    click.option(
-        "--lsb-per-g", type=click.FloatRange(0, min_open=True), metavar="N", help="Counts in one g."
-    ),
+    click.option("--lsb-per-g", type=Positive(), metavar="N", help="Counts in one g."),
     click.option("--columns", type=ColumnNames(), help="Columns of x, y, z: names, or numbers from 0."),
     click.option("--time-column", metavar="NAME", help="Column of the times."),
     click.option("--timezone", metavar="ZONE", help="Zone of the device's clock, such as Europe/Berlin."),
     click.option(
         "--layout",
-        type=click.Path(exists=True, dir_okay=False, path_type=Path),
+        type=click.Path(path_type=Path, readable=False),
         help="Layout file (TOML) of a raw dump.",
     ),
     click.option("--sensor", metavar="NAME", help="Which sensor of a file with several."),
@@ -71,12 +87,10 @@ _METHOD = [
         help="Parameters to fit; auto lets held-out error decide.  [default: auto]",
     ),
     click.option("--no-temperature", is_flag=True, help="Do not use the recording's temperature."),
-    click.option(
-        "--segment-seconds", type=click.FloatRange(0, min_open=True), help="Length of a window.  [default: 5]"
-    ),
+    click.option("--segment-seconds", type=Positive(3600), help="Length of a window.  [default: 5]"),
     click.option(
         "--stillness-threshold-g",
-        type=click.FloatRange(0, min_open=True),
+        type=Positive(4),
         help="Largest max - min of a still window.  [default: 0.12]",
     ),
 ]
@@ -120,11 +134,19 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
 
 
 def settings(values: dict[str, Any]) -> Settings:
-    """The profile's settings with what the user changed."""
+    """The profile's settings with what the user changed.
+
+    Raises:
+        UsageError: the profile has no such model.
+    """
     changed = {
         name: values[name]
         for name in ("optimizer", "model", "segment_seconds", "stillness_threshold_g")
         if values[name] is not None
     }
+    if values["profile"] == "paper" and changed.get("model", "9") not in ("auto", "9"):
+        raise UsageError(
+            "profile paper fits nine parameters", hint="leave --model out, or use profile default"
+        )
     chosen = replace(PROFILES[values["profile"]], **changed)
     return replace(chosen, temperature=False) if values["no_temperature"] else chosen

@@ -12,7 +12,7 @@ from accelcal_cli.pipeline.request import Progress, ProgressMaker, no_progress
 @contextlib.contextmanager
 def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[ProgressMaker]:
     """A maker of bars for the stages of one recording; each replaces the one before."""
-    if quiet or not sys.stderr.isatty():
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
         yield no_progress
         return
     from tqdm import tqdm

@@ -9,6 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
+from accelcal_cli.cli.options import Positive
 from accelcal_cli.cli.progress import progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.encode import all_encoders
@@ -18,11 +19,11 @@ from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
 
 
 @click.command("simulate")
-@click.argument("out", type=click.Path(path_type=Path))
+@click.argument("out", type=click.Path(path_type=Path, readable=False))
 @click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv or hdf5.")  # fmt: skip
-@click.option("--days", type=click.FloatRange(0, min_open=True), default=1.0, show_default=True)
-@click.option("--rate", "rate_hz", type=click.FloatRange(0, min_open=True), default=100.0, show_default=True)
+@click.option("--days", type=Positive(), default=1.0, show_default=True)
+@click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of movement and noise.")
 @click.option("--truth", type=click.IntRange(0), help="Seed of the sensor's errors.  [default: --seed]")
 @click.option(

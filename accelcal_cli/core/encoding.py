@@ -10,6 +10,14 @@ from accelcal_cli.core.recording import Chunk, Recording
 
 
 @dataclass(frozen=True, slots=True)
+class Companion:
+    """A text file beside a recording: what its name ends with, and its text."""
+
+    suffix: str
+    text: Callable[[Recording], str]
+
+
+@dataclass(frozen=True, slots=True)
 class Encoder:
     """Writes recordings of one format.
 
@@ -17,11 +25,11 @@ class Encoder:
         name: the format's name, as in `--format`; a reader of that name reads it back.
         suffix: what the file name ends with.
         write: writes all chunks to a path that the caller chose (temporary; the caller renames).
-        companion: suffix and text of a file that must lie beside the recording, such as a
-            layout; None where the recording stands alone.
+        companion: a file that must lie beside the recording, such as a layout; None where the
+            recording stands alone.
     """
 
     name: str
     suffix: str
     write: Callable[[Path, Recording, Iterable[Chunk]], None]
-    companion: Callable[[Recording], tuple[str, str]] | None = None
+    companion: Companion | None = None

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from accelcal_cli.core.names import printable
+
 
 class AccelcalError(Exception):
     """An error with a place and a remedy, shown as one line.
@@ -35,7 +37,7 @@ class AccelcalError(Exception):
         self.hint = hint
 
     def __str__(self) -> str:
-        where = [] if self.path is None else [str(self.path)]
+        where = [] if self.path is None else [printable(self.path)]
         if self.line is not None:
             where.append(f"line {self.line}")
         if self.byte_offset is not None:
@@ -54,12 +56,6 @@ class UnreadableError(AccelcalError):
     """The recording cannot be read, or its format is not supported."""
 
     exit_code = 3
-
-
-class RefusedError(AccelcalError):
-    """The recording was read but cannot support a calibration."""
-
-    exit_code = 4
 
 
 class OutputError(AccelcalError):

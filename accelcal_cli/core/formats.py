@@ -8,11 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.recording import Reader
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
+RATE_AGREEMENT = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +36,23 @@ class ReadOptions:
     timezone: str | None = None
     layout: Path | None = None
     sensor: str | None = None
+
+
+def agreed_rate(options: ReadOptions, told_hz: float, path: Path) -> float:
+    """The rate that a recording tells of itself, or the user's where it is about the same.
+
+    Raises:
+        UsageError: the two contradict each other; the file's own times would become gaps.
+    """
+    if options.rate_hz is None:
+        return told_hz
+    if abs(options.rate_hz - told_hz) > RATE_AGREEMENT * told_hz:
+        raise UsageError(
+            f"the recording was made at {told_hz:g} Hz, not {options.rate_hz:g}",
+            path=path,
+            hint="leave --rate out: this format says its rate itself",
+        )
+    return options.rate_hz
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +90,7 @@ class Format:
         suffixes: usual lower-case suffixes, with the dot; only a hint.
         sniff: confidence 0..100 that the probed file is of this format. 0: certainly not;
             100: a magic number or signature matches. Never raises.
+        ignores: reading options that mean nothing to it, such as `columns`.
         open: opens it. Raises UnreadableError with a place and a hint, UsageError where an
             option is needed.
     """
@@ -81,6 +100,7 @@ class Format:
     suffixes: tuple[str, ...]
     sniff: Callable[[Probe], int]
     open: Callable[[Path, ReadOptions], Reader]
+    ignores: tuple[str, ...] = ()
 
 
 def probe_file(path: Path, options: ReadOptions) -> Probe:

@@ -57,6 +57,8 @@ class Recording:
         samples: number of samples, None where only reading everything would tell.
         duration_s: length from headers and first and last pages, None where unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
+        companion: a file beside the recording that says how to read it, such as a layout.
+        notes: what a user should know of how the file was understood.
     """
 
     path: Path
@@ -72,6 +74,7 @@ class Recording:
     duration_s: float | None = None
     has_temperature: bool = False
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
+    companion: Path | None = None
     notes: tuple[str, ...] = ()
 
 

@@ -59,7 +59,6 @@ DEFAULT = Settings()
 PAPER = replace(
     DEFAULT,
     profile="paper",
-    model="9",
     temperature=False,
     stillness_deviation_g=None,
     stillness_axes=(0,),

@@ -13,6 +13,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from accelcal_cli.core.errors import UsageError
 
 _EPOCH = datetime(1970, 1, 1)
+WIDEST_OFFSET_H = 14
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
 
 
@@ -20,7 +21,8 @@ def utc_offset_s(zone: str | None, start_us: int) -> int | None:
     """Seconds that a clock of this zone was ahead of UTC at `start_us`; None for no zone.
 
     Args:
-        zone: an IANA name such as Europe/Berlin, `UTC`, or a fixed offset such as +01:00.
+        zone: an IANA name of a region and place, such as Europe/Berlin; `UTC`; or a fixed offset
+            such as +01:00.
         start_us: local time of the first sample, microseconds since 1970.
 
     Raises:
@@ -31,10 +33,12 @@ def utc_offset_s(zone: str | None, start_us: int) -> int | None:
     if zone.upper() in ("UTC", "GMT", "Z"):
         return 0
     fixed = _FIXED.fullmatch(zone)
-    if fixed is not None:
+    if fixed is not None and int(fixed[2]) <= WIDEST_OFFSET_H and int(fixed[3] or 0) < 60:
         seconds = int(fixed[2]) * 3600 + int(fixed[3] or 0) * 60
         return -seconds if fixed[1] == "-" else seconds
     try:
+        if "/" not in zone:
+            raise ZoneInfoNotFoundError(zone)
         local = (_EPOCH + timedelta(microseconds=start_us)).replace(tzinfo=ZoneInfo(zone))
     except (ZoneInfoNotFoundError, ValueError, OSError) as error:
         raise UsageError(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import h5py
 import numpy as np
@@ -30,16 +31,64 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
         OutputError: the file cannot be written.
     """
     try:
-        with h5py.File(path, "w", libver=FILE_VERSIONS) as file:
-            writer = _Writer(file, recording)
-            for chunk in chunks:
-                writer.append(chunk)
+        with path.open("wb+") as plain:
+            target = _Target(plain)
+            with h5py.File(target, "w", libver=FILE_VERSIONS) as file:
+                writer = _Writer(file, recording)
+                for chunk in chunks:
+                    writer.append(chunk)
+                    target.raise_failure()
+            target.raise_failure()
     except (OSError, RuntimeError) as error:
         raise OutputError(
             f"cannot be written ({' '.join(str(error).split())[:200]})",
             path=path,
             hint="check the free space and the permissions",
         ) from error
+
+
+class _Target(io.RawIOBase):
+    """A file whose failed writes are kept until they are asked for: HDF5 would not survive them."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._failure: OSError | None = None
+
+    def raise_failure(self) -> None:
+        """Raise the first failed write, if there was one."""
+        if self._failure is not None:
+            raise self._failure
+
+    def readinto(self, buffer: Any) -> int:
+        """Read, for HDF5's own use."""
+        data = self._file.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
+
+    def write(self, data: Any) -> int:
+        """Write, or keep the failure."""
+        try:
+            self._file.write(data)
+            self._file.flush()
+        except OSError as error:
+            self._failure = self._failure or error
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a byte."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """The current byte."""
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the file's size, or keep the failure."""
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._failure = self._failure or error
+            return size or 0
 
 
 class _Writer:

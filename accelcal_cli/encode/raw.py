@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.encoding import Encoder
+from accelcal_cli.core.encoding import Companion, Encoder
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.recording import Chunk, Recording
 
@@ -123,9 +123,4 @@ def toml(value: float | str) -> str:
     return json.dumps(value) if isinstance(value, str) else repr(float(value))
 
 
-def companion(recording: Recording) -> tuple[str, str]:
-    """Suffix and text of the layout file beside the dump."""
-    return LAYOUT_SUFFIX, layout_text(recording)
-
-
-ENCODER = Encoder("raw", SUFFIX, write, companion)
+ENCODER = Encoder("raw", SUFFIX, write, Companion(LAYOUT_SUFFIX, layout_text))

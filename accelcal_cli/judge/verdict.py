@@ -20,19 +20,22 @@ from accelcal_cli.judge.uncertainty import uncertainty
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
+FEWEST_CONTROL_POINTS = 2
 LONGER = "record longer, with more turns of the wrist"
+NO_STILLNESS = f"no still window was found; {LONGER}"
 
 
-def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
+def judge(points: PointSet, settings: Settings, fit: FitFunction, why_none: str = NO_STILLNESS) -> Judgement:
     """Choose a model by posture-blocked held-out error, fit it to all points, and say so.
 
     Args:
         points: calibration points of one recording.
         fit: (points, model) -> Fit, the optimizer.
+        why_none: the reason, where there are no points.
     """
     seen = coverage_of(points)
     if not len(points):
-        return Judgement(Outcome.REFUSED, f"no still window was found; {LONGER}", seen, ())
+        return Judgement(Outcome.REFUSED, why_none, seen, ())
     label = postures(points, settings.posture_degrees)
     number = int(label.max()) + 1
     if number < settings.min_postures:
@@ -53,24 +56,26 @@ def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
 
 
 def judge_paper(
-    fit_points: PointSet, control_points: PointSet, missing: list[str], fit: FitFunction
+    fit_points: PointSet, control_points: PointSet, missing: list[str], settings: Settings, fit: FitFunction
 ) -> Judgement:
     """F's procedure: nine parameters from the full first set, judged on the second (eq. 21)."""
     seen = coverage_of(fit_points)
     if missing:
         text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
         return Judgement(Outcome.REFUSED, f"{text}, profile default does not", seen, ())
-    if not len(control_points):
-        return Judgement(Outcome.REFUSED, f"no control points are left to judge by; {LONGER}", seen, ())
+    if len(control_points) < FEWEST_CONTROL_POINTS:
+        left = _counted(len(control_points), "control point")
+        return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", seen, ())
     try:
         found = fit(fit_points, MODELS["9"])
     except FixedPointOverflowError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, ())
-    held = control(control_points, found.parameters)
-    label = np.arange(len(fit_points), dtype=np.int64)
-    text = f"nine parameters from {len(fit_points)} points: {_change(held)} on {held.points} control points"
-    verdict = Judgement(Outcome.CALIBRATED, text, seen, (Trial("9", held, None),), holdout=held)
-    return _complete(verdict, fit_points, label, Trial("9", held, None), found)
+    trial = Trial("9", control(control_points, found.parameters), None)
+    outcome, text = _outcome(trial, (trial,), seen, settings)
+    verdict = Judgement(outcome, text, seen, (trial,), holdout=trial.holdout)
+    if outcome is Outcome.REFUSED:
+        return verdict
+    return _complete(verdict, fit_points, np.arange(len(fit_points), dtype=np.int64), trial, found)
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
@@ -91,18 +96,18 @@ def _outcome(
     if chosen.model == "0":
         return _no_model(held, seen, settings)
     if held.after.mean >= settings.max_error_mg:
-        text = f"the best model ({chosen.model}) leaves {held.after.mean:.1f} mg on postures it did not see"
+        text = f"the best model ({chosen.model}) leaves {held.after.mean:.1f} mg on {_unseen(held)}"
         return (
             Outcome.REFUSED,
             f"{text}, {settings.max_error_mg:g} mg is the limit; {_advice(seen, settings)}",
         )
-    if settings.model != "auto" and held.after.mean >= held.before.mean:
+    insisted = settings.model != "auto"
+    if insisted and held.after.mean >= held.before.mean:
         return Outcome.REFUSED, f"model {chosen.model} as asked for does not improve: {_change(held)}"
-    asked = "" if settings.model == "auto" else " as asked for"
-    text = f"model {chosen.model}{asked}: {_change(held)} on postures it did not see"
+    text = f"model {chosen.model}{' as asked for' if insisted else ''}: {_change(held)} on {_unseen(held)}"
     if chosen.model in FULL_MODELS:
         return Outcome.CALIBRATED, text
-    return Outcome.REDUCED_MODEL, text + _why_reduced(trials)
+    return Outcome.REDUCED_MODEL, text if insisted else text + _why_reduced(chosen, trials)
 
 
 def _no_model(held: Holdout, seen: Coverage, settings: Settings) -> tuple[Outcome, str]:
@@ -112,9 +117,14 @@ def _no_model(held: Holdout, seen: Coverage, settings: Settings) -> tuple[Outcom
     return Outcome.REFUSED, f"{text}; {_advice(seen, settings)}"
 
 
-def _why_reduced(trials: tuple[Trial, ...]) -> str:
+def _why_reduced(chosen: Trial, trials: tuple[Trial, ...]) -> str:
+    omitted = "scale and misalignment are" if chosen.model.startswith("3") else "misalignment is"
     reason = next((trial.reason for trial in trials if trial.model == "9" and trial.reason), None)
-    return f"; misalignment is left out: {reason or 'it does not lower the held-out error'}"
+    return f"; {omitted} left out: {reason or 'the held-out error is no lower with it'}"
+
+
+def _unseen(held: Holdout) -> str:
+    return "control points" if held.method.startswith("control") else "postures it did not see"
 
 
 def _advice(seen: Coverage, settings: Settings) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import platform
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,8 +44,11 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def _beside(path: Path) -> Path:
+    host = platform.node() or "host"
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        _sweep(path, host)
+        prefix = f".{path.name}.{host}.{os.getpid()}."
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
     except OSError as error:
         raise output_error(error, path) from error
     os.close(handle)
@@ -53,6 +57,32 @@ def _beside(path: Path) -> Path:
     os.umask(mask)
     temporary.chmod(0o666 & ~mask)
     return temporary
+
+
+def _sweep(path: Path, host: str) -> None:
+    """Remove temporaries of this file whose process on this machine was killed."""
+    if os.name != "posix":
+        return
+    start = f".{path.name}.{host}."
+    for left in path.parent.iterdir():
+        owner = left.name.removeprefix(start).split(".")[0]
+        if (
+            left.name.startswith(start)
+            and left.suffix == ".tmp"
+            and owner.isdigit()
+            and not _runs(int(owner))
+        ):
+            left.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def _flush(path: Path) -> None:

@@ -6,6 +6,7 @@ so that the file's bytes do not either.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,6 +106,19 @@ class ParquetSink:
         except OSError as error:
             raise output_error(error, self.shown) from error
 
+    def close(self) -> None:
+        """Write what is left, and the footer; without it the file is not complete.
+
+        Raises:
+            OutputError: the disk is full, or fails.
+        """
+        if self._rows:
+            self._flush()
+        try:
+            self._writer.close()
+        except OSError as error:
+            raise output_error(error, self.shown) from error
+
     def __enter__(self) -> Self:
         return self
 
@@ -114,27 +128,32 @@ class ParquetSink:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        try:
-            if kind is None and self._rows:
-                self._flush()
+        with contextlib.suppress(OSError):
             self._writer.close()
-        except OSError as failed:
-            if kind is None:
-                raise output_error(failed, self.shown) from failed
+
+
+def metadata_of(path: Path) -> dict[str, Any]:
+    """What a Parquet file of ours says of itself; empty for any other file, or none."""
+    try:
+        held = (pq.read_schema(path).metadata or {}).get(METADATA_KEY, b"{}")
+        metadata = json.loads(held)
+    except (OSError, ValueError, pa.ArrowException):
+        return {}
+    return metadata if isinstance(metadata, dict) else {}
 
 
 def written_by_us(path: Path) -> bool:
-    """Whether an existing Parquet file carries our metadata."""
-    try:
-        metadata = pq.read_schema(path).metadata or {}
-    except (OSError, pa.ArrowException):
-        return False
-    return METADATA_KEY in metadata
+    """Whether a Parquet file carries our metadata."""
+    return bool(metadata_of(path))
 
 
 def refuse_foreign(path: Path) -> None:
     """Raise OutputError if a Parquet file exists that accelcal did not write."""
-    if path.exists() and not written_by_us(path):
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise output_error(error, path) from error
+    if there and not written_by_us(path):
         raise OutputError(
             "exists and was not written by accelcal",
             path=path,

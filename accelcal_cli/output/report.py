@@ -14,6 +14,7 @@ from accelcal_cli import __version__
 from accelcal_cli.core.facts import Facts, Gap
 from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.judgement import Coverage, ErrorSummary, Holdout, Judgement, Trial
+from accelcal_cli.core.names import printable
 from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit
 from accelcal_cli.core.recording import Problem, Recording, as_json_device
 from accelcal_cli.core.zones import iso_time
@@ -83,7 +84,7 @@ def recording_json(recording: Recording, sha256: str, facts: Facts) -> dict[str,
     start = facts.first_us if recording.start_us is None else recording.start_us
     known = not any(problem.code == "no_start_time" for problem in facts.problems)
     return {
-        "path": str(recording.path),
+        "path": printable(recording.path),
         "sha256": sha256,
         "bytes": recording.total_bytes,
         "format": recording.format,

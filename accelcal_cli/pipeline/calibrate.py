@@ -14,7 +14,7 @@ from accelcal_cli.output.atomic import replacing, write_text
 from accelcal_cli.output.integers import integers_json
 from accelcal_cli.output.parquet import Columns, ParquetSink
 from accelcal_cli.pipeline.applying import Target, applier, write_calibrated
-from accelcal_cli.pipeline.existing import prepare, remove, up_to_date
+from accelcal_cli.pipeline.existing import prepare, remove, remove_stale_parquet, up_to_date
 from accelcal_cli.pipeline.identity import hashing
 from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.profiles import Procedure, make_procedure, make_segmenter, optimizer_json
@@ -36,9 +36,9 @@ def calibrate(
         AccelcalError: it cannot be read, or its outputs cannot be written.
     """
     path = source or job.source
-    prepare(job, force=request.force)
     with open_recording(path, request.options) as reader:
-        if not request.force and (held := up_to_date(job, path, request)) is not None:
+        prepare(job, force=request.force)
+        if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
             return held
         return _Run(job, request, progress, reader).run(path)
 
@@ -72,7 +72,7 @@ class _Run:
             recording=recording,
             sha256=digest.result(),
             facts=facts,
-            settings=self.request.effective_settings(),
+            settings=self.request.effective_settings(recording.companion),
             judgement=procedure.judge(),
             windows=procedure.window_use(segmenter.counts),
             optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
@@ -80,10 +80,12 @@ class _Run:
         )
 
     def _write(self, data: reports.ReportInput, integers: dict[str, Any] | None) -> Result:
-        """Parquet first, the report last: it is the commit mark."""
-        remove(self.job.report)
+        """Parquet first, the report last: it is the commit mark.
+
+        The report of an earlier result is removed only when the new Parquet is complete.
+        """
         if data.judgement.calibration is None or self.request.report_only:
-            remove(self.job.parquet)
+            remove_stale_parquet(self.job.parquet, reports.parquet_metadata(data))
         else:
             data = replace(data, clipped_after=self._write_parquet(data))
         if integers is None:
@@ -107,4 +109,7 @@ class _Run:
             ParquetSink(temporary, self.job.parquet, columns, reports.parquet_metadata(data)) as sink,
         ):
             target = Target(apply, sink, facts.utc_offset_s or 0)
-            return write_calibrated(recording, chunks, target, shown)
+            beyond = write_calibrated(recording, chunks, target, shown)
+            sink.close()
+            remove(self.job.report)
+            return beyond

@@ -8,10 +8,13 @@ from typing import Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.output.parquet import refuse_foreign
+from accelcal_cli.core.names import printable
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.output.atomic import output_error
+from accelcal_cli.output.parquet import metadata_of, refuse_foreign, written_by_us
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline.identity import sha256
-from accelcal_cli.pipeline.plan import Job
+from accelcal_cli.pipeline.plan import Job, real
 from accelcal_cli.pipeline.request import Request, Result
 
 
@@ -34,7 +37,7 @@ def prepare(job: Job, *, force: bool) -> None:
         return
     refuse_foreign(job.parquet)
     for path in (job.report, job.integers):
-        if path.exists() and load(path) is None:
+        if exists(path) and load(path) is None:
             raise OutputError(
                 "exists and was not written by accelcal",
                 path=path,
@@ -42,26 +45,67 @@ def prepare(job: Job, *, force: bool) -> None:
             )
 
 
-def up_to_date(job: Job, source: Path, request: Request) -> Result | None:
-    """The existing result if it stands for this input, these settings and this version."""
-    report = load(job.report) if job.report.exists() else None
+def exists(path: Path) -> bool:
+    """Whether an output is there already.
+
+    Raises:
+        OutputError: its name cannot be one.
+    """
+    try:
+        return path.exists()
+    except OSError as error:
+        raise output_error(error, path) from error
+
+
+def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
+    """The existing result if it stands for this input, these settings and this version.
+
+    Raises:
+        OutputError: the outputs are those of another recording.
+    """
+    report = load(job.report) if exists(job.report) else None
+    if report is not None:
+        _refuse_other(job, source, report)
     if report is None or report.get("accelcal_version") != __version__:
         return None
-    if report.get("settings") != as_stored(request.effective_settings()):
+    if report.get("settings") != as_stored(request.effective_settings(recording.companion)):
         return None
     held = Result(job, report, up_to_date=True)
-    if held.has_parquet and not job.parquet.exists():
+    if held.has_parquet and held.report["recording"] != metadata_of(job.parquet).get("recording"):
         return None
-    if request.integers and report["calibration"] is not None and not job.integers.exists():
+    if request.integers and report["calibration"] is not None and not exists(job.integers):
         return None
     recorded = report["recording"]
     same = recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source)
     return held if same else None
 
 
+def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
+    """Raise OutputError if a report stands for another recording, neither moved nor changed."""
+    recorded = report["recording"]
+    if real(Path(recorded["path"])) in {real(Path(printable(path))) for path in (job.source, source)}:
+        return
+    if recorded["sha256"] != sha256(source):
+        raise OutputError(
+            f"is the report of another recording ({recorded['path']})",
+            path=job.report,
+            hint="choose another folder with -d, a name with -o, or use --force to replace it",
+        )
+
+
 def as_stored(value: dict[str, Any]) -> Any:
     """A value as it comes back from JSON."""
     return json.loads(json.dumps(value))
+
+
+def remove_stale_parquet(path: Path, metadata: dict[str, Any]) -> None:
+    """Remove a Parquet file of ours that was not made by this calibration; leave foreign files.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    if written_by_us(path) and metadata_of(path) != as_stored(metadata):
+        remove(path)
 
 
 def remove(path: Path) -> None:

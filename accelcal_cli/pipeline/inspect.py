@@ -13,6 +13,7 @@ from accelcal_cli import __version__
 from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Judgement
+from accelcal_cli.core.names import printable
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts
@@ -72,14 +73,14 @@ def as_json(seen: Inspection) -> dict[str, Any]:
     return {
         "accelcal_version": __version__,
         "recording": {
-            "path": str(recording.path),
+            "path": printable(recording.path),
             "bytes": recording.total_bytes,
             "format": recording.format,
             "device": as_json_device(recording.device),
             "sample_rate_hz": recording.rate_hz,
             "lsb_per_g": recording.lsb_per_g,
             "range_g": recording.range_g,
-            "start_time": iso_time(start_us(seen), facts.utc_offset_s),
+            "start_time": iso_time(recording.start_us, facts.utc_offset_s),
             "timezone": recording.timezone,
             "samples": facts.samples if seen.whole else recording.samples,
             "duration_s": duration_s(seen),
@@ -106,13 +107,6 @@ def as_json(seen: Inspection) -> dict[str, Any]:
             "holdout": None if guess.holdout is None else holdout_json(guess.holdout),
         },
     }
-
-
-def start_us(seen: Inspection) -> int | None:
-    """Time of the first sample, None where the file has none."""
-    if any(problem.code == "no_start_time" for problem in seen.facts.problems):
-        return None
-    return seen.recording.start_us if seen.recording.start_us is not None else seen.facts.first_us
 
 
 def duration_s(seen: Inspection) -> float | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,6 +27,11 @@ class Job:
     def integers(self) -> Path:
         """Where the fit's integers go, if they are asked for."""
         return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + INTEGERS_SUFFIX)
+
+
+def real(path: Path) -> Path:
+    """The absolute path without links; a loop of links stays as it is."""
+    return Path(os.path.realpath(path))
 
 
 def stem(path: Path) -> str:
@@ -66,12 +72,12 @@ def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
 def _refuse_collisions(jobs: list[Job]) -> None:
     owners: dict[Path, Path] = {}
     for job in jobs:
-        target = job.report.resolve()
+        target = real(job.report)
         if target in owners:
             raise UsageError(
                 f"{owners[target]} and {job.source} would both write {job.report}",
                 hint="calibrate them separately with -d, or rename one",
             )
         owners[target] = job.source
-        if job.source != STDIN and job.source.resolve() in (target, job.parquet.resolve()):
+        if job.source != STDIN and real(job.source) in (target, real(job.parquet)):
             raise UsageError(f"{job.source} would be overwritten by its own output", hint="use -o or -d")

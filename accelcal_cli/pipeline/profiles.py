@@ -14,7 +14,7 @@ from accelcal_cli.core.points import Fit, Model, Optimizer, PointSet
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts, Windows
-from accelcal_cli.judge.verdict import judge, judge_paper
+from accelcal_cli.judge.verdict import NO_STILLNESS, judge, judge_paper
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.segment.rules import still_rule
 from accelcal_cli.segment.segmenter import Segmenter
@@ -41,7 +41,7 @@ def make_procedure(recording: Recording, settings: Settings, optimizer: Optimize
     fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
     length = window_length(recording, settings)
     if settings.profile == "paper":
-        return PaperProcedure(PaperCollector(length, recording.lsb_per_g, settings), fit)
+        return PaperProcedure(PaperCollector(length, recording.lsb_per_g, settings), settings, fit)
     warm = settings.temperature and recording.has_temperature
     return CellProcedure(
         CellCollector(length, recording.lsb_per_g, settings, temperature=warm), settings, fit
@@ -98,7 +98,16 @@ class CellProcedure:
 
     def judge(self) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.points(), self.settings, self.fit)
+        return judge(self.points(), self.settings, self.fit, self._why_none())
+
+    def _why_none(self) -> str:
+        """Why there are no points, if there are none."""
+        counts = self.collector.counts()
+        if counts.implausible:
+            return "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
+        if counts.constant:
+            return "still windows hold nothing but constant values: the device did not measure"
+        return NO_STILLNESS
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate."""
@@ -110,8 +119,11 @@ class CellProcedure:
 class PaperProcedure:
     """Profile `paper`: F's nine subsets, nine parameters, control points."""
 
-    def __init__(self, collector: PaperCollector, fit: Callable[[PointSet, Model], Fit]) -> None:
+    def __init__(
+        self, collector: PaperCollector, settings: Settings, fit: Callable[[PointSet, Model], Fit]
+    ) -> None:
         self.collector = collector
+        self.settings = settings
         self.fit = fit
 
     def add(self, windows: Windows) -> None:
@@ -125,7 +137,7 @@ class PaperProcedure:
     def judge(self) -> Judgement:
         """Fit the first set, judge by the second."""
         control, missing = self.collector.control, self.collector.fit.missing()
-        return judge_paper(self.points(), control.points(), missing, self.fit)
+        return judge_paper(self.points(), control.points(), missing, self.settings, self.fit)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+from accelcal_cli.core.names import printable
+
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 
 
@@ -20,7 +22,7 @@ def provenance(command: list[str]) -> dict[str, Any]:
         except PackageNotFoundError:
             continue
     return {
-        "command": command,
+        "command": [printable(word) for word in command],
         "versions": versions,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": platform.node(),

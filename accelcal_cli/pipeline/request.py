@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.plan import Job
 
 DEFAULT_CHUNK_SAMPLES = 1 << 17
@@ -44,10 +46,15 @@ class Request:
     force: bool = False
     command: tuple[str, ...] = ()
 
-    def effective_settings(self) -> dict[str, Any]:
-        """The report's `settings`: all that decides the result besides the recording."""
+    def effective_settings(self, companion: Path | None) -> dict[str, Any]:
+        """The report's `settings`: all that decides the result besides the recording.
+
+        Args:
+            companion: the file that says how to read the recording; its content counts.
+        """
         options = asdict(self.options)
-        options["layout"] = None if self.options.layout is None else self.options.layout.name
+        options["layout"] = None if companion is None else companion.name
+        options["layout_sha256"] = None if companion is None else sha256(companion)
         options["columns"] = None if self.options.columns is None else list(self.options.columns)
         return {**self.settings.as_json(), "report_only": self.report_only, "input": options}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import pkgutil
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -57,4 +58,11 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     Raises:
         UnreadableError, UsageError: see `find_format` and the format's own `open`.
     """
-    return find_format(path, options).open(path, options)
+    item = find_format(path, options)
+    reader = item.open(path, options)
+    unused = [name for name in item.ignores if getattr(options, name) is not None]
+    if unused:
+        words = ", ".join("--" + name.replace("_", "-") for name in unused)
+        note = f"{words}: means nothing for format {item.name} and was not used"
+        reader.recording = replace(reader.recording, notes=(*reader.recording.notes, note))
+    return reader

@@ -12,6 +12,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
 
 GZIP_STEP = 1 << 13
+CHECKSUM_WORDS = "CRC check failed"
 
 
 class ByteSource:
@@ -33,6 +34,7 @@ class ByteSource:
         """
         self.path = path
         self.broken = False
+        self._untrue = False
         self._ahead = b""
         try:
             self._file = path.open("rb")
@@ -50,8 +52,9 @@ class ByteSource:
         """
         try:
             return self._file.read1(count) if self._gzip is None else self._step(self._gzip, count)
-        except (EOFError, zlib.error, gzip.BadGzipFile):
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             self.broken = True
+            self._untrue = CHECKSUM_WORDS in str(error)
             return b""
         except OSError as error:
             raise self._unreadable(error) from error
@@ -67,6 +70,20 @@ class ByteSource:
             parts.append(part)
             count -= len(part)
         return b"".join(parts)
+
+    def refuse_wrong_checksum(self) -> None:
+        """For data without checksums of their own: what was unpacked may be wrong anywhere.
+
+        Raises:
+            UnreadableError: the gzip checksum did not match at the end.
+        """
+        if self._untrue:
+            raise UnreadableError(
+                "the gzip checksum is wrong: somewhere its values are not what was packed",
+                path=self.path,
+                byte_offset=self.disk_position(),
+                hint="copy it again from its source",
+            )
 
     def seek(self, offset: int) -> None:
         """Go to a byte of a file that is not compressed."""

@@ -91,9 +91,9 @@ class CsvReader(Reader):
         if block.broken:
             text = "the compressed data ends early or is damaged; the rows before that were read"
             return [Problem("truncated", text, end, samples)]
-        if block.tail.strip() and not self._opened.sheet.kept_tail(block):
+        if block.tail.strip():
             line = block.line + block.lines
-            text = f"line {line}, the last one, is cut off and was left out"
+            text = f"line {line}, the last one, has no end: it may be cut off and was left out"
             return [Problem("truncated", text, end, samples)]
         return []
 
@@ -195,4 +195,11 @@ def _end_chunk(
     )
 
 
-FORMAT = Format(NAME, "text file (CSV) with a column each for x, y and z", SUFFIXES, sniff, open_csv)
+FORMAT = Format(
+    NAME,
+    "text file (CSV) with a column each for x, y and z",
+    SUFFIXES,
+    sniff,
+    open_csv,
+    ignores=("layout", "sensor"),
+)

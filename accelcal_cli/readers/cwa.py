@@ -17,7 +17,7 @@ import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import Format, Probe, ReadOptions
+from accelcal_cli.core.formats import Format, Probe, ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording
 from accelcal_cli.readers._cwa.blocks import sector_blocks
 from accelcal_cli.readers._cwa.decode import decode
@@ -146,7 +146,7 @@ def describe(
     return Recording(
         path=file.path,
         format="cwa",
-        rate_hz=options.rate_hz or float(settings.rate),
+        rate_hz=agreed_rate(options, float(settings.rate), file.path),
         lsb_per_g=options.lsb_per_g or settings.lsb_per_g,
         total_bytes=file.size,
         device=device,
@@ -187,4 +187,11 @@ def _notes(scheme: Scheme, header: Header) -> tuple[str, ...]:
     return tuple(notes)
 
 
-FORMAT = Format("cwa", "Axivity AX3 and AX6 (.cwa)", (".cwa",), sniff, open_recording)
+FORMAT = Format(
+    "cwa",
+    "Axivity AX3 and AX6 (.cwa)",
+    (".cwa",),
+    sniff,
+    open_recording,
+    ignores=("unit", "columns", "time_column", "layout", "sensor"),
+)

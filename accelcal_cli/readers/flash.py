@@ -11,7 +11,7 @@ import numpy as np
 
 from accelcal_cli.core.clock import rate_fraction
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import Format, Probe, ReadOptions
+from accelcal_cli.core.formats import Format, Probe, ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
 from accelcal_cli.readers._flash.header import (
     HEADER_MAGIC,
@@ -61,7 +61,7 @@ def open_flash(path: Path, options: ReadOptions) -> Reader:
     except HeaderDamageError as error:
         header = substitute(file, options, error)
         problems = [Problem("damaged_header", f"the header page is not usable: {error}", 0, 0)]
-    header = overridden(header, options)
+    header = overridden(header, options, path)
     scheme = page_scheme(file, header)
     opening = look_inside(scheme)
     if opening is None:
@@ -95,10 +95,14 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
     )
 
 
-def overridden(header: FlashHeader, options: ReadOptions) -> FlashHeader:
-    """What the user says goes before what the file says."""
+def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHeader:
+    """What the user says goes before what the file says.
+
+    Raises:
+        UsageError: the rates contradict each other.
+    """
     if options.rate_hz is not None:
-        header = replace(header, rate=rate_fraction(options.rate_hz))
+        header = replace(header, rate=rate_fraction(agreed_rate(options, float(header.rate), path)))
     if options.lsb_per_g is not None:
         header = replace(header, lsb_per_g=Fraction(options.lsb_per_g))
     return replace(header, timezone=options.timezone or header.timezone)
@@ -130,4 +134,11 @@ def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Reco
     )
 
 
-FORMAT = Format("flash", "flash pages of a wrist logger (docs/flash-format.md)", (".bin",), sniff, open_flash)
+FORMAT = Format(
+    "flash",
+    "flash pages of a wrist logger (docs/flash-format.md)",
+    (".bin",),
+    sniff,
+    open_flash,
+    ignores=("unit", "columns", "time_column", "layout", "sensor"),
+)

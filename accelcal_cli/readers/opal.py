@@ -272,4 +272,5 @@ FORMAT = Format(
     suffixes=(".h5",),
     sniff=sniff,
     open=open_recording,
+    ignores=("layout", "columns", "time_column"),
 )

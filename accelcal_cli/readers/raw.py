@@ -62,14 +62,16 @@ def open_raw(path: Path, options: ReadOptions) -> Reader:
         UnreadableError: no page or frame is usable.
     """
     layout = layout_for(path, options)
-    file = paged_file(path, layout.header_bytes, layout.block_bytes)
+    proved = layout.checksum is not None
+    file = paged_file(path, layout.header_bytes, layout.block_bytes, proved=proved)
     scheme = page_scheme(file, layout)
     opening = look_inside(scheme)
     if opening is None:
         raise nothing_usable(file, layout)
     timed = layout.start is not None or layout.stamp is not None
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
-    return PagedReader(recording(scheme, layout, opening, options), scheme, opening, problems)
+    described = replace(recording(scheme, layout, opening, options), companion=find_layout(path, options))
+    return PagedReader(described, scheme, opening, problems)
 
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
@@ -151,4 +153,11 @@ def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: Rea
     )
 
 
-FORMAT = Format("raw", "raw dump with a layout file (docs/layout-files.md)", DUMP_SUFFIXES, sniff, open_raw)
+FORMAT = Format(
+    "raw",
+    "raw dump with a layout file (docs/layout-files.md)",
+    DUMP_SUFFIXES,
+    sniff,
+    open_raw,
+    ignores=("unit", "columns", "time_column", "sensor"),
+)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
+import os
 import resource
+import shlex
 import signal
 import subprocess
 import time
@@ -11,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.run import Ran, assert_one_line, command, run
+from tests.cli.run import Ran, assert_one_line, command, run, run_process
 from tests.recordings import RATE_HZ, directions, good_csv, still_counts, write_csv
 
 Capture = pytest.CaptureFixture[str]
@@ -81,7 +84,11 @@ def test_nothing_but_nan(tmp_path: Path, capsys: Capture) -> None:
 
 def test_constant_data(tmp_path: Path, capsys: Capture) -> None:
     path = write_csv(tmp_path / "constant.csv", np.tile(np.array([[0, 0, 256]], np.int16), (5000, 1)))
-    refuse(capsys, path, 4, "refused")
+    refuse(capsys, path, 4, "constant values")
+
+
+def test_a_wrong_unit_is_named_as_the_likely_reason(tmp_path: Path, capsys: Capture) -> None:
+    refuse(capsys, good_csv(tmp_path), 4, "--unit", options=("--unit", "mg"))
 
 
 def test_no_still_window(tmp_path: Path, capsys: Capture) -> None:
@@ -112,6 +119,113 @@ def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
         assert ran.code == 2, ran
         assert "Traceback" not in ran.err
     assert files(tmp_path) == ["good.csv"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--rate", "nan"),
+        ("--rate", "inf"),
+        ("--lsb-per-g", "inf"),
+        ("--segment-seconds", "nan"),
+        ("--segment-seconds", "1e308"),
+        ("--stillness-threshold-g", "nan"),
+        ("--timezone", "+25:00"),
+        ("--timezone", "posixrules"),
+        ("--profile", "paper", "--model", "3"),
+    ],
+)
+def test_impossible_numbers_and_zones(tmp_path: Path, capsys: Capture, words: tuple[str, ...]) -> None:
+    ran = run(capsys, "calibrate", good_csv(tmp_path), *words)
+    assert ran.code == 2, ran
+    assert files(tmp_path) == ["good.csv"]
+
+
+def test_one_flipped_bit_in_a_gzip_file_is_never_taken_for_data(tmp_path: Path, capsys: Capture) -> None:
+    packed = bytearray(gzip.compress(good_csv(tmp_path).read_bytes()))
+    path = tmp_path / "flipped.csv.gz"
+    good = set(good_csv(tmp_path).read_text().splitlines())
+    for at in range(len(packed) // 3, len(packed) // 3 + 40):
+        path.write_bytes(packed[:at] + bytes([packed[at] ^ 4]) + packed[at + 1 :])
+        ran = run(capsys, "calibrate", path, "--report-only", "--force")
+        assert ran.code in (0, 3, 4), ran
+        assert "Traceback" not in ran.err
+        if ran.code == 0:
+            assert "truncated" in ran.err
+    assert good
+
+
+@pytest.mark.parametrize("name", ["l" * 240 + ".csv", os.fsdecode(b"bad\xff.csv"), "tab\tand\nline.csv"])
+def test_strange_names(tmp_path: Path, name: str) -> None:
+    path = good_csv(tmp_path, name)
+    ran = run_process("calibrate", path, "--report-only")
+    assert ran.code in (0, 5), ran
+    assert len(ran.lines) == (1 if ran.code == 0 else 0)
+    assert len(ran.lines[0].split("\t")) == 7 if ran.lines else "too long" in ran.err
+
+
+def test_a_loop_of_links_stops_only_itself(tmp_path: Path, capsys: Capture) -> None:
+    loop = tmp_path / "loop.csv"
+    loop.symlink_to(loop)
+    ran = run(capsys, "calibrate", loop, good_csv(tmp_path))
+    assert ran.code == 1
+    assert len(ran.lines) == 1
+    assert run(capsys, "calibrate", loop).code == 3
+
+
+def test_another_recordings_result_is_kept(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    one = good_csv(tmp_path / "a")
+    two = write_csv(tmp_path / "b" / "good.csv", still_counts(directions(60), seed=9))
+    out = tmp_path / "out"
+    assert run(capsys, "calibrate", one, "-d", out).code == 0
+    before = (out / "good.calibrated.parquet").read_bytes()
+    ran = run(capsys, "calibrate", two, "-d", out)
+    assert ran.code == 5
+    assert_one_line(ran, str(one), "another recording", "-d")
+    assert (out / "good.calibrated.parquet").read_bytes() == before
+    assert run(capsys, "calibrate", two, "-d", out, "--force").code == 0
+
+
+def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path) -> None:
+    path, out = good_csv(tmp_path), tmp_path / "out"
+    assert run_process("calibrate", path, "-d", out).code == 0
+    before = {name: (out / name).read_bytes() for name in files(out)}
+
+    def little_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    words = command("calibrate", path, "-d", out, "--force")
+    done = subprocess.run(words, capture_output=True, preexec_fn=little_room, timeout=60, check=False)
+    assert done.returncode == 5
+    assert {name: (out / name).read_bytes() for name in files(out)} == before
+
+
+def test_temporaries_of_a_killed_run_are_cleared_by_the_next(tmp_path: Path) -> None:
+    path, out = write_csv(tmp_path / "long.csv", still_counts(directions(300))), tmp_path / "out"
+    process = subprocess.Popen(
+        command("calibrate", path, "-d", out, "--chunk-samples", 50),
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    while not (out.is_dir() and any(name.endswith(".tmp") for name in files(out))):
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.kill()
+    process.wait()
+    assert any(name.endswith(".tmp") for name in files(out))
+    assert run_process("calibrate", path, "-d", out).code == 0
+    assert files(out) == ["long.calibrated.parquet", "long.calibration.json"]
+
+
+def test_closed_streams_do_not_stop_the_work(tmp_path: Path) -> None:
+    path = good_csv(tmp_path)
+    for redirect in ("2>&-", ">&-"):
+        shell = " ".join(shlex.quote(word) for word in command("calibrate", path, "--force"))
+        done = subprocess.run(f"{shell} {redirect}", shell=True, capture_output=True, timeout=60, check=False)
+        assert done.returncode == 0, (redirect, done)
+        assert (tmp_path / "good.calibration.json").exists()
 
 
 def test_a_full_disk(tmp_path: Path) -> None:

@@ -271,3 +271,43 @@ def test_the_integers_fit_again_to_the_same_bits(tmp_path: Path, capsys: Capture
     found = report_of(tmp_path / "good.calibration.json")["calibration"]
     assert found["fixed_point"]["parameters"] == held["parameters"]
     assert "up to date" in run(capsys, "calibrate", path, "--integers").err
+
+
+def test_a_changed_layout_is_a_changed_input(tmp_path: Path, capsys: Capture) -> None:
+    path = write_raw(tmp_path / "a.raw", still_counts(directions(40)))
+    layout = tmp_path / "a.layout.toml"
+    run(capsys, "calibrate", path)
+    layout.write_text(layout.read_text().replace("256.0", "255.0"))
+    ran = run(capsys, "calibrate", path)
+    assert "up to date" not in ran.err
+    assert report_of(tmp_path / "a.calibration.json")["recording"]["lsb_per_g"] == 255.0
+
+
+def test_report_only_leaves_a_parquet_that_still_holds(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    run(capsys, "calibrate", path)
+    before = (tmp_path / "good.calibrated.parquet").read_bytes()
+    run(capsys, "calibrate", path, "--report-only")
+    assert (tmp_path / "good.calibrated.parquet").read_bytes() == before
+    run(capsys, "calibrate", path, "--report-only", "--model", "6")
+    assert not (tmp_path / "good.calibrated.parquet").exists()
+
+
+def test_options_that_mean_nothing_are_noted(tmp_path: Path, capsys: Capture) -> None:
+    path = write_raw(tmp_path / "a.raw", still_counts(directions(40)))
+    run(capsys, "calibrate", path, "--columns", "a,b,c")
+    notes = report_of(tmp_path / "a.calibration.json")["recording"]["notes"]
+    assert any("--columns" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("zone", "hours"), [("Europe/Berlin", 1), ("+05:30", 5.5), ("UTC", 0), ("-03:00", -3)]
+)
+def test_a_known_zone_gives_utc_times(tmp_path: Path, capsys: Capture, zone: str, hours: float) -> None:
+    run(capsys, "calibrate", good_csv(tmp_path), "--timezone", zone)
+    frame = pd.read_parquet(tmp_path / "good.calibrated.parquet")
+    local = pd.Timestamp("2024-03-04T00:00:00")
+    assert frame["time"].iloc[0] == (local - pd.Timedelta(hours=hours)).tz_localize("UTC")
+    assert report_of(tmp_path / "good.calibration.json")["recording"]["start_time"].startswith(
+        "2024-03-04T00:00"
+    )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import resource
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ import pytest
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.encode import all_encoders
 from accelcal_cli.readers import open_recording
-from tests.cli.run import assert_one_line, run
+from tests.cli.run import assert_one_line, command, run
 
 Capture = pytest.CaptureFixture[str]
 FORMATS = [encoder.name for encoder in all_encoders()]
@@ -73,3 +75,21 @@ def test_impossible_wishes(tmp_path: Path, capsys: Capture) -> None:
     for words in (("--format", "nothing"), ("--lsb-per-g", 9000), ("--days", 0), ("--days", 1e-9)):
         assert run(capsys, "simulate", tmp_path / "a", *words, "-q").code == 2
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_a_full_disk_leaves_nothing(tmp_path: Path, name: str) -> None:
+    def little_room() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+
+    words = command("simulate", tmp_path / "a", "--format", name, "--days", 0.05, "-q")
+    done = subprocess.run(words, capture_output=True, preexec_fn=little_room, timeout=60, check=False)
+    assert done.returncode == 5, done
+    assert done.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_layout_of_ones_own_is_kept(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "a.layout.toml").write_text("mine")
+    assert run(capsys, "simulate", tmp_path / "a", "--format", "raw", *SMALL).code == 5
+    assert (tmp_path / "a.layout.toml").read_text() == "mine"

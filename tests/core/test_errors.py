@@ -37,7 +37,6 @@ def test_an_error_is_one_line() -> None:
         ("AccelcalError", 70),
         ("UsageError", 2),
         ("UnreadableError", 3),
-        ("RefusedError", 4),
         ("OutputError", 5),
         ("FixedPointOverflowError", 4),
     ],

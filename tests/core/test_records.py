@@ -92,7 +92,7 @@ def test_settings_are_the_papers_where_they_name_a_source() -> None:
     assert (DEFAULT.segment_seconds, DEFAULT.stillness_threshold_g) == (5.0, 0.12)
     assert (DEFAULT.stillness_deviation_g, DEFAULT.coverage_g, DEFAULT.max_error_mg) == (0.013, 0.3, 10.0)
     assert DEFAULT.stillness_axes == (0, 1, 2)
-    assert (PAPER.profile, PAPER.model, PAPER.temperature) == ("paper", "9", False)
+    assert (PAPER.profile, PAPER.model, PAPER.temperature) == ("paper", "auto", False)
     assert (PAPER.stillness_deviation_g, PAPER.stillness_axes) == (None, (0,))
     assert (PAPER.segment_seconds, PAPER.stillness_threshold_g) == (5.0, 0.12)
     assert {name: item.profile for name, item in PROFILES.items()} == {"default": "default", "paper": "paper"}

@@ -34,8 +34,7 @@ def chunk_of(counts: np.ndarray, first: int = 0, **more: object) -> Chunk:
 def read_back(folder: Path, what: Recording, *chunks: Chunk) -> Reader:
     ENCODER.write(folder / "out.raw", what, chunks)
     assert ENCODER.companion is not None
-    suffix, text = ENCODER.companion(what)
-    (folder / f"out{suffix}").write_text(text)
+    (folder / f"out{ENCODER.companion.suffix}").write_text(ENCODER.companion.text(what))
     return FORMAT.open(folder / "out.raw", ReadOptions())
 
 

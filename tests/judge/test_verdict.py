@@ -10,7 +10,7 @@ import pytest
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
-from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.postures import postures
 from accelcal_cli.judge.uncertainty import uncertainty
@@ -78,7 +78,8 @@ def test_a_smaller_model_says_why(p: np.ndarray, model: str) -> None:
     found = judge(spread(p), DEFAULT, fast_fit)
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == model
-    assert found.message.endswith("; misalignment is left out: it does not lower the held-out error")
+    omitted = "scale and misalignment are" if model == "3" else "misalignment is"
+    assert found.message.endswith(f"; {omitted} left out: the held-out error is no lower with it")
 
 
 def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
@@ -90,7 +91,7 @@ def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
 def test_a_model_reduced_by_coverage_names_the_missing_side() -> None:
     found = judge(one_sided(OFFSET), DEFAULT, fast_fit)
     assert found.outcome is Outcome.REDUCED_MODEL
-    assert found.message.endswith("misalignment is left out: no stillness with z below -0.3 g")
+    assert found.message.endswith("scale and misalignment are left out: no stillness with z below -0.3 g")
 
 
 def test_a_good_sensor_is_left_alone() -> None:
@@ -166,24 +167,24 @@ def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
 
 def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, ["xn", "z0"], fast_fit)
+    found = judge_paper(fitted, control, ["xn", "z0"], PAPER, fast_fit)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert "subsets without two points: xn z0" in found.message
 
 
 def test_the_paper_needs_control_points() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control.select(np.zeros(18, bool)), [], fast_fit)
-    assert found.outcome is Outcome.REFUSED and "no control points" in found.message
+    found = judge_paper(fitted, control.select(np.zeros(18, bool)), [], PAPER, fast_fit)
+    assert found.outcome is Outcome.REFUSED and "0 control points" in found.message
 
 
 def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, [], fast_fit)
+    found = judge_paper(fitted, control, [], PAPER, fast_fit)
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.holdout is not None
     p = fast_fit(fitted, MODELS["9"]).parameters
     assert found.calibration.parameters == p and found.calibration.model == "9"
     assert found.holdout.after.mean == pytest.approx(float(deviations_mg(control, p).mean()))
     assert found.holdout.before.mean == pytest.approx(float(deviations_mg(control, IDENTITY).mean()))
-    assert "18 control points" in found.message
+    assert found.holdout.points == 18 and "on control points" in found.message

@@ -34,6 +34,7 @@ def write(path: Path, columns: Columns, held: list[np.ndarray], edges: list[int]
     with ParquetSink(path, path, columns, {"a": 1}) as sink:
         for start, stop in itertools.pairwise(edges):
             sink.write([array[start:stop] for array in held])
+        sink.close()
 
 
 def test_columns_types_units_and_metadata(tmp_path: Path) -> None:

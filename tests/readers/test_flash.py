@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.readers.flash import FORMAT
@@ -251,9 +251,14 @@ def test_a_file_without_one_valid_page_is_an_error(tmp_path: Path) -> None:
 
 
 def test_what_the_user_says_goes_before_the_header(tmp_path: Path) -> None:
-    options = ReadOptions(rate_hz=50, lsb_per_g=128, timezone="UTC")
+    options = ReadOptions(rate_hz=101, lsb_per_g=128, timezone="UTC")
     recording = opened(tmp_path, header() + five_pages()[0], options).recording
-    assert (recording.rate_hz, recording.lsb_per_g, recording.timezone) == (50, 128, "UTC")
+    assert (recording.rate_hz, recording.lsb_per_g, recording.timezone) == (101, 128, "UTC")
+
+
+def test_a_rate_that_contradicts_the_header_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="100 Hz, not 50"):
+        opened(tmp_path, header() + five_pages()[0], ReadOptions(rate_hz=50))
 
 
 def test_cut_at_every_byte_it_is_shorter_or_unreadable(tmp_path: Path) -> None:

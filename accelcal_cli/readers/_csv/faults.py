@@ -35,14 +35,6 @@ class LineCheck:
             "the lines from here on cannot be read", path=path, line=first_line, hint="look for stray quotes"
         )
 
-    def is_row(self, tail: bytes) -> bool:
-        """Whether a last line without an end is complete as far as can be told."""
-        text = decode(self.dialect.cleaner(tail)).strip("\r\n")
-        cells = split_line(text, self.dialect.cleaner.delimiter)
-        if not cells or self._fault(text):
-            return False
-        return cell_kind(cells[-1], False) is not Kind.MISSING or self.dialect.kinds[-1] is Kind.MISSING
-
     def _fault(self, text: str) -> str | None:
         """What is wrong with a line, None where nothing is."""
         cells = split_line(text, self.dialect.cleaner.delimiter)

@@ -76,16 +76,15 @@ class Sheet:
         )
 
     def cells(self, block: Block) -> Cells:
-        """The rows of a block, with its unfinished last line where that is a whole row.
+        """The rows of a block's whole lines.
 
         Raises:
             UnreadableError: a line has a wrong number of columns, or a text where a number belongs.
         """
-        tail = self.kept_tail(block)
-        data = self.dialect.cleaner(block.data + tail)
+        data = self.dialect.cleaner(block.data)
         table, data = self._table(data, block)
         line = block.line + np.arange(table.num_rows, dtype=np.int64)
-        if block.lines + bool(tail) != table.num_rows:
+        if block.lines != table.num_rows:
             line = block.line + blank_lines_apart(data)
         values = np.empty((table.num_rows, 3))
         for axis, column in enumerate(self.roles.xyz):
@@ -93,11 +92,6 @@ class Sheet:
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
         spare = self.roles.temperature
         return Cells(line, values, stamps, None if spare is None else table[str(spare)].to_numpy())
-
-    def kept_tail(self, block: Block) -> bytes:
-        """The unfinished last line where it is a whole row all the same."""
-        whole = not block.broken and self._check.is_row(block.tail)
-        return block.tail if whole else b""
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes]:
         """The parsed columns, and the text that they come from, which has the same lines."""

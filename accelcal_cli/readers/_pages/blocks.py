@@ -44,6 +44,7 @@ class PagedFile:
     Attributes:
         size: bytes on disk.
         compressed: gzip; such a file is only read from its beginning.
+        proved: its pages have checksums of their own.
     """
 
     path: Path
@@ -51,6 +52,7 @@ class PagedFile:
     page_bytes: int
     size: int
     compressed: bool
+    proved: bool
 
     @property
     def whole_pages(self) -> int:
@@ -73,6 +75,8 @@ class PagedFile:
             while not last:
                 data = stream.read_exact(pages * self.page_bytes)
                 last = len(data) < pages * self.page_bytes
+                if not self.proved:
+                    stream.refuse_wrong_checksum()
                 whole = len(data) // self.page_bytes
                 cut = whole * self.page_bytes
                 table = np.frombuffer(data, np.uint8, cut).reshape(whole, self.page_bytes)
@@ -102,7 +106,7 @@ class PagedFile:
         return low
 
 
-def paged_file(path: Path, start_byte: int, page_bytes: int) -> PagedFile:
+def paged_file(path: Path, start_byte: int, page_bytes: int, *, proved: bool = True) -> PagedFile:
     """Look at a file's size and compression.
 
     Raises:
@@ -114,7 +118,7 @@ def paged_file(path: Path, start_byte: int, page_bytes: int) -> PagedFile:
             compressed = file.read(2) == GZIP_MAGIC
     except OSError as error:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    return PagedFile(path, start_byte, page_bytes, size, compressed)
+    return PagedFile(path, start_byte, page_bytes, size, compressed, proved)
 
 
 def is_erased(data: bytes) -> bool:
