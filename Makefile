@@ -23,10 +23,10 @@ demo: $(READY)
 	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
 
 test: $(READY)
-	$(BIN)/python -m pytest -m 'not nightly'
+	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
 
 nightly: $(READY)
-	$(BIN)/python -m pytest -m nightly
+	$(BIN)/python -m pytest -n auto --dist loadfile -m nightly
 
 lint: $(READY)
 	$(BIN)/ruff check .
