@@ -7,28 +7,32 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.judgement import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.holdout import FitFunction, control
-from accelcal_cli.judge.ladder import Evidence, choose, one_sided_axes, try_models
+from accelcal_cli.judge.ladder import LADDER, Evidence, choose, one_sided_axes, try_models
 from accelcal_cli.judge.postures import postures
 from accelcal_cli.judge.uncertainty import coverage as coverage_of
 from accelcal_cli.judge.uncertainty import uncertainty
 
 FULL_MODELS = ("9", "9T")
+PAPER_MODELS = {"9": ("nine", Outcome.CALIBRATED), "6": ("six", Outcome.REDUCED_MODEL)}
 DIVERGES = "the fit diverges: the points do not determine the parameters"
 LONGER = "record longer, with more turns of the wrist"
 
 
-def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
+def judge(
+    points: PointSet, settings: Settings, fit: FitFunction, models: tuple[str, ...] = LADDER
+) -> Judgement:
     """Choose a model by posture-blocked held-out error, fit it to all points, and say so.
 
     Args:
         points: calibration points of one recording.
         fit: (points, model) -> Fit, the optimizer.
+        models: names of the models that it can fit.
     """
     seen = coverage_of(points)
     if not len(points):
@@ -38,14 +42,14 @@ def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
     if number < settings.min_postures:
         text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
-    trials = try_models(Evidence(points, label, seen), settings, fit)
+    trials = try_models(Evidence(points, label, seen, models), settings, fit)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, seen, settings)
     if outcome is Outcome.REFUSED or chosen.holdout is None:
         return Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
     try:
         found = fit(points, MODELS[chosen.model])
-    except FixedPointOverflowError:
+    except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, trials)
     return _complete(
         Judgement(outcome, message, seen, trials, holdout=chosen.holdout), points, label, chosen, found
@@ -53,24 +57,34 @@ def judge(points: PointSet, settings: Settings, fit: FitFunction) -> Judgement:
 
 
 def judge_paper(
-    fit_points: PointSet, control_points: PointSet, missing: list[str], fit: FitFunction
+    fit_points: PointSet,
+    control_points: PointSet,
+    missing: list[str],
+    fit: FitFunction,
+    models: tuple[str, ...] = LADDER,
 ) -> Judgement:
-    """F's procedure: nine parameters from the full first set, judged on the second (eq. 21)."""
+    """F's procedure: nine parameters from the full first set, judged on the second (eq. 21).
+
+    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does.
+    """
     seen = coverage_of(fit_points)
     if missing:
         text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
         return Judgement(Outcome.REFUSED, f"{text}, profile default does not", seen, ())
     if not len(control_points):
         return Judgement(Outcome.REFUSED, f"no control points are left to judge by; {LONGER}", seen, ())
+    name = "9" if "9" in models else "6"
     try:
-        found = fit(fit_points, MODELS["9"])
-    except FixedPointOverflowError:
+        found = fit(fit_points, MODELS[name])
+    except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, ())
     held = control(control_points, found.parameters)
     label = np.arange(len(fit_points), dtype=np.int64)
-    text = f"nine parameters from {len(fit_points)} points: {_change(held)} on {held.points} control points"
-    verdict = Judgement(Outcome.CALIBRATED, text, seen, (Trial("9", held, None),), holdout=held)
-    return _complete(verdict, fit_points, label, Trial("9", held, None), found)
+    many, outcome = PAPER_MODELS[name]
+    text = f"{many} parameters from {len(fit_points)} points: {_change(held)} on {held.points} control points"
+    trial = Trial(name, held, None)
+    verdict = Judgement(outcome, text, seen, (trial,), holdout=held)
+    return _complete(verdict, fit_points, label, trial, found)
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:

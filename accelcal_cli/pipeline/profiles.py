@@ -41,11 +41,10 @@ def make_procedure(recording: Recording, settings: Settings, optimizer: Optimize
     fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
     length = window_length(recording, settings)
     if settings.profile == "paper":
-        return PaperProcedure(PaperCollector(length, recording.lsb_per_g, settings), fit)
+        return PaperProcedure(PaperCollector(length, recording.lsb_per_g, settings), fit, optimizer.models)
     warm = settings.temperature and recording.has_temperature
-    return CellProcedure(
-        CellCollector(length, recording.lsb_per_g, settings, temperature=warm), settings, fit
-    )
+    collector = CellCollector(length, recording.lsb_per_g, settings, temperature=warm)
+    return CellProcedure(collector, settings, fit, optimizer.models)
 
 
 def make_segmenter(recording: Recording, settings: Settings) -> Segmenter:
@@ -82,11 +81,16 @@ class CellProcedure:
     """The default: orientation cells, model ladder, posture-blocked hold-out."""
 
     def __init__(
-        self, collector: CellCollector, settings: Settings, fit: Callable[[PointSet, Model], Fit]
+        self,
+        collector: CellCollector,
+        settings: Settings,
+        fit: Callable[[PointSet, Model], Fit],
+        models: tuple[str, ...],
     ) -> None:
         self.collector = collector
         self.settings = settings
         self.fit = fit
+        self.models = models
 
     def add(self, windows: Windows) -> None:
         """Take windows in."""
@@ -98,7 +102,7 @@ class CellProcedure:
 
     def judge(self) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.points(), self.settings, self.fit)
+        return judge(self.points(), self.settings, self.fit, self.models)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate."""
@@ -110,9 +114,12 @@ class CellProcedure:
 class PaperProcedure:
     """Profile `paper`: F's nine subsets, nine parameters, control points."""
 
-    def __init__(self, collector: PaperCollector, fit: Callable[[PointSet, Model], Fit]) -> None:
+    def __init__(
+        self, collector: PaperCollector, fit: Callable[[PointSet, Model], Fit], models: tuple[str, ...]
+    ) -> None:
         self.collector = collector
         self.fit = fit
+        self.models = models
 
     def add(self, windows: Windows) -> None:
         """Take windows in."""
@@ -125,7 +132,7 @@ class PaperProcedure:
     def judge(self) -> Judgement:
         """Fit the first set, judge by the second."""
         control, missing = self.collector.control, self.collector.fit.missing()
-        return judge_paper(self.points(), control.points(), missing, self.fit)
+        return judge_paper(self.points(), control.points(), missing, self.fit, self.models)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

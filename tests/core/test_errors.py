@@ -39,6 +39,7 @@ def test_an_error_is_one_line() -> None:
         ("UnreadableError", 3),
         ("RefusedError", 4),
         ("OutputError", 5),
+        ("DivergedError", 4),
         ("FixedPointOverflowError", 4),
     ],
 )
