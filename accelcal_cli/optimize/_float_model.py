@@ -50,7 +50,7 @@ def nothing_to_fit() -> Fit:
 
 def ideal(kind: type[np.floating[Any]] = np.float64) -> Real:
     """The twelve parameters of an ideal sensor."""
-    return np.array(IDENTITY, kind) / kind(ONE)
+    return np.asarray(np.array(IDENTITY, kind) / kind(ONE))
 
 
 def as_floats(points: PointSet, kind: type[np.floating[Any]] = np.float64) -> FloatPoints:

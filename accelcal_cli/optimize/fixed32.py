@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed
 from accelcal_cli.core.points import IDENTITY, Fit, Model, Optimizer, PointSet
 from accelcal_cli.optimize._fixed_model import (
@@ -61,9 +62,12 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     Raises:
         FixedPointOverflowError: the descent leaves the fixed-point range, or there are more than
             MAX_POINTS points.
+        DivergedError: no point has any weight.
     """
     if not model.free or not len(points):
         return Fit(IDENTITY, 0, "nothing to fit", Tally().total())
+    if not points.weights.any():
+        raise DivergedError("no point has any weight")
     descent = _forward if settings.forward_step else _accelerated
     return descent(points, model, settings)
 
