@@ -80,7 +80,11 @@ _METHOD = [
         show_default=True,
         help="`paper`: the published procedure, 18 points and 50 iterations.",
     ),
-    click.option("--optimizer", metavar="NAME", help="Optimizer.  [default: fixed32]"),
+    click.option(
+        "--optimizer",
+        metavar="NAME",
+        help="How parameters are found, see docs/optimizers.md.  [default: fixed32]",
+    ),
     click.option(
         "--model",
         type=click.Choice(["auto", "9", "6", "3"]),

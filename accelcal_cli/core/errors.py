@@ -64,7 +64,11 @@ class OutputError(AccelcalError):
     exit_code = 5
 
 
-class FixedPointOverflowError(AccelcalError):
-    """A value left the range of its fixed-point format; nothing was wrapped."""
+class DivergedError(AccelcalError):
+    """A fit found no parameters: it diverged, or the points do not determine them."""
 
     exit_code = 4
+
+
+class FixedPointOverflowError(DivergedError):
+    """A value left the range of its fixed-point format; nothing was wrapped."""

@@ -129,12 +129,14 @@ class Optimizer:
         name: as in `--optimizer`.
         fit: (points, model, settings) -> Fit; `settings` are the optimizer's own numbers.
         settings: profile name -> those numbers.
+        models: names of the models it can fit.
     """
 
     name: str
     title: str
     fit: Callable[[PointSet, Model, Any], Fit]
     settings: dict[str, Any]
+    models: tuple[str, ...] = tuple(MODELS)
 
 
 @dataclass(frozen=True, slots=True)

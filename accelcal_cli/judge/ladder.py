@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.judgement import Coverage, Trial
 from accelcal_cli.core.points import MODELS, Model, PointSet
@@ -18,14 +18,25 @@ from accelcal_cli.judge.holdout import FitFunction, blocked
 LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
 """By number of parameters; the simpler model comes first."""
 
+KINDS = ("scale", "misalignment", "offset", "temperature slopes")
+"""The twelve parameters, by threes."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What a recording offers the ladder: points, their posture numbers (n,), their coverage."""
+    """What the ladder has to go by.
+
+    Attributes:
+        points: the recording's points.
+        label: (n,) their posture numbers.
+        coverage: where they lie.
+        models: names of the models that the optimizer can fit.
+    """
 
     points: PointSet
     label: NDArray[np.int64]
     coverage: Coverage
+    models: tuple[str, ...] = LADDER
 
 
 def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
@@ -47,13 +58,15 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
         return Trial(model.name, None, reason)
     try:
         held = blocked(evidence.points, evidence.label, model, fit, settings.folds)
-    except FixedPointOverflowError:
+    except DivergedError:
         return Trial(model.name, None, "the fit diverges: the points do not determine it")
     return Trial(model.name, held, None)
 
 
 def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | None:
-    """Why the points cannot hold a model, or None if they can (or the user insists on it)."""
+    """Why a model cannot be fitted, or None if it can (or the user insists on it)."""
+    if model.name not in evidence.models:
+        return f"optimizer {settings.optimizer} fits no {_beyond(evidence.models, model)}"
     if model.has_temperature and temperature_range_c(evidence.points) < settings.min_temperature_range_c:
         return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
     if settings.model == "auto" and any(index < 6 for index in model.free):
@@ -61,6 +74,13 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
         if missing:
             return f"no stillness with {', '.join(missing)}"
     return None
+
+
+def _beyond(models: tuple[str, ...], model: Model) -> str:
+    """The first kind of parameter that a model has and the optimizer never fits."""
+    fitted = {index for name in models for index in MODELS[name].free}
+    new = [KINDS[index // 3] for index in model.free if index not in fitted]
+    return new[0] if new else f"model {model.name}"
 
 
 def one_sided_axes(coverage: Coverage, reach_g: float) -> list[str]:

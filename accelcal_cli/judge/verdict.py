@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.judgement import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.holdout import FitFunction, control
-from accelcal_cli.judge.ladder import Evidence, choose, one_sided_axes, try_models
+from accelcal_cli.judge.ladder import LADDER, Evidence, choose, one_sided_axes, try_models
 from accelcal_cli.judge.postures import postures
 from accelcal_cli.judge.uncertainty import coverage as coverage_of
 from accelcal_cli.judge.uncertainty import uncertainty
@@ -25,12 +25,19 @@ LONGER = "record longer, with more turns of the wrist"
 NO_STILLNESS = f"no still window was found; {LONGER}"
 
 
-def judge(points: PointSet, settings: Settings, fit: FitFunction, why_none: str = NO_STILLNESS) -> Judgement:
+def judge(
+    points: PointSet,
+    settings: Settings,
+    fit: FitFunction,
+    models: tuple[str, ...] = LADDER,
+    why_none: str = NO_STILLNESS,
+) -> Judgement:
     """Choose a model by posture-blocked held-out error, fit it to all points, and say so.
 
     Args:
         points: calibration points of one recording.
         fit: (points, model) -> Fit, the optimizer.
+        models: names of the models that it can fit.
         why_none: the reason, where there are no points.
     """
     seen = coverage_of(points)
@@ -41,14 +48,14 @@ def judge(points: PointSet, settings: Settings, fit: FitFunction, why_none: str 
     if number < settings.min_postures:
         text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
-    trials = try_models(Evidence(points, label, seen), settings, fit)
+    trials = try_models(Evidence(points, label, seen, models), settings, fit)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, seen, settings)
     if outcome is Outcome.REFUSED or chosen.holdout is None:
         return Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
     try:
         found = fit(points, MODELS[chosen.model])
-    except FixedPointOverflowError:
+    except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, trials)
     return _complete(
         Judgement(outcome, message, seen, trials, holdout=chosen.holdout), points, label, chosen, found
@@ -56,9 +63,17 @@ def judge(points: PointSet, settings: Settings, fit: FitFunction, why_none: str 
 
 
 def judge_paper(
-    fit_points: PointSet, control_points: PointSet, missing: list[str], settings: Settings, fit: FitFunction
+    fit_points: PointSet,
+    control_points: PointSet,
+    missing: list[str],
+    settings: Settings,
+    fit: FitFunction,
+    models: tuple[str, ...] = LADDER,
 ) -> Judgement:
-    """F's procedure: nine parameters from the full first set, judged on the second (eq. 21)."""
+    """F's procedure: nine parameters from the full first set, judged on the second (eq. 21).
+
+    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does.
+    """
     seen = coverage_of(fit_points)
     if missing:
         text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
@@ -66,13 +81,17 @@ def judge_paper(
     if len(control_points) < FEWEST_CONTROL_POINTS:
         left = _counted(len(control_points), "control point")
         return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", seen, ())
+    name = "9" if "9" in models else "6"
     try:
-        found = fit(fit_points, MODELS["9"])
-    except FixedPointOverflowError:
+        found = fit(fit_points, MODELS[name])
+    except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, ())
-    trial = Trial("9", control(control_points, found.parameters), None)
-    outcome, text = _outcome(trial, (trial,), seen, settings)
-    verdict = Judgement(outcome, text, seen, (trial,), holdout=trial.holdout)
+    trial = Trial(name, control(control_points, found.parameters), None)
+    others = (
+        () if name == "9" else (Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment"),)
+    )
+    outcome, text = _outcome(trial, (trial, *others), seen, settings)
+    verdict = Judgement(outcome, text, seen, (trial, *others), holdout=trial.holdout)
     if outcome is Outcome.REFUSED:
         return verdict
     return _complete(verdict, fit_points, np.arange(len(fit_points), dtype=np.int64), trial, found)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed
 from accelcal_cli.core.points import IDENTITY, Fit, Model, Optimizer, PointSet
 from accelcal_cli.optimize._fixed_model import (
@@ -27,6 +28,9 @@ RISE_TOLERANCE_BITS = 12
 
 SMALL_STEP = 1
 """Steps of at most so many least significant bits are taken without momentum."""
+
+LEAST_SCALE = ONE // 4
+"""No accelerometer is so far off: a smaller scale means that the points do not determine it."""
 
 RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 """F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
@@ -61,11 +65,17 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     Raises:
         FixedPointOverflowError: the descent leaves the fixed-point range, or there are more than
             MAX_POINTS points.
+        DivergedError: no point has any weight, or an axis collapsed.
     """
     if not model.free or not len(points):
         return Fit(IDENTITY, 0, "nothing to fit", Tally().total())
+    if not points.weights.any():
+        raise DivergedError("no point has any weight")
     descent = _forward if settings.forward_step else _accelerated
-    return descent(points, model, settings)
+    found = descent(points, model, settings)
+    if min(found.parameters[:3]) < LEAST_SCALE:
+        raise DivergedError("an axis collapsed: the points do not determine its scale")
+    return found
 
 
 def _rates(settings: Settings) -> list[int]:

@@ -41,11 +41,11 @@ def make_procedure(recording: Recording, settings: Settings, optimizer: Optimize
     fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
     length = window_length(recording, settings)
     if settings.profile == "paper":
-        return PaperProcedure(PaperCollector(length, recording.lsb_per_g, settings), settings, fit)
+        collected = PaperCollector(length, recording.lsb_per_g, settings)
+        return PaperProcedure(collected, settings, fit, optimizer.models)
     warm = settings.temperature and recording.has_temperature
-    return CellProcedure(
-        CellCollector(length, recording.lsb_per_g, settings, temperature=warm), settings, fit
-    )
+    collector = CellCollector(length, recording.lsb_per_g, settings, temperature=warm)
+    return CellProcedure(collector, settings, fit, optimizer.models)
 
 
 def make_segmenter(recording: Recording, settings: Settings) -> Segmenter:
@@ -82,11 +82,16 @@ class CellProcedure:
     """The default: orientation cells, model ladder, posture-blocked hold-out."""
 
     def __init__(
-        self, collector: CellCollector, settings: Settings, fit: Callable[[PointSet, Model], Fit]
+        self,
+        collector: CellCollector,
+        settings: Settings,
+        fit: Callable[[PointSet, Model], Fit],
+        models: tuple[str, ...],
     ) -> None:
         self.collector = collector
         self.settings = settings
         self.fit = fit
+        self.models = models
 
     def add(self, windows: Windows) -> None:
         """Take windows in."""
@@ -98,7 +103,7 @@ class CellProcedure:
 
     def judge(self) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.points(), self.settings, self.fit, self._why_none())
+        return judge(self.points(), self.settings, self.fit, self.models, self._why_none())
 
     def _why_none(self) -> str:
         """Why there are no points, if there are none."""
@@ -120,11 +125,16 @@ class PaperProcedure:
     """Profile `paper`: F's nine subsets, nine parameters, control points."""
 
     def __init__(
-        self, collector: PaperCollector, settings: Settings, fit: Callable[[PointSet, Model], Fit]
+        self,
+        collector: PaperCollector,
+        settings: Settings,
+        fit: Callable[[PointSet, Model], Fit],
+        models: tuple[str, ...],
     ) -> None:
         self.collector = collector
         self.settings = settings
         self.fit = fit
+        self.models = models
 
     def add(self, windows: Windows) -> None:
         """Take windows in."""
@@ -137,7 +147,7 @@ class PaperProcedure:
     def judge(self) -> Judgement:
         """Fit the first set, judge by the second."""
         control, missing = self.collector.control, self.collector.fit.missing()
-        return judge_paper(self.points(), control.points(), missing, self.settings, self.fit)
+        return judge_paper(self.points(), control.points(), missing, self.settings, self.fit, self.models)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

@@ -38,6 +38,7 @@ def test_an_error_is_one_line() -> None:
         ("UsageError", 2),
         ("UnreadableError", 3),
         ("OutputError", 5),
+        ("DivergedError", 4),
         ("FixedPointOverflowError", 4),
     ],
 )

@@ -143,6 +143,23 @@ def test_a_model_whose_fit_diverges_is_not_eligible() -> None:
     assert trials["6"].holdout is not None
 
 
+@pytest.mark.parametrize(
+    ("models", "reasons"),
+    [
+        (("0", "3", "6"), {"9": "misalignment", "3T": "temperature slopes", "9T": "misalignment"}),
+        (("0", "6", "6T"), {"3": "model 3", "9": "misalignment", "3T": "model 3T"}),
+    ],
+)
+def test_a_model_that_the_optimizer_does_not_fit_is_not_tried(
+    models: tuple[str, ...], reasons: dict[str, str]
+) -> None:
+    seen = replace(evidence(warm_points(5.0)), models=models)
+    trials = {item.model: item for item in try_models(seen, replace(DEFAULT, optimizer="some"), fast_fit)}
+    assert {name for name, item in trials.items() if item.holdout is not None} == set(models)
+    for name, kind in reasons.items():
+        assert trials[name].reason == f"optimizer some fits no {kind}"
+
+
 BEST = trial("9", [2.0, 2.0, 2.0, 2.0])
 
 

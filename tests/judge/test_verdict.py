@@ -15,7 +15,7 @@ from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.postures import postures
 from accelcal_cli.judge.uncertainty import uncertainty
 from accelcal_cli.judge.verdict import judge, judge_paper
-from accelcal_cli.optimize import fixed32
+from accelcal_cli.optimize import ellipsoid, fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
 from tests.optimize.oracle import IDEAL, directions, fast_fit, measured, points, random_directions
 
@@ -188,3 +188,22 @@ def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     assert found.holdout.after.mean == pytest.approx(float(deviations_mg(control, p).mean()))
     assert found.holdout.before.mean == pytest.approx(float(deviations_mg(control, IDENTITY).mean()))
     assert found.holdout.points == 18 and "on control points" in found.message
+
+
+def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
+    settings = replace(DEFAULT, optimizer="ellipsoid")
+    found = judge(spread(NINE), replace(settings, max_error_mg=50.0), ellipsoid.fit, ellipsoid.MODELS)
+    assert found.outcome is Outcome.REDUCED_MODEL
+    assert found.message.endswith("misalignment is left out: optimizer ellipsoid fits no misalignment")
+    forced = judge(spread(NINE), replace(settings, model="9"), ellipsoid.fit, ellipsoid.MODELS)
+    assert forced.outcome is Outcome.REFUSED
+    assert forced.message == "model 9 cannot be fitted: optimizer ellipsoid fits no misalignment"
+
+
+def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
+    fitted, control = two_sets(NINE)
+    settings = replace(PAPER, optimizer="ellipsoid", max_error_mg=50.0)
+    found = judge_paper(fitted, control, [], settings, ellipsoid.fit, ellipsoid.MODELS)
+    assert found.outcome is Outcome.REDUCED_MODEL
+    assert found.calibration is not None and found.calibration.model == "6"
+    assert "optimizer ellipsoid fits no misalignment" in found.message

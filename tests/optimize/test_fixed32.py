@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from accelcal_cli.core import fixed
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, PointSet
 from accelcal_cli.optimize import _fixed_model, fixed32
@@ -163,3 +164,11 @@ def test_the_helpers_of_the_arithmetic_keep_integers() -> None:
     values = np.array([3, -5], np.int64)
     assert fixed.narrow(values, 1).dtype == np.int64
     assert type(_fixed_model.rounded_quotient(7, 2)) is int
+
+
+def test_a_collapsed_axis_is_refused() -> None:
+    turn = np.linspace(0, 6, 40)
+    noise = 0.05 * np.random.default_rng(1).standard_normal(40)
+    ring = np.stack([noise, np.cos(turn), np.sin(turn)], axis=1)
+    with pytest.raises(DivergedError, match="an axis collapsed"):
+        fixed32.fit(points(ring), MODELS["9"])

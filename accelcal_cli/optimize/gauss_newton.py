@@ -1,0 +1,135 @@
+"""Damped Gauss-Newton (Grammenos, Mascolo, Crowcroft 2018, section 4.2, eq. 3-8).
+
+Cost: the weighted mean of (|A|^2 - g^2)^2 with g = 1, A = S (v + o), o = -B. Three forms of S can
+be asked for; the result is always F's lower-triangular K with the same metric, K^T K = S^T S, so
+that |A| is the same. A full S is free up to a rotation (|R A| = |A|): its twelve parameters are not
+determined by gravity alone, so each step is the shortest of those that fit, and K fixes the gauge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
+from accelcal_cli.optimize._float_model import (
+    ENTRIES,
+    FloatPoints,
+    Real,
+    as_floats,
+    as_integers,
+    no_overflow,
+    nothing_to_fit,
+)
+
+SMALLEST_CHANGE = 1 / ONE
+"""A change below the result's last bit counts as none; guards the division of eq. 8 by zero."""
+
+SINGULAR = 1e-9
+"""Singular values below this part of the largest one are taken for zero."""
+
+Form = Literal["lower", "symmetric", "full"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """Numbers of the iteration.
+
+    Attributes:
+        form: `lower` (F's K), `symmetric` (nine parameters of G) or `full` (twelve).
+        damping: delta of eq. 6, at most 1.
+        tolerance: epsilon of eq. 8.
+        max_iterations: bound on the iterations.
+    """
+
+    form: Form = "lower"
+    damping: float = 0.9
+    tolerance: float = 1e-6
+    max_iterations: int = 100
+
+
+DEFAULT = Settings()
+
+
+def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
+    """Fit the free parameters of a model.
+
+    Raises:
+        DivergedError: the points do not determine the parameters, or the iteration overflows or
+            does not converge.
+    """
+    if not model.free or not len(points):
+        return nothing_to_fit()
+    with no_overflow():
+        return _iterate(as_floats(points), model, settings)
+
+
+def _basis(model: Model, form: Form) -> Real:
+    """Directions in which S (nine entries by rows), o and s may move, (15, number)."""
+    columns = [_entries(form, index) for index in model.free if index < 6]
+    if form == "full" and 3 in model.free:
+        columns += [_unit(3 * column + row) for row, column in ENTRIES[3:]]
+    columns += [_unit(index + 3) for index in model.free if index >= 6]
+    return np.stack(columns, axis=1)
+
+
+def _entries(form: Form, index: int) -> Real:
+    row, column = ENTRIES[index]
+    unit = _unit(3 * row + column)
+    return np.maximum(unit, _unit(3 * column + row)) if form == "symmetric" else unit
+
+
+def _unit(index: int) -> Real:
+    return np.asarray(np.eye(15)[index])
+
+
+def _iterate(points: FloatPoints, model: Model, settings: Settings) -> Fit:
+    basis = _basis(model, settings.form)
+    now = np.concatenate([np.eye(3).ravel(), np.zeros(6)])
+    for iteration in range(1, settings.max_iterations + 1):
+        step, rank = _step(points, basis, now)
+        if rank < len(model.free):
+            raise DivergedError("the points do not determine the parameters")
+        change = settings.damping * (basis @ step)
+        before, now = now, now - change
+        if _settled(change, (now + before) / 2, settings.tolerance):
+            return Fit(as_integers(_lower(now)), iteration, "small change", Operations())
+    raise DivergedError(f"the fit has not converged after {settings.max_iterations} iterations")
+
+
+def _step(points: FloatPoints, basis: Real, now: Real) -> tuple[Real, int]:
+    """H^-1 J of eq. 6 in the directions of the basis, with the Gauss-Newton H, and H's rank."""
+    s, offset, slope = now[:9].reshape(3, 3), now[9:12], now[12:]
+    shifted = points.v + offset + points.tau[:, np.newaxis] * slope
+    calibrated = shifted @ s.T
+    residual = (calibrated**2).sum(axis=1) - 1
+    back = calibrated @ s
+    products = (calibrated[:, :, np.newaxis] * shifted[:, np.newaxis, :]).reshape(-1, 9)
+    slopes = 2 * np.hstack([products, back, back * points.tau[:, np.newaxis]]) @ basis
+    root = np.sqrt(points.weights)
+    step, _, rank, _ = np.linalg.lstsq(slopes * root[:, np.newaxis], residual * root, rcond=SINGULAR)
+    return np.asarray(step), int(rank)
+
+
+def _settled(change: Real, mean: Real, tolerance: float) -> bool:
+    return bool((np.abs(change) <= np.maximum(tolerance * np.abs(mean), SMALLEST_CHANGE)).all())
+
+
+def _lower(now: Real) -> Real:
+    """The twelve parameters with the lower-triangular K of the same metric."""
+    s = now[:9].reshape(3, 3)
+    upper = np.linalg.cholesky((s.T @ s)[::-1, ::-1])
+    k = upper.T[::-1, ::-1]
+    return np.concatenate([[k[row, column] for row, column in ENTRIES], now[9:]])
+
+
+OPTIMIZER = Optimizer(
+    name="gauss-newton",
+    title="damped Gauss-Newton (Grammenos, Mascolo, Crowcroft 2018)",
+    fit=fit,
+    settings={"default": DEFAULT},
+)
