@@ -26,7 +26,8 @@ test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
 
 nightly: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadfile -m nightly
+	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly
+	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -6,6 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("searching", deadline=None)
+settings.load_profile(os.environ.get("ACCELCAL_HYPOTHESIS", "steady"))
 
 ROOT = Path(__file__).resolve().parent.parent
 

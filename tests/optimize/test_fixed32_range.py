@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.core.errors import FixedPointOverflowError
+from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.fixed import LIMIT, ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, Fit, PointSet
 from accelcal_cli.optimize import fixed32
@@ -30,7 +30,7 @@ def unbounded(held: PointSet) -> PointSet:
 def outcome(run: Callable[[], Fit]) -> Fit | str:
     try:
         return run()
-    except FixedPointOverflowError as error:
+    except DivergedError as error:
         return str(error)
 
 
