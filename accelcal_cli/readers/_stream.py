@@ -12,7 +12,8 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
 
 GZIP_STEP = 1 << 13
-CHECKSUM_WORDS = "CRC check failed"
+TRAILING_WORDS = "Not a gzipped file"
+"""What gzip says of bytes after its data; the data before them were checked and are right."""
 
 
 class ByteSource:
@@ -54,7 +55,7 @@ class ByteSource:
             return self._file.read1(count) if self._gzip is None else self._step(self._gzip, count)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             self.broken = True
-            self._untrue = CHECKSUM_WORDS in str(error)
+            self._untrue = not isinstance(error, EOFError) and TRAILING_WORDS not in str(error)
             return b""
         except OSError as error:
             raise self._unreadable(error) from error
@@ -71,15 +72,15 @@ class ByteSource:
             count -= len(part)
         return b"".join(parts)
 
-    def refuse_wrong_checksum(self) -> None:
+    def refuse_untrue(self) -> None:
         """For data without checksums of their own: what was unpacked may be wrong anywhere.
 
         Raises:
-            UnreadableError: the gzip checksum did not match at the end.
+            UnreadableError: the gzip data are damaged within, not only cut short.
         """
         if self._untrue:
             raise UnreadableError(
-                "the gzip checksum is wrong: somewhere its values are not what was packed",
+                "the gzip data are damaged: somewhere its values are not what was packed",
                 path=self.path,
                 byte_offset=self.disk_position(),
                 hint="copy it again from its source",

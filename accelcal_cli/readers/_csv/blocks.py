@@ -70,7 +70,7 @@ class LineFile:
 
     def _piece(self) -> bytes:
         piece = self._source.read(PIECE_BYTES)
-        self._source.refuse_wrong_checksum()
+        self._source.refuse_untrue()
         return piece.replace(b"\r", b"\n") if self._bare_returns else piece
 
     def blocks(self, start: int, line: int, block_bytes: int) -> Iterator[Block]:

@@ -76,7 +76,7 @@ class PagedFile:
                 data = stream.read_exact(pages * self.page_bytes)
                 last = len(data) < pages * self.page_bytes
                 if not self.proved:
-                    stream.refuse_wrong_checksum()
+                    stream.refuse_untrue()
                 whole = len(data) // self.page_bytes
                 cut = whole * self.page_bytes
                 table = np.frombuffer(data, np.uint8, cut).reshape(whole, self.page_bytes)
