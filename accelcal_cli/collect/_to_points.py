@@ -8,7 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import PointSet, TemperatureScale
 
 
@@ -22,18 +22,16 @@ class Sums:
     temperature_mc: int = 0
 
 
-def quotient(value: int, divisor: int) -> int:
-    """value / divisor, rounded to the nearest integer, halves up."""
-    return (2 * value + divisor) // (2 * divisor)
-
-
 def to_points(
     sums: Sequence[Sums], weights: Sequence[int], lsb_per_g: float, *, temperature: bool
 ) -> PointSet:
     """Means in fixed-point g; temperatures scaled to a power-of-two span about their mean."""
     scale = Fraction(lsb_per_g)
     xyz = [
-        [quotient(axis * ONE * scale.denominator, item.samples * scale.numerator) for axis in item.xyz]
+        [
+            rounded_quotient(axis * ONE * scale.denominator, item.samples * scale.numerator)
+            for axis in item.xyz
+        ]
         for item in sums
     ]
     windows = np.array([item.windows for item in sums], np.int64)
@@ -41,11 +39,11 @@ def to_points(
     places = np.array(xyz, np.int64).reshape(-1, 3)
     if not temperature or not sums:
         return PointSet(places, held, windows)
-    means = [quotient(item.temperature_mc, item.samples) for item in sums]
-    reference = quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
+    means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
+    reference = rounded_quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
     span = _span_c(max(abs(mean - reference) for mean in means))
     tau = [
-        quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
+        rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
         for item in sums
     ]
     return PointSet(places, held, windows, np.array(tau, np.int64), TemperatureScale(reference, float(span)))

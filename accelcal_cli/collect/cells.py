@@ -20,8 +20,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect._to_points import Sums, quotient, to_points
+from accelcal_cli.collect._to_points import Sums, to_points
 from accelcal_cli.collect.plausible import plausible
+from accelcal_cli.core.fixed import rounded_quotient
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import Windows
@@ -90,7 +91,9 @@ class CellCollector:
         for key, value in cells.items():
             groups[_group(key)] += value[0]
         ordered = sorted(cells.items())
-        weights = [max(1, quotient(value[0] * WEIGHT_ONE, groups[_group(key)])) for key, value in ordered]
+        weights = [
+            max(1, rounded_quotient(value[0] * WEIGHT_ONE, groups[_group(key)])) for key, value in ordered
+        ]
         sums = [Sums(v[0], v[0] * self.length, (v[1], v[2], v[3]), v[4]) for _, v in ordered]
         return to_points(sums, weights, self.lsb_per_g, temperature=self.temperature)
 

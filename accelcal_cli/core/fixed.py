@@ -47,3 +47,8 @@ def to_fixed(value: Fraction | float) -> int:
 def to_float(value: int) -> float:
     """The number a fixed-point integer stands for (exact: 29 bits fit a double)."""
     return value / ONE
+
+
+def rounded_quotient(value: int, divisor: int) -> int:
+    """value / divisor rounded to the nearest integer, halves up; the divisor is positive."""
+    return (2 * value + divisor) // (2 * divisor)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from accelcal_cli.core.errors import FixedPointOverflowError
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, checked, narrow
+from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, checked, narrow, rounded_quotient
 from accelcal_cli.core.points import WEIGHT_ONE, Operations, PointSet
 
 VALUE_LIMIT = 2 * ONE
@@ -133,8 +133,3 @@ def _turned_back(k: list[int], force: list[int]) -> list[int]:
 
 def _mean_of_four(total: int, points: PointSet) -> int:
     return rounded_quotient(4 * total * WEIGHT_ONE, int(points.weights.sum()))
-
-
-def rounded_quotient(value: int, divisor: int) -> int:
-    """value / divisor rounded to the nearest integer, halves up."""
-    return (2 * value + divisor) // (2 * divisor)

@@ -12,14 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed
+from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, rounded_quotient
 from accelcal_cli.core.points import IDENTITY, Fit, Model, Optimizer, PointSet
 from accelcal_cli.optimize._fixed_model import (
     Tally,
     cost,
     evaluate,
     gradient,
-    rounded_quotient,
 )
 
 RATE_BITS = 24

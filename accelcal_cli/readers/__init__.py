@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import importlib
-import pkgutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
+from accelcal_cli.core.plugins import bound, named
 from accelcal_cli.core.recording import Reader
 
 
 @cache
 def all_formats() -> tuple[Format, ...]:
     """Every format, by name. A module whose name starts with `_` is a helper, not a format."""
-    names = [info.name for info in pkgutil.iter_modules(__path__) if not info.name.startswith("_")]
-    found = [importlib.import_module(f"{__name__}.{name}").FORMAT for name in sorted(names)]
-    return tuple(sorted(found, key=lambda item: item.name))
+    return tuple(bound(__name__, __path__, "FORMAT"))
 
 
 def find_format(path: Path, options: ReadOptions) -> Format:
@@ -45,11 +42,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
 
 def named_format(name: str) -> Format:
     """Look a format up by name; raises UsageError where there is none."""
-    for item in all_formats():
-        if item.name == name:
-            return item
-    known = ", ".join(item.name for item in all_formats())
-    raise UsageError(f"unknown format {name!r}", hint=f"known formats: {known}")
+    return named(name, all_formats(), "format")
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:

@@ -9,8 +9,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.collect._to_points import Sums, quotient, to_points
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.collect._to_points import Sums, to_points
+from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import TemperatureScale
 
 HALF = Fraction(1, 2)
@@ -22,7 +22,7 @@ def rounded(value: Fraction) -> int:
 
 @given(st.integers(-(10**30), 10**30), st.integers(1, 10**15))
 def test_quotients_are_rounded_halves_up(value: int, divisor: int) -> None:
-    assert quotient(value, divisor) == rounded(Fraction(value, divisor))
+    assert rounded_quotient(value, divisor) == rounded(Fraction(value, divisor))
 
 
 @given(

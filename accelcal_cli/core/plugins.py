@@ -1,0 +1,37 @@
+"""Finding what the files of a folder bind: formats, encoders, optimizers. Nothing registers itself."""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+from collections.abc import Iterable
+from typing import Any, Protocol, TypeVar
+
+from accelcal_cli.core.errors import UsageError
+
+
+class Named(Protocol):
+    """Anything with a name."""
+
+    @property
+    def name(self) -> str:
+        """As in the command's options."""
+
+
+def bound(package: str, folder: Iterable[str], attribute: str) -> list[Any]:
+    """`attribute` of every module of a package, by the items' names; `_` modules are helpers."""
+    names = [info.name for info in pkgutil.iter_modules(folder) if not info.name.startswith("_")]
+    found = [getattr(importlib.import_module(f"{package}.{name}"), attribute) for name in names]
+    return sorted(found, key=lambda item: str(item.name))
+
+
+T = TypeVar("T", bound=Named)
+
+
+def named(name: str, items: tuple[T, ...], what: str) -> T:
+    """The item of a name; raises UsageError with the known names where there is none."""
+    for item in items:
+        if item.name == name:
+            return item
+    known = ", ".join(item.name for item in items)
+    raise UsageError(f"unknown {what} {name!r}", hint=f"one of {known}")
