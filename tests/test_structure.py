@@ -20,8 +20,9 @@ FLOOR = {
     "simulate": 1,
     "output": 1,
     "pipeline": 2,
-    "cli": 3,
-    "__main__": 4,
+    "evaluate": 3,
+    "cli": 4,
+    "__main__": 5,
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

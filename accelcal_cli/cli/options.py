@@ -11,6 +11,7 @@ import click
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import PROFILES, Settings
 from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
@@ -99,6 +100,15 @@ _METHOD = [
     ),
 ]
 
+_GRAVITY = [
+    click.option(
+        "--latitude", type=click.FloatRange(-90, 90), metavar="DEGREES", help="Where the recording was made."
+    ),
+    click.option(
+        "--altitude", type=click.FloatRange(-500, 9000), metavar="METRES", help="Above the sea.  [default: 0]"
+    ),
+]
+
 _CHUNK = click.option(
     "--chunk-samples",
     type=click.IntRange(1),
@@ -118,7 +128,8 @@ def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Comman
 
 
 reading_options = _decorate([*_READING, _CHUNK])
-method_options = _decorate(_METHOD)
+gravity_options = _decorate(_GRAVITY)
+method_options = _decorate([*_METHOD, *_GRAVITY])
 
 
 def read_options(values: dict[str, Any]) -> ReadOptions:
@@ -152,5 +163,14 @@ def settings(values: dict[str, Any]) -> Settings:
         raise UsageError(
             "profile paper fits nine parameters", hint="leave --model out, or use profile default"
         )
+    place = gravity(values)
+    changed |= {"latitude": place.latitude, "altitude_m": place.altitude_m}
     chosen = replace(PROFILES[values["profile"]], **changed)
     return replace(chosen, temperature=False) if values["no_temperature"] else chosen
+
+
+def gravity(values: dict[str, Any]) -> Gravity:
+    """Where the recording was made; raises UsageError for an altitude without a latitude."""
+    if values["altitude"] is not None and values["latitude"] is None:
+        raise UsageError("--altitude says nothing without --latitude", hint="give both")
+    return Gravity(values["latitude"], values["altitude"])

@@ -45,10 +45,9 @@ class CellCounts:
 
 
 class CellCollector:
-    """Collects windows of one length from one device; see the module for how."""
+    """Collects windows of one recording; see the module for how."""
 
-    def __init__(self, length: int, lsb_per_g: float, settings: Settings, *, temperature: bool) -> None:
-        self.length = length
+    def __init__(self, lsb_per_g: float, settings: Settings, *, temperature: bool) -> None:
         self.lsb_per_g = lsb_per_g
         self.temperature = temperature
         self.settings = settings
@@ -67,10 +66,11 @@ class CellCollector:
         self._note_spreads(widest)
         keys = self._keys(windows, widest == 0)
         unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        values = np.zeros((len(unique), 4), np.int64)
-        np.add.at(values[:, :3], inverse, windows.sums)
+        values = np.zeros((len(unique), 5), np.int64)
+        np.add.at(values[:, 0], inverse, windows.samples)
+        np.add.at(values[:, 1:4], inverse, windows.sums)
         if windows.temperature_sums is not None:
-            np.add.at(values[:, 3], inverse, windows.temperature_sums)
+            np.add.at(values[:, 4], inverse, windows.temperature_sums)
         for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
             self._put(tuple(key), [count, *row])
 
@@ -94,7 +94,7 @@ class CellCollector:
         weights = [
             max(1, rounded_quotient(value[0] * WEIGHT_ONE, groups[_group(key)])) for key, value in ordered
         ]
-        sums = [Sums(v[0], v[0] * self.length, (v[1], v[2], v[3]), v[4]) for _, v in ordered]
+        sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for _, v in ordered]
         return to_points(sums, weights, self.lsb_per_g, temperature=self.temperature)
 
     def counts(self) -> CellCounts:
@@ -103,10 +103,11 @@ class CellCollector:
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)
-        border = Fraction(self.lsb_per_g).limit_denominator(1000) * self.length
-        keys[:, :3] = windows.sums * (self.settings.cells_per_g * border.denominator) // border.numerator
+        border = Fraction(self.lsb_per_g).limit_denominator(1000)
+        g = windows.samples[:, np.newaxis] * border.numerator
+        keys[:, :3] = windows.sums * (self.settings.cells_per_g * border.denominator) // g
         if self.temperature and windows.temperature_sums is not None:
-            keys[:, 3] = windows.temperature_sums // (self.length * 1000)
+            keys[:, 3] = windows.temperature_sums // (windows.samples * 1000)
         keys[:, _CONSTANT] = constant
         return keys
 

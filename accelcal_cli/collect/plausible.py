@@ -11,7 +11,7 @@ from accelcal_cli.core.windows import Windows
 
 def norms_g(windows: Windows, lsb_per_g: float) -> NDArray[np.float64]:
     """Length of each window's raw mean [g], (m,)."""
-    mean_g = windows.sums / (windows.length * lsb_per_g)
+    mean_g = windows.sums / (windows.samples[:, np.newaxis] * lsb_per_g)
     squares = mean_g * mean_g
     return np.asarray(np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]))
 

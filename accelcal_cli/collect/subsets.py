@@ -8,6 +8,7 @@ interval contains it and whose subset is not full.
 from __future__ import annotations
 
 from fractions import Fraction
+from functools import cache
 from math import ceil, floor
 
 from accelcal_cli.collect._to_points import Sums, to_points
@@ -29,23 +30,20 @@ POINTS_PER_SUBSET = 2
 class SubsetCollector:
     """Collects 18 points; windows must come in the order of time."""
 
-    def __init__(self, length: int, lsb_per_g: float, per_subset: int = POINTS_PER_SUBSET) -> None:
-        self.length = length
+    def __init__(self, lsb_per_g: float, per_subset: int = POINTS_PER_SUBSET) -> None:
         self.lsb_per_g = lsb_per_g
         self.per_subset = per_subset
-        count = Fraction(lsb_per_g) * length
-        self._bounds = [(ceil(low * count), floor(high * count)) for low, high in INTERVALS_G]
         self._held: dict[tuple[int, int], list[Sums]] = {
             (axis, level): [] for axis in range(3) for level in range(3)
         }
 
-    def offer(self, xyz: tuple[int, int, int]) -> bool:
-        """Offer one window's sums of counts; says whether it was taken."""
+    def offer(self, samples: int, xyz: tuple[int, int, int]) -> bool:
+        """Offer one window's sums of so many samples' counts; says whether it was taken."""
         for axis, value in enumerate(xyz):
-            for level, (low, high) in enumerate(self._bounds):
+            for level, (low, high) in enumerate(_bounds(self.lsb_per_g, samples)):
                 subset = self._held[axis, level]
                 if low <= value <= high and len(subset) < self.per_subset:
-                    subset.append(Sums(1, self.length, xyz))
+                    subset.append(Sums(1, samples, xyz))
                     return True
         return False
 
@@ -63,20 +61,28 @@ class SubsetCollector:
         return to_points(sums, [WEIGHT_ONE] * len(sums), self.lsb_per_g, temperature=False)
 
 
+@cache
+def _bounds(lsb_per_g: float, samples: int) -> list[tuple[int, int]]:
+    """The intervals of eq. 10 in sums of so many samples' counts."""
+    count = Fraction(lsb_per_g) * samples
+    return [(ceil(low * count), floor(high * count)) for low, high in INTERVALS_G]
+
+
 class PaperCollector:
     """F's two distinct sets: what the first does not take is offered to the second (control)."""
 
-    def __init__(self, length: int, lsb_per_g: float, settings: Settings) -> None:
+    def __init__(self, lsb_per_g: float, settings: Settings) -> None:
         self.lsb_per_g = lsb_per_g
         self.settings = settings
         self.implausible = 0
-        self.fit = SubsetCollector(length, lsb_per_g)
-        self.control = SubsetCollector(length, lsb_per_g)
+        self.fit = SubsetCollector(lsb_per_g)
+        self.control = SubsetCollector(lsb_per_g)
 
     def add(self, windows: Windows) -> None:
         """Take still windows in, in the order of time."""
         usable = plausible(windows, self.lsb_per_g, self.settings)
         self.implausible += int(len(windows) - usable.sum())
-        for x, y, z in windows.select(usable).sums.tolist():
-            if not self.fit.offer((x, y, z)):
-                self.control.offer((x, y, z))
+        held = windows.select(usable)
+        for samples, (x, y, z) in zip(held.samples.tolist(), held.sums.tolist(), strict=True):
+            if not self.fit.offer(samples, (x, y, z)):
+                self.control.offer(samples, (x, y, z))

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.fixed import ONE, Fixed, to_float
+from accelcal_cli.core.fixed import ONE, Fixed, rounded_quotient, to_float
+from accelcal_cli.core.gravity import STANDARD, Gravity
 
 PARAMETER_NAMES = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz", "sx", "sy", "sz")
 """K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C]."""
+
+UPPER_NAMES = ("kyx", "kzx", "kzy")
+"""Entries of K above its diagonal: only known orientations determine them."""
 
 WEIGHT_ONE = 1 << 15
 IDENTITY: tuple[int, ...] = (ONE, ONE, ONE) + (0,) * 9
@@ -145,18 +150,23 @@ class Calibration:
 
     Attributes:
         model: name of the model that was fitted.
-        parameters: twelve fixed-point integers.
+        parameters: twelve fixed-point integers, offsets in standard g.
         temperature: scale of the slopes, None where the model has none.
+        gravity: what rest measures.
+        upper: entries of K above its diagonal, in the order of UPPER_NAMES.
     """
 
     model: str
     parameters: tuple[int, ...]
     temperature: TemperatureScale | None = None
+    gravity: Gravity = STANDARD
+    upper: tuple[int, int, int] = (0, 0, 0)
 
     def gain(self) -> NDArray[np.float64]:
-        """K, (3, 3) lower triangular."""
+        """K, (3, 3); lower triangular unless orientations were known."""
         k = [to_float(value) for value in self.parameters[:6]]
-        return np.array([[k[0], 0.0, 0.0], [k[3], k[1], 0.0], [k[4], k[5], k[2]]])
+        yx, zx, zy = (to_float(value) for value in self.upper)
+        return np.array([[k[0], yx, zx], [k[3], k[1], zy], [k[4], k[5], k[2]]])
 
     def offset_g(self) -> NDArray[np.float64]:
         """o, (3,) in g."""
@@ -171,3 +181,12 @@ class Calibration:
     def reference_c(self) -> float:
         """Tref in degrees C; 0 without temperature."""
         return 0.0 if self.temperature is None else self.temperature.reference_mc / 1000
+
+
+def in_standard_g(parameters: tuple[int, ...], local_g: Fraction) -> tuple[int, ...]:
+    """Parameters for points in standard g, of those fitted to points in units of local gravity.
+
+    With v = u g: K (v + o g) = g K (u + o); K stays as it is, offsets and slopes grow with g.
+    """
+    scaled = [rounded_quotient(value * local_g.numerator, local_g.denominator) for value in parameters[6:]]
+    return (*parameters[:6], *scaled)

@@ -17,9 +17,6 @@ from accelcal_cli.core.clock import Clock
 Counts = NDArray[np.int16] | NDArray[np.int32]
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
 
-STANDARD_GRAVITY = 9.80665
-"""m/s2 in one g (BIPM, 3rd CGPM 1901)."""
-
 FLOAT_LSB_PER_G = float(1 << 24)
 """Counts per g given to values that arrive as decimal fractions: a grid of 0.06 micro-g."""
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+from accelcal_cli.core.gravity import Gravity
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -30,6 +32,8 @@ class Settings:
             et al. 2014: 0.3 g).
         max_error_mg: held-out error that a usable calibration stays below [mg] (van Hees: 10 mg).
         min_temperature_range_c: a slope needs at least this range of temperatures [degrees C].
+        latitude: where the recording was made [degrees]; None: rest measures 1 standard g.
+        altitude_m: metres above the sea there.
     """
 
     profile: str = "default"
@@ -49,6 +53,13 @@ class Settings:
     coverage_g: float = 0.3
     max_error_mg: float = 10.0
     min_temperature_range_c: float = 2.0
+    latitude: float | None = None
+    altitude_m: float | None = None
+
+    @property
+    def gravity(self) -> Gravity:
+        """What rest measures."""
+        return Gravity(self.latitude, self.altitude_m)
 
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""

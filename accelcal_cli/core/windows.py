@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """m still windows of `length` samples each.
+    """m still windows.
 
     Attributes:
+        samples: (m,) int64, number of samples in each.
         first_sample: (m,) number of each window's first sample in the recording.
         sums: (m, 3) int64, sums of the raw counts.
         spread: (m, 3) int64, max - min of the raw counts.
         temperature_sums: (m,) int64, sums of thousandths of a degree C, or None.
     """
 
-    length: int
+    samples: NDArray[np.int64]
     first_sample: NDArray[np.int64]
     sums: NDArray[np.int64]
     spread: NDArray[np.int64]
@@ -31,7 +32,9 @@ class Windows:
     def select(self, which: NDArray[np.bool_]) -> Windows:
         """The windows of a mask."""
         warm = None if self.temperature_sums is None else self.temperature_sums[which]
-        return Windows(self.length, self.first_sample[which], self.sums[which], self.spread[which], warm)
+        return Windows(
+            self.samples[which], self.first_sample[which], self.sums[which], self.spread[which], warm
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
-from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.judgement import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
-from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet
+from accelcal_cli.core.judgement import Coverage, Holdout, Judgement, Outcome, Trial
+from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
+from accelcal_cli.judge.complete import Fitted, complete
 from accelcal_cli.judge.holdout import FitFunction, control
 from accelcal_cli.judge.ladder import LADDER, Evidence, choose, one_sided_axes, try_models
 from accelcal_cli.judge.postures import postures
 from accelcal_cli.judge.uncertainty import coverage as coverage_of
-from accelcal_cli.judge.uncertainty import uncertainty
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
@@ -57,9 +53,8 @@ def judge(
         found = fit(points, MODELS[chosen.model])
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, trials)
-    return _complete(
-        Judgement(outcome, message, seen, trials, holdout=chosen.holdout), points, label, chosen, found
-    )
+    verdict = Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
+    return complete(verdict, Fitted(chosen.model, points, label, found), settings.gravity)
 
 
 def judge_paper(
@@ -94,7 +89,8 @@ def judge_paper(
     verdict = Judgement(outcome, text, seen, (trial, *others), holdout=trial.holdout)
     if outcome is Outcome.REFUSED:
         return verdict
-    return _complete(verdict, fit_points, np.arange(len(fit_points), dtype=np.int64), trial, found)
+    label = np.arange(len(fit_points), dtype=np.int64)
+    return complete(verdict, Fitted(name, fit_points, label, found), settings.gravity)
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
@@ -157,28 +153,3 @@ def _change(held: Holdout) -> str:
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
-
-
-def _complete(
-    verdict: Judgement, points: PointSet, label: NDArray[np.int64], chosen: Trial, found: Fit
-) -> Judgement:
-    model = MODELS[chosen.model]
-    known = uncertainty(points, found.parameters, model)
-    scale = points.temperature if model.has_temperature else None
-    seen = verdict.coverage
-    if known is not None:
-        seen = replace(
-            seen, condition_number=known.condition_number, worst_direction_mg=known.worst_direction_mg
-        )
-    errors = [
-        mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
-        for p in (IDENTITY, found.parameters)
-    ]
-    return replace(
-        verdict,
-        coverage=seen,
-        calibration=Calibration(chosen.model, found.parameters, scale),
-        fit=found,
-        fit_errors=FitErrors(len(points), int(label.max()) + 1, errors[0], errors[1]),
-        standard_errors=None if known is None else known.standard_errors,
-    )

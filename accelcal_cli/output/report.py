@@ -6,21 +6,24 @@ import json
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from math import floor, log10
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core.facts import Facts, Gap
-from accelcal_cli.core.fixed import FRACTION_BITS
-from accelcal_cli.core.judgement import Coverage, ErrorSummary, Holdout, Judgement, Trial
+from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.names import printable
-from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit
-from accelcal_cli.core.recording import Problem, Recording, as_json_device
+from accelcal_cli.core.recording import Recording, as_json_device
 from accelcal_cli.core.zones import iso_time
+from accelcal_cli.output.sections import (
+    calibration_json,
+    coverage_json,
+    holdout_json,
+    problem_json,
+    trial_json,
+)
 
 SCHEMA_VERSION = 1
-EQUATION = "a = K (v + o + s (T - Tref))"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,8 +67,8 @@ def build(data: ReportInput) -> dict[str, Any]:
         "calibration": calibration_json(verdict, data.optimizer),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
         "fit": _fit(data),
-        "coverage": _coverage(verdict.coverage),
-        "models_tried": [_trial(trial) for trial in verdict.trials],
+        "coverage": coverage_json(verdict.coverage),
+        "models_tried": [trial_json(trial) for trial in verdict.trials],
         "file_health": _health(data),
     }
 
@@ -117,77 +120,6 @@ def _gap(gap: Gap, offset_s: int | None) -> dict[str, Any]:
     }
 
 
-def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
-    """The `calibration` object; None where there is none."""
-    found, fit = verdict.calibration, verdict.fit
-    if found is None or fit is None:
-        return None
-    values = [*found.gain()[[0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]].tolist(), *found.offset_g().tolist()]
-    return {
-        "model": found.model,
-        "gain": found.gain().tolist(),
-        "offset_g": found.offset_g().tolist(),
-        "parameters": dict(zip(PARAMETER_NAMES[:9], values, strict=True)),
-        "temperature": _temperature(found),
-        "standard_errors": _standard_errors(found, verdict.standard_errors),
-        "equation": EQUATION,
-        "fixed_point": _fixed_point(found),
-        "optimizer": {
-            **optimizer,
-            "iterations": fit.iterations,
-            "stop": fit.stop,
-            "operations": _operations(fit),
-        },
-        "gravity": {"local_g": 1.0, "latitude": None, "altitude": None},
-    }
-
-
-def _temperature(found: Calibration) -> dict[str, Any] | None:
-    if found.temperature is None:
-        return None
-    return {"slope_g_per_c": found.slope_g_per_c().tolist(), "reference_c": found.reference_c()}
-
-
-def _standard_errors(found: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
-    if errors is None:
-        return None
-    span = 1.0 if found.temperature is None else found.temperature.span_c
-    scaled = [value if index < 9 else value / span for index, value in enumerate(errors)]
-    number = 9 if found.temperature is None else 12
-    return {name: significant(value) for name, value in zip(PARAMETER_NAMES[:number], scaled, strict=False)}
-
-
-def _fixed_point(found: Calibration) -> dict[str, Any]:
-    scale = found.temperature
-    return {
-        "fraction_bits": FRACTION_BITS,
-        "parameters": dict(zip(PARAMETER_NAMES, found.parameters, strict=True)),
-        "temperature_reference_mc": None if scale is None else scale.reference_mc,
-        "temperature_span_c": None if scale is None else scale.span_c,
-    }
-
-
-def _operations(fit: Fit) -> dict[str, int]:
-    return {"additions": fit.operations.additions, "multiplications": fit.operations.multiplications}
-
-
-def holdout_json(held: Holdout) -> dict[str, Any]:
-    """The `holdout` object: the number to quote."""
-    return {
-        "method": held.method,
-        "points": held.points,
-        "postures": held.postures,
-        "before_mg": _summary(held.before),
-        "after_mg": _summary(held.after),
-        "improvement_percent": round(held.improvement_percent(), 1) if held.after.mean else None,
-        "ci95_mg": [round(value, 4) for value in held.ci95],
-    }
-
-
-def _summary(errors: ErrorSummary) -> dict[str, float]:
-    return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
-
-
 def _fit(data: ReportInput) -> dict[str, Any]:
     verdict, errors, raw = data.judgement, data.judgement.fit_errors, data.facts.still_error_mg
     return {
@@ -202,27 +134,6 @@ def _fit(data: ReportInput) -> dict[str, Any]:
     }
 
 
-def _coverage(seen: Coverage) -> dict[str, Any]:
-    worst, condition = seen.worst_direction_mg, seen.condition_number
-    return {
-        "subsets": [list(row) for row in seen.subsets],
-        "axis_min_g": [round(value, 4) for value in seen.axis_min_g],
-        "axis_max_g": [round(value, 4) for value in seen.axis_max_g],
-        "cells": seen.cells,
-        "condition_number": None if condition is None else significant(condition),
-        "worst_direction_mg": None if worst is None else significant(worst),
-    }
-
-
-def _trial(trial: Trial) -> dict[str, Any]:
-    held = trial.holdout
-    return {
-        "model": trial.model,
-        "after_mg": None if held is None else round(held.after.mean, 4),
-        "reason": trial.reason,
-    }
-
-
 def _health(data: ReportInput) -> dict[str, Any]:
     facts = data.facts
     return {
@@ -232,22 +143,6 @@ def _health(data: ReportInput) -> dict[str, Any]:
         "clipped_samples_after": data.clipped_after,
         "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
     }
-
-
-def problem_json(problem: Problem) -> dict[str, Any]:
-    """One entry of `file_health.problems`."""
-    return {
-        "code": problem.code,
-        "message": problem.message,
-        "byte_offset": problem.byte_offset,
-        "sample": problem.sample,
-        "count": problem.count,
-    }
-
-
-def significant(value: float, digits: int = 4) -> float:
-    """Round to so many significant digits: the last bits of linear algebra differ by machine."""
-    return 0.0 if value == 0 else round(value, digits - 1 - floor(log10(abs(value))))
 
 
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:

@@ -17,7 +17,7 @@ from accelcal_cli.pipeline.applying import Target, applier, write_calibrated
 from accelcal_cli.pipeline.existing import prepare, remove, remove_stale_parquet, up_to_date
 from accelcal_cli.pipeline.identity import hashing
 from accelcal_cli.pipeline.plan import Job
-from accelcal_cli.pipeline.profiles import Procedure, make_procedure, make_segmenter, optimizer_json
+from accelcal_cli.pipeline.profiles import Method, make_method, optimizer_json
 from accelcal_cli.pipeline.provenance import provenance
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.survey import survey
@@ -55,26 +55,26 @@ class _Run:
     def run(self, path: Path) -> Result:
         """Survey, judge, write; `path` is where the bytes are."""
         settings = self.request.settings
-        procedure = make_procedure(self.reader.recording, settings, named_optimizer(settings.optimizer))
+        method = make_method(self.reader.recording, settings, named_optimizer(settings.optimizer))
         with hashing(path) as digest:
-            data = self._survey(procedure, digest)
+            data = self._survey(method, digest)
         data = replace(data, recording=replace(data.recording, path=self.job.source))
-        return self._write(data, integers_json(data, procedure.points()) if self.request.integers else None)
+        points = method.procedure.points()
+        return self._write(data, integers_json(data, points) if self.request.integers else None)
 
-    def _survey(self, procedure: Procedure, digest: Future[str]) -> reports.ReportInput:
+    def _survey(self, method: Method, digest: Future[str]) -> reports.ReportInput:
         """First pass: everything the report says but what the second pass counts."""
         recording, settings = self.reader.recording, self.request.settings
-        segmenter = make_segmenter(recording, settings)
         shown = self.progress("reading", recording.total_bytes)
         chunks = self.reader.chunks(self.request.chunk_samples)
-        facts = survey(recording, chunks, segmenter, procedure, shown)
+        facts = survey(recording, chunks, method, shown)
         return reports.ReportInput(
             recording=recording,
             sha256=digest.result(),
             facts=facts,
             settings=self.request.effective_settings(recording.companion),
-            judgement=procedure.judge(),
-            windows=procedure.window_use(segmenter.counts),
+            judgement=method.procedure.judge(),
+            windows=method.procedure.window_use(method.segmenter.counts),
             optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
             clipped_after=None,
         )

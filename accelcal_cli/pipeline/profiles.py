@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Protocol
 
@@ -36,16 +36,40 @@ class Procedure(Protocol):
         """Windows by fate."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Method:
+    """How one recording's stillness is found and judged.
+
+    Attributes:
+        rest_lsb: raw counts that rest should measure.
+    """
+
+    segmenter: Segmenter
+    procedure: Procedure
+    rest_lsb: float
+
+
+def make_method(recording: Recording, settings: Settings, optimizer: Optimizer) -> Method:
+    """The method of the settings for one recording."""
+    procedure = make_procedure(recording, settings, optimizer)
+    return Method(make_segmenter(recording, settings), procedure, local_lsb_per_g(recording, settings))
+
+
 def make_procedure(recording: Recording, settings: Settings, optimizer: Optimizer) -> Procedure:
     """The procedure of the settings' profile for one recording."""
     fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
-    length = window_length(recording, settings)
+    lsb_per_g = local_lsb_per_g(recording, settings)
     if settings.profile == "paper":
-        collected = PaperCollector(length, recording.lsb_per_g, settings)
+        collected = PaperCollector(lsb_per_g, settings)
         return PaperProcedure(collected, settings, fit, optimizer.models)
     warm = settings.temperature and recording.has_temperature
-    collector = CellCollector(length, recording.lsb_per_g, settings, temperature=warm)
+    collector = CellCollector(lsb_per_g, settings, temperature=warm)
     return CellProcedure(collector, settings, fit, optimizer.models)
+
+
+def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
+    """Raw counts in one local g: what rest should measure."""
+    return recording.lsb_per_g * float(settings.gravity.local_g())
 
 
 def make_segmenter(recording: Recording, settings: Settings) -> Segmenter:

@@ -1,10 +1,9 @@
-"""The first pass over a recording: facts about it, and its still windows into a collector."""
+"""The first pass over a recording: facts about it, and its still windows into a procedure."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -13,8 +12,8 @@ from accelcal_cli.core.facts import Facts, Gap
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.windows import Windows
 from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.pipeline.profiles import Method
 from accelcal_cli.pipeline.request import Progress
-from accelcal_cli.segment.segmenter import Segmenter
 
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000
@@ -22,18 +21,12 @@ GAP_PERIODS = 1.5
 PLAUSIBLE_ERROR_G = 0.5
 
 
-class Collector(Protocol):
-    """Takes still windows in, in the order of time."""
-
-    def add(self, windows: Windows) -> None:
-        """Take windows in."""
-
-
 class Observer:
-    """Accumulates the facts of a recording chunk by chunk."""
+    """Accumulates the facts of a recording chunk by chunk; `rest_lsb` is what rest should measure."""
 
-    def __init__(self, recording: Recording) -> None:
+    def __init__(self, recording: Recording, rest_lsb: float) -> None:
         self.recording = recording
+        self.rest_lsb = rest_lsb
         self.samples = self.filled = self.clipped = 0
         self.first_us: int | None = None
         self.last_us: int | None = None
@@ -64,7 +57,7 @@ class Observer:
 
         Windows of less than 0.5 or more than 1.5 g, such as zeros, are no stillness under gravity.
         """
-        error_g = np.abs(norms_g(windows, self.recording.lsb_per_g) - 1)
+        error_g = np.abs(norms_g(windows, self.rest_lsb) - 1)
         plausible = np.rint(error_g[error_g < PLAUSIBLE_ERROR_G] * 1e9).astype(np.int64)
         self._still_ng += int(plausible.sum())
         self._still_windows += len(plausible)
@@ -150,21 +143,20 @@ def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
 def survey(
     recording: Recording,
     chunks: Iterable[Chunk],
-    segmenter: Segmenter,
-    collector: Collector,
+    method: Method,
     progress: Progress,
 ) -> Facts:
-    """Take a recording's chunks in: facts are returned, still windows go to the collector.
+    """Take a recording's chunks in: facts are returned, still windows go to the procedure.
 
     Raises:
         UnreadableError: it cannot be read on.
     """
-    observer = Observer(recording)
+    observer = Observer(recording, method.rest_lsb)
     for raw in chunks:
         chunk = with_clipping(raw, recording)
         observer.see(chunk)
-        for windows in segmenter.feed(chunk):
+        for windows in method.segmenter.feed(chunk):
             observer.see_still(windows)
-            collector.add(windows)
+            method.procedure.add(windows)
         progress(chunk.end_byte)
     return observer.facts()

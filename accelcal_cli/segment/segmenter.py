@@ -88,7 +88,8 @@ class Segmenter:
         warm = None
         if rows.temperature_mc is not None:
             warm = rows.temperature_mc.reshape(number, self.length).sum(axis=1, dtype=np.int64)
-        return Windows(self.length, first, sums.T, spread.T, warm).select(still)
+        samples = np.full(number, self.length, np.int64)
+        return Windows(samples, first, sums.T, spread.T, warm).select(still)
 
     def _usable(self, rows: Rows, number: int) -> NDArray[np.bool_]:
         """Windows that the device measured throughout; the others are counted by their worst row."""

@@ -11,17 +11,18 @@ from accelcal_cli.core.windows import Windows
 
 
 def windows(
-    length: int,
+    length: int | Sequence[int],
     sums: Sequence[Sequence[int]],
     spread: Sequence[Sequence[int]] | int = 3,
     temperature_sums: Sequence[int] | None = None,
 ) -> Windows:
-    """Windows one after another from sample 0 on."""
+    """Windows of one length or of several, one after another from sample 0 on."""
     number = len(sums)
+    samples = np.full(number, length, np.int64)
     spreads = np.full((number, 3), spread, np.int64) if isinstance(spread, int) else spread
     return Windows(
-        length,
-        length * np.arange(number, dtype=np.int64),
+        samples,
+        np.cumsum(samples) - samples,
         np.array(sums, np.int64).reshape(number, 3),
         np.array(spreads, np.int64).reshape(number, 3),
         None if temperature_sums is None else np.array(temperature_sums, np.int64),

@@ -26,12 +26,12 @@ HALF = Fraction(1, 2)
 LENGTH = 8
 
 
-def collector(lsb_per_g: float = 256.0, *, length: int = LENGTH, temperature: bool = False) -> CellCollector:
-    return CellCollector(length, lsb_per_g, DEFAULT, temperature=temperature)
+def collector(lsb_per_g: float = 256.0, *, temperature: bool = False) -> CellCollector:
+    return CellCollector(lsb_per_g, DEFAULT, temperature=temperature)
 
 
 def collected(items: Windows, lsb_per_g: float = 256.0, *, temperature: bool = False) -> CellCollector:
-    held = collector(lsb_per_g, length=items.length, temperature=temperature)
+    held = collector(lsb_per_g, temperature=temperature)
     held.add(items)
     return held
 
@@ -45,34 +45,36 @@ def wear(draw: st.DrawFn, widest: int = 20) -> Windows:
     postures = random.standard_normal((draw(st.integers(1, 8)), 3))
     postures /= np.sqrt((postures**2).sum(axis=1))[:, None] / random.uniform(0.4, 1.6, (len(postures), 1))
     g = postures[random.integers(len(postures), size=number)] + 0.05 * random.standard_normal((number, 3))
-    sums = np.rint(g * 256 * LENGTH).astype(np.int64)
+    lengths = random.integers(LENGTH, LENGTH + draw(st.sampled_from([1, 30])), number)
+    sums = np.rint(g * 256 * lengths[:, None]).astype(np.int64)
     spread = np.array(draw(st.lists(st.integers(0, widest), min_size=number, max_size=number)), np.int64)
-    warm = random.integers(20_000 * LENGTH, 24_000 * LENGTH, number)
-    return windows(LENGTH, sums.tolist(), np.stack([spread // 2, spread, spread // 3], 1), warm)
+    warm = random.integers(20_000 * lengths, 24_000 * lengths)
+    return windows(lengths, sums.tolist(), np.stack([spread // 2, spread, spread // 3], 1), warm)
 
 
 def naive_points(
     items: Windows, lsb_per_g: float, *, temperature: bool, constants: bool
 ) -> list[tuple[list[int], int, int]]:
     """One (position, weight, windows) for each cell, in the order of the cells."""
-    scale = Fraction(lsb_per_g) * items.length
     held: dict[tuple[int, ...], list[list[int]]] = defaultdict(list)
     for index, sums in enumerate(items.sums.tolist()):
-        g = [Fraction(value) / scale for value in sums]
+        samples = int(items.samples[index])
+        g = [Fraction(value) / (Fraction(lsb_per_g) * samples) for value in sums]
         if not Fraction(1, 4) < sum(value * value for value in g) < Fraction(9, 4):
             continue
         if not constants and not items.spread[index].any():
             continue
         heat = int(items.temperature_sums[index]) if temperature else 0
-        degree = floor(Fraction(heat, 1000 * items.length))
-        held[*(floor(value * 20) for value in g), degree].append(sums)
+        degree = floor(Fraction(heat, 1000 * samples))
+        held[*(floor(value * 20) for value in g), degree].append([*sums, samples])
     groups: dict[tuple[int, ...], int] = defaultdict(int)
     for key, members in held.items():
         groups[tuple(floor(Fraction(part, 2)) for part in key[:3])] += len(members)
     found = []
     for key, members in sorted(held.items()):
         share = Fraction(len(members), groups[tuple(floor(Fraction(part, 2)) for part in key[:3])])
-        means = [Fraction(sum(axis)) / len(members) / scale for axis in zip(*members, strict=True)]
+        *sums, samples = (sum(part) for part in zip(*members, strict=True))
+        means = [Fraction(total) / (Fraction(lsb_per_g) * samples) for total in sums]
         weight = max(1, floor(share * WEIGHT_ONE + HALF))
         found.append(([floor(mean * ONE + HALF) for mean in means], weight, len(members)))
     return found
@@ -169,7 +171,7 @@ def test_norms_that_gravity_cannot_give_are_left_out_and_counted(g: float, plaus
 
 
 def test_norms_are_judged_by_the_settings() -> None:
-    held = CellCollector(LENGTH, 256.0, replace(DEFAULT, norm_low_g=0.9, norm_high_g=1.1), temperature=False)
+    held = CellCollector(256.0, replace(DEFAULT, norm_low_g=0.9, norm_high_g=1.1), temperature=False)
     held.add(windows(LENGTH, [(round(g * 256 * LENGTH), 0, 0) for g in (0.8, 1.0, 1.2)]))
     assert (held.counts().implausible, len(held.points())) == (2, 1)
 
@@ -294,7 +296,8 @@ def test_making_cells_coarser_ends_with_any_number_of_temperatures(monkeypatch: 
 
 @given(wear(30), st.booleans())
 def test_the_unit_of_the_counts_does_not_matter(items: Windows, temperature: bool) -> None:
-    fine = Windows(LENGTH, items.first_sample, items.sums << 16, items.spread << 16, items.temperature_sums)
+    sums, spread = items.sums << 16, items.spread << 16
+    fine = Windows(items.samples, items.first_sample, sums, spread, items.temperature_sums)
     one = collected(items, 256.0, temperature=temperature)
     other = collected(fine, float(1 << 24), temperature=temperature)
     assert plain(one.points()) == plain(other.points())

@@ -30,8 +30,21 @@ ONE_SUBSET = {
 }
 
 
-def collector(length: int = LENGTH, lsb_per_g: float = LSB) -> SubsetCollector:
-    return SubsetCollector(length, lsb_per_g)
+class Offered:
+    """A collector of windows of one length."""
+
+    def __init__(self, length: int, lsb_per_g: float) -> None:
+        self.length = length
+        self.held = SubsetCollector(lsb_per_g)
+        self.missing = self.held.missing
+        self.points = self.held.points
+
+    def offer(self, xyz: tuple[int, int, int]) -> bool:
+        return self.held.offer(self.length, xyz)
+
+
+def collector(length: int = LENGTH, lsb_per_g: float = LSB) -> Offered:
+    return Offered(length, lsb_per_g)
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -130,7 +143,7 @@ def test_both_sets_are_those_of_the_paper(
     stream: list[tuple[int, int, int]], kind: tuple[int, float], batch: int
 ) -> None:
     length, lsb_per_g = kind
-    paper = PaperCollector(length, lsb_per_g, DEFAULT)
+    paper = PaperCollector(lsb_per_g, DEFAULT)
     for start in range(0, len(stream), batch):
         paper.add(windows(length, stream[start : start + batch]))
     count = Fraction(lsb_per_g) * length
@@ -140,7 +153,7 @@ def test_both_sets_are_those_of_the_paper(
 
 
 def test_no_window_is_in_both_sets() -> None:
-    paper = PaperCollector(LENGTH, LSB, DEFAULT)
+    paper = PaperCollector(LSB, DEFAULT)
     stream = [(number, NOWHERE, NOWHERE) for number in range(6)]
     paper.add(windows(LENGTH, stream))
     sets = [[int(x) * G // ONE for x in held.points().xyz[:, 0]] for held in (paper.fit, paper.control)]
@@ -148,7 +161,7 @@ def test_no_window_is_in_both_sets() -> None:
 
 
 def test_windows_that_gravity_cannot_give_enter_neither_set_and_are_counted() -> None:
-    paper = PaperCollector(LENGTH, LSB, DEFAULT)
+    paper = PaperCollector(LSB, DEFAULT)
     paper.add(windows(LENGTH, [(0, 0, 0)] * 5 + [(G, 8 * G, 0), (G, 0, 0)]))
     assert paper.implausible == 6
     assert (len(paper.fit.points()), len(paper.control.points())) == (1, 0)

@@ -70,9 +70,9 @@ def test_selecting_points_keeps_every_column_together(which: np.ndarray) -> None
 
 def test_selecting_windows_keeps_every_column_together() -> None:
     sums = np.arange(6, dtype=np.int64).reshape(2, 3)
-    windows = Windows(5, np.array([0, 5]), sums, sums + 1, np.array([7, 8]))
+    windows = Windows(np.array([5, 6]), np.array([0, 5]), sums, sums + 1, np.array([7, 8]))
     chosen = windows.select(np.array([False, True]))
-    assert (chosen.length, chosen.first_sample.tolist()) == (5, [5])
+    assert (chosen.samples.tolist(), chosen.first_sample.tolist()) == ([6], [5])
     assert (chosen.sums.tolist(), chosen.spread.tolist()) == ([[3, 4, 5]], [[4, 5, 6]])
     assert chosen.temperature_sums is not None and chosen.temperature_sums.tolist() == [8]
 

@@ -18,7 +18,7 @@ RECORDING = Recording(Path("a"), "test", rate_hz=10.0, lsb_per_g=256.0, total_by
 
 
 def observed(times: np.ndarray, breaks: list[int], cuts: list[int]) -> Facts:
-    observer = Observer(RECORDING)
+    observer = Observer(RECORDING, RECORDING.lsb_per_g)
     edges = [0, *cuts, len(times)]
     for start, stop in itertools.pairwise(edges):
         inner = np.array([row - start for row in breaks if start <= row < stop], np.int64)
@@ -51,7 +51,7 @@ def test_a_break_without_lost_time_is_no_gap() -> None:
 
 
 def test_an_empty_recording_has_no_times() -> None:
-    facts = Observer(RECORDING).facts()
+    facts = Observer(RECORDING, RECORDING.lsb_per_g).facts()
     assert (facts.samples, facts.first_us, facts.rate_hz) == (0, None, None)
 
 
@@ -61,7 +61,7 @@ def test_lists_stay_bounded_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     times = np.arange(100, dtype=np.int64) * 1_000_000
     facts = observed(times, list(range(1, 100)), [])
     assert (len(facts.gaps), facts.gaps_omitted) == (5, 94)
-    observer = Observer(RECORDING)
+    observer = Observer(RECORDING, RECORDING.lsb_per_g)
     many = tuple(Problem("checksum", "x", index, 0) for index in range(12))
     observer.see(Chunk(0, np.zeros((0, 3), np.int16), StampClock(times[:0]), 0, problems=many))
     problems = observer.facts().problems

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, STANDARD_GRAVITY
+from accelcal_cli.core.gravity import STANDARD_GRAVITY
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 
 LARGEST_G = 127.0
 BRACKETS = re.compile(r"[\[(]\s*(.*?)\s*[\])]\s*$")

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, STANDARD_GRAVITY, Counts
+from accelcal_cli.core.gravity import STANDARD_GRAVITY
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts
 from accelcal_cli.readers._hdf5.file import normal
 
 LARGEST_G = 127.0

@@ -1,0 +1,51 @@
+"""Local gravity by latitude and altitude (Grammenos, Mascolo, Crowcroft 2018, eq. 16-18)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from math import radians, sin
+
+STANDARD_GRAVITY = 9.80665
+"""m/s2 in one g (BIPM, 3rd CGPM 1901)."""
+
+_EQUATOR = 9.780327
+_FREE_AIR_PER_M = 3.086e-6
+_DECIMALS = 9
+
+
+def local_gravity(latitude: float, altitude_m: float = 0.0) -> float:
+    """Gravity [m/s2] at a latitude [degrees] and an altitude above the sea [m].
+
+    The International Gravity Formula of 1967 and the free-air correction.
+    """
+    angle = radians(latitude)
+    at_sea_level = _EQUATOR * (1 + 0.0053024 * sin(angle) ** 2 - 0.0000058 * sin(2 * angle) ** 2)
+    return at_sea_level - _FREE_AIR_PER_M * altitude_m
+
+
+@dataclass(frozen=True, slots=True)
+class Gravity:
+    """Where a recording was made; without a latitude, rest measures 1 standard g.
+
+    Attributes:
+        latitude: degrees, north positive.
+        altitude_m: metres above the sea; None: at the sea.
+    """
+
+    latitude: float | None = None
+    altitude_m: float | None = None
+
+    def local_g(self) -> Fraction:
+        """Local gravity in units of standard g, nine decimals; exactly 1 without a latitude.
+
+        The decimals make it the same number on every machine, whatever the last bit of its sine.
+        """
+        if self.latitude is None:
+            return Fraction(1)
+        ratio = local_gravity(self.latitude, self.altitude_m or 0.0) / STANDARD_GRAVITY
+        return Fraction(round(ratio * 10**_DECIMALS), 10**_DECIMALS)
+
+
+STANDARD = Gravity()
+"""Rest measures 1 standard g."""
