@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import fsum
 
 from accelcal_cli.core.points import Calibration, Fit
 
@@ -35,6 +36,8 @@ class Holdout:
         method: how it was held out.
         ci95: confidence interval of the mean after calibration [mg], Student's t over postures.
         per_posture: (before, after) [mg] of each posture, in the order of the postures.
+        blocks: (posture, after [mg]) of each block by which models are compared: a posture, or
+            where there is temperature a posture within a narrow range of it.
     """
 
     method: str
@@ -44,6 +47,11 @@ class Holdout:
     after: ErrorSummary
     ci95: tuple[float, float]
     per_posture: tuple[tuple[float, float], ...]
+    blocks: tuple[tuple[int, float], ...] = ()
+
+    def compared_mg(self) -> float:
+        """Mean over the blocks after calibration: what the model ladder compares [mg]."""
+        return fsum(after for _, after in self.blocks) / len(self.blocks)
 
     def improvement_percent(self) -> float:
         """R of F eq. 21: error before over error after, in percent."""

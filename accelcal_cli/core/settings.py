@@ -32,6 +32,8 @@ class Settings:
             et al. 2014: 0.3 g).
         max_error_mg: held-out error that a usable calibration stays below [mg] (van Hees: 10 mg).
         min_temperature_range_c: a slope needs at least this range of temperatures [degrees C].
+        temperature_block_c: models are compared on postures within so many degrees C, so that what
+            a slope brings shows where one posture was held at different temperatures.
         latitude: where the recording was made [degrees]; None: rest measures 1 standard g.
         altitude_m: metres above the sea there.
     """
@@ -53,6 +55,7 @@ class Settings:
     coverage_g: float = 0.3
     max_error_mg: float = 10.0
     min_temperature_range_c: float = 2.0
+    temperature_block_c: float = 2.0
     latitude: float | None = None
     altitude_m: float | None = None
 

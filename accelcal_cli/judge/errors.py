@@ -71,6 +71,23 @@ def standard_error(values: list[float]) -> float:
     return sqrt(spread / len(values))
 
 
+def clustered_error(values: list[float], clusters: list[int]) -> float:
+    """Standard error of the mean of values that are alike within clusters; 0 for one cluster.
+
+    sqrt(G / (G - 1) sum over the G clusters of (sum of deviations)^2) / n, which is
+    `standard_error` where every value is a cluster (Liang, Zeger 1986; Cameron, Miller 2015).
+    """
+    number = len(set(clusters))
+    if number < 2:
+        return 0.0
+    centre = mean(values)
+    held: dict[int, list[float]] = {}
+    for value, cluster in zip(values, clusters, strict=True):
+        held.setdefault(cluster, []).append(value - centre)
+    spread = fsum(fsum(part) ** 2 for part in held.values())
+    return sqrt(spread * number / (number - 1)) / len(values)
+
+
 def interval95(values: list[float]) -> tuple[float, float]:
     """95 % confidence interval of the mean, Student's t, not below 0."""
     centre, freedom = mean(values), len(values) - 1

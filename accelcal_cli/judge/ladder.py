@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.judgement import Coverage, Trial
 from accelcal_cli.core.points import MODELS, Model, PointSet
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.judge.errors import mean, standard_error
-from accelcal_cli.judge.holdout import FitFunction, blocked
+from accelcal_cli.judge.errors import clustered_error, mean
+from accelcal_cli.judge.holdout import FitFunction, Sample, blocked
 
 LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
 """By number of parameters; the simpler model comes first."""
@@ -27,21 +24,19 @@ class Evidence:
     """What the ladder has to go by.
 
     Attributes:
-        points: the recording's points.
-        label: (n,) their posture numbers.
+        sample: the recording's points, their postures and blocks.
         coverage: where they lie.
         models: names of the models that the optimizer can fit.
     """
 
-    points: PointSet
-    label: NDArray[np.int64]
+    sample: Sample
     coverage: Coverage
     models: tuple[str, ...] = LADDER
 
 
 def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
     """Held-out error of every model that the points can hold, and why the others cannot."""
-    names = _wanted(settings, warm=evidence.points.tau is not None)
+    names = _wanted(settings, warm=evidence.sample.points.tau is not None)
     return tuple(_trial(evidence, settings, fit, MODELS[name]) for name in names)
 
 
@@ -57,7 +52,7 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
     if reason is not None:
         return Trial(model.name, None, reason)
     try:
-        held = blocked(evidence.points, evidence.label, model, fit, settings.folds)
+        held = blocked(evidence.sample, model, fit, settings.folds)
     except DivergedError:
         return Trial(model.name, None, "the fit diverges: the points do not determine it")
     return Trial(model.name, held, None)
@@ -67,7 +62,8 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
     """Why a model cannot be fitted, or None if it can (or the user insists on it)."""
     if model.name not in evidence.models:
         return f"optimizer {settings.optimizer} fits no {_beyond(evidence.models, model)}"
-    if model.has_temperature and temperature_range_c(evidence.points) < settings.min_temperature_range_c:
+    range_c = temperature_range_c(evidence.sample.points)
+    if model.has_temperature and range_c < settings.min_temperature_range_c:
         return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
     if settings.model == "auto" and any(index < 6 for index in model.free):
         missing = one_sided_axes(evidence.coverage, settings.coverage_g)
@@ -104,15 +100,16 @@ def temperature_range_c(points: PointSet) -> float:
 def choose(trials: tuple[Trial, ...]) -> Trial:
     """The simplest model whose error is within one standard error of the best one's.
 
-    The standard error is that of the difference, posture by posture.
+    The errors are those of the blocks; the standard error is that of their differences, which
+    are alike within a posture.
     """
     scored = [trial for trial in trials if trial.holdout is not None]
-    best = min(scored, key=lambda trial: trial.holdout.after.mean if trial.holdout else float("inf"))
+    best = min(scored, key=lambda trial: trial.holdout.compared_mg() if trial.holdout else float("inf"))
     return next(trial for trial in scored if _ties(trial, best))
 
 
 def _ties(trial: Trial, best: Trial) -> bool:
     assert trial.holdout is not None and best.holdout is not None
-    pairs = zip(trial.holdout.per_posture, best.holdout.per_posture, strict=True)
-    differences = [simple[1] - full[1] for simple, full in pairs]
-    return mean(differences) <= standard_error(differences)
+    simple, full = trial.holdout.blocks, best.holdout.blocks
+    differences = [a - b for (_, a), (_, b) in zip(simple, full, strict=True)]
+    return mean(differences) <= clustered_error(differences, [posture for posture, _ in full])

@@ -7,7 +7,7 @@ from math import cos, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.fixed import FRACTION_BITS
+from accelcal_cli.core.fixed import FRACTION_BITS, ONE
 from accelcal_cli.core.points import PointSet
 
 _COARSE_BITS = 12
@@ -44,6 +44,19 @@ def _nearest(
         return -1
     closeness = np.where(near, dots * dots // norms[leaders], -1)
     return int(closeness.argmax())
+
+
+def temperature_blocks(points: PointSet, label: NDArray[np.int64], width_c: float) -> NDArray[np.int64]:
+    """Number of each point's block, (n,): its posture within `width_c` degrees C, posture by posture.
+
+    Without temperatures a block is a posture.
+    """
+    if points.tau is None or points.temperature is None:
+        return label
+    scale = points.temperature
+    milli = scale.reference_mc * ONE + points.tau * round(1000 * scale.span_c)
+    band = milli // (round(1000 * width_c) * ONE)
+    return np.unique(np.stack([label, band], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def folds(label: NDArray[np.int64], number: int) -> NDArray[np.int64]:

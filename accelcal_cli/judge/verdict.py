@@ -9,9 +9,9 @@ from accelcal_cli.core.judgement import Coverage, Holdout, Judgement, Outcome, T
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.complete import Fitted, complete
-from accelcal_cli.judge.holdout import FitFunction, control
+from accelcal_cli.judge.holdout import FitFunction, Sample, control
 from accelcal_cli.judge.ladder import LADDER, Evidence, choose, one_sided_axes, try_models
-from accelcal_cli.judge.postures import postures
+from accelcal_cli.judge.postures import postures, temperature_blocks
 from accelcal_cli.judge.uncertainty import coverage as coverage_of
 
 FULL_MODELS = ("9", "9T")
@@ -44,7 +44,8 @@ def judge(
     if number < settings.min_postures:
         text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
-    trials = try_models(Evidence(points, label, seen, models), settings, fit)
+    sample = Sample(points, label, temperature_blocks(points, label, settings.temperature_block_c))
+    trials = try_models(Evidence(sample, seen, models), settings, fit)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, seen, settings)
     if outcome is Outcome.REFUSED or chosen.holdout is None:

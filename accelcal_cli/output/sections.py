@@ -115,6 +115,7 @@ def trial_json(trial: Trial) -> dict[str, Any]:
     return {
         "model": trial.model,
         "after_mg": None if held is None else round(held.after.mean, 4),
+        "compared_mg": None if held is None else round(held.compared_mg(), 4),
         "reason": trial.reason,
     }
 

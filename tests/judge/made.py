@@ -57,5 +57,6 @@ def trial(model: str, after: list[float], reason: str | None = None) -> Trial:
     mean = sum(after) / len(after)
     pairs = tuple((20.0, value) for value in after)
     before = ErrorSummary(20.0, 20.0, 20.0)
-    held = Holdout("", len(after), len(after), before, ErrorSummary(mean, mean, mean), (0.0, 1.0), pairs)
+    errors = (before, ErrorSummary(mean, mean, mean), (0.0, 1.0))
+    held = Holdout("", len(after), len(after), *errors, pairs, tuple(enumerate(after)))
     return Trial(model, None if reason else held, reason)

@@ -65,6 +65,26 @@ def test_standard_error_by_hand() -> None:
     assert errors.standard_error([]) == 0
 
 
+def test_clustered_error_by_hand() -> None:
+    # mean 3; deviations -2 -1 | 0 | 3 sum to -3, 0, 3: sqrt(3/2 (9 + 0 + 9)) / 4
+    found = errors.clustered_error([1.0, 2.0, 3.0, 6.0], [5, 5, 7, 9])
+    assert found == pytest.approx(sqrt(1.5 * 18) / 4)
+    assert errors.clustered_error([1.0, 2.0], [3, 3]) == 0
+    assert errors.clustered_error([], []) == 0
+
+
+def test_clusters_of_one_value_give_the_plain_standard_error() -> None:
+    values = [0.5, 3.0, -2.0, 7.25, 1.0]
+    assert errors.clustered_error(values, [4, 1, 3, 0, 2]) == pytest.approx(errors.standard_error(values))
+
+
+def test_repeating_every_value_within_its_cluster_says_nothing_new() -> None:
+    values = [0.5, 3.0, -2.0, 7.25]
+    thrice = [value for value in values for _ in range(3)]
+    clusters = [cluster for cluster in range(4) for _ in range(3)]
+    assert errors.clustered_error(thrice, clusters) == pytest.approx(errors.standard_error(values))
+
+
 def test_interval_by_hand() -> None:
     assert errors.interval95([11.0, 12.0, 13.0]) == pytest.approx(
         (12 - 4.303 / sqrt(3), 12 + 4.303 / sqrt(3))

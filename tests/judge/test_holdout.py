@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.judgement import Holdout
 from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
 from accelcal_cli.judge.errors import deviations_mg, interval95, per_posture, summary
-from accelcal_cli.judge.holdout import blocked, control
+from accelcal_cli.judge.holdout import Sample, control
+from accelcal_cli.judge.holdout import blocked as blocked_sample
 from accelcal_cli.judge.postures import folds, postures
 from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, clusters, four_postures, spread
 from tests.optimize.oracle import fast_fit, points
 
 NINE_FREE = MODELS["9"]
+
+
+def blocked(
+    held: PointSet, label: np.ndarray, model: Model, fit: Callable[[PointSet, Model], Fit], number: int
+) -> Holdout:
+    return blocked_sample(Sample(held, label, label), model, fit, number)
 
 
 def test_every_fold_is_judged_by_a_fit_of_the_others() -> None:

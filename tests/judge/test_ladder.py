@@ -13,6 +13,7 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.judgement import Trial
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet, TemperatureScale
 from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.judge.holdout import Sample
 from accelcal_cli.judge.ladder import (
     LADDER,
     Evidence,
@@ -22,7 +23,7 @@ from accelcal_cli.judge.ladder import (
     temperature_range_c,
     try_models,
 )
-from accelcal_cli.judge.postures import postures
+from accelcal_cli.judge.postures import postures, temperature_blocks
 from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, spread, trial
@@ -30,7 +31,9 @@ from tests.optimize.oracle import IDEAL, directions, fast_fit, measured, points
 
 
 def evidence(held: PointSet) -> Evidence:
-    return Evidence(held, postures(held, DEFAULT.posture_degrees), coverage(held))
+    label = postures(held, DEFAULT.posture_degrees)
+    sample = Sample(held, label, temperature_blocks(held, label, DEFAULT.temperature_block_c))
+    return Evidence(sample, coverage(held))
 
 
 def chosen(held: PointSet) -> str:
@@ -179,6 +182,28 @@ def test_a_tie_goes_to_the_simpler_model(simple: list[float], model: str) -> Non
     # [1, 0, 0, 0]: mean 1/4, standard error sqrt(0.25 / 4) = 1/4; [1, 1, 0, 0]: 1/2 and 0.289
     trials = (trial("0", [20.0, 21.0, 20.0, 21.0]), trial("6", simple), BEST)
     assert choose(trials).model == model
+
+
+def with_blocks(model: str, blocks: list[tuple[int, float]]) -> Trial:
+    held = trial(model, [2.0, 2.0]).holdout
+    assert held is not None
+    return Trial(model, replace(held, blocks=tuple(blocks)), None)
+
+
+def test_a_slope_counts_where_a_posture_was_held_at_several_temperatures() -> None:
+    plain = with_blocks("9", [(0, 2.0), (0, 6.0), (1, 6.0), (1, 2.0), (2, 5.0)])
+    slopes = with_blocks("9T", [(0, 2.0), (0, 2.0), (1, 2.0), (1, 2.0), (2, 2.0)])
+    # mean difference 11/5; sums of deviations by posture -0.4, -0.4, 0.8: sqrt(3/2 0.96) / 5 = 0.24
+    assert choose((plain, slopes)).model == "9T"
+
+
+@pytest.mark.parametrize(("gained", "model"), [(0.64, "9"), (0.66, "9T")])
+def test_many_temperatures_of_one_posture_count_as_one_posture(gained: float, model: str) -> None:
+    plain = with_blocks("9", [(0, 4.0)] * 8 + [(1, 1.0), (2, 1.0), (3, 1.0)])
+    warm = with_blocks("9T", [(0, 4.0 - gained)] * 8 + [(1, 1.56), (2, 1.56), (3, 1.56)])
+    # mean m = (8 g - 3 e) / 11 with e = 0.56; its error 4 (e + m) / 11: a tie up to g = 65 e / 56 = 0.65,
+    # where blocks that knew nothing of each other would have an error of half of that
+    assert choose((plain, warm)).model == model
 
 
 def test_a_better_simple_model_wins_outright() -> None:

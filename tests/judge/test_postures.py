@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import PointSet
-from accelcal_cli.judge.postures import folds, postures
+from accelcal_cli.core.points import PointSet, TemperatureScale
+from accelcal_cli.judge.postures import folds, postures, temperature_blocks
 from tests.optimize.oracle import directions, points, random_directions
 
 COARSE = 0.15
@@ -122,3 +124,24 @@ def test_positions_at_the_ends_of_the_range_do_not_overflow() -> None:
     xyz = np.array([[4 * ONE - 1] * 3, [-4 * ONE] * 3, [4 * ONE - 1, 4 * ONE - 1, 4 * ONE - 2]])
     held = PointSet(xyz, np.ones(3, np.int64), np.ones(3, np.int64))
     assert postures(held, 15.0).tolist() == [0, 1, 0]
+
+
+def heated(temperatures_c: list[float], reference_mc: int = 30_000, span_c: float = 8.0) -> PointSet:
+    number = len(temperatures_c)
+    tau = [round((t - reference_mc / 1000) / span_c * ONE) for t in temperatures_c]
+    scale = TemperatureScale(reference_mc, span_c)
+    xyz = np.tile(np.array([[ONE, 0, 0]]), (number, 1))
+    ones = np.ones(number, np.int64)
+    return PointSet(xyz, ones, ones, np.array(tau, np.int64), scale)
+
+
+def test_blocks_are_postures_within_a_band_of_temperature() -> None:
+    held = heated([29.9, 30.1, 31.9, 32.0, 30.0, 26.5])
+    label = np.array([1, 1, 1, 1, 0, 0])
+    # bands of 2 C: 28..30, 30..32, 30..32, 32..34 | 30..32, 26..28; posture 0 comes first
+    assert temperature_blocks(held, label, 2.0).tolist() == [2, 3, 3, 4, 1, 0]
+
+
+def test_blocks_are_postures_where_there_is_no_temperature() -> None:
+    held = replace(heated([20.0, 30.0]), tau=None, temperature=None)
+    assert temperature_blocks(held, np.array([3, 4]), 2.0).tolist() == [3, 4]
