@@ -13,6 +13,7 @@ import click
 from accelcal_cli.cli import exits
 from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
 from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.cli.results import line
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.names import printable
@@ -78,7 +79,8 @@ def _one(job: Job, request: Request, values: dict[str, Any]) -> int:
         return error.exit_code
     except Exception:
         return exits.report_bug()
-    click.echo(json.dumps(result.report) if values["as_json"] else line(result))
+    shown = line(result.report, result.job.source, _written(result))
+    click.echo(json.dumps(result.report) if values["as_json"] else shown)
     _comment(result, values)
     return exits.REFUSED if result.outcome is Outcome.REFUSED else exits.OK
 
@@ -89,24 +91,8 @@ def _stdin() -> BinaryIO:
     return sys.stdin.buffer
 
 
-def line(result: Result) -> str:
-    """One recording's result in tab-separated fields; `-` where there is nothing to say."""
-    report = result.report
-    held, found = report["holdout"], report["calibration"]
-    fields = [
-        printable(result.job.source),
-        report["outcome"],
-        "-" if found is None else found["model"],
-        "-" if held is None else f"{held['before_mg']['mean']:.3f}",
-        "-" if held is None or found is None else f"{held['after_mg']['mean']:.3f}",
-        "-" if held is None or found is None else _percent(held["improvement_percent"]),
-        printable(result.job.parquet) if result.has_parquet else "-",
-    ]
-    return "\t".join(fields)
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"
+def _written(result: Result) -> Path | None:
+    return result.job.parquet if result.has_parquet else None
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:

@@ -14,6 +14,7 @@ from accelcal_cli.cli.exits import run_safely
 COMMANDS = {
     "calibrate": "Calibrate recordings: calibrated Parquet and a report for each.",
     "inspect": "Show what a recording holds and what calibrating it would give.",
+    "fit": "Fit still-window means from another tool, and judge them.",
     "gravity": "Show local gravity at a latitude and altitude.",
     "simulate": "Write a recording with known errors.",
 }

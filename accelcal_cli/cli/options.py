@@ -12,7 +12,7 @@ import click
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.settings import PROFILES, Settings
+from accelcal_cli.core.settings import DEFAULT, PROFILES, Settings
 from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
 
@@ -81,6 +81,15 @@ _METHOD = [
         show_default=True,
         help="`paper`: the published procedure, 18 points and 50 iterations.",
     ),
+    click.option("--segment-seconds", type=Positive(3600), help="Length of a window.  [default: 5]"),
+    click.option(
+        "--stillness-threshold-g",
+        type=Positive(4),
+        help="Largest max - min of a still window.  [default: 0.12]",
+    ),
+]
+
+_FITTING = [
     click.option(
         "--optimizer",
         metavar="NAME",
@@ -92,12 +101,6 @@ _METHOD = [
         help="Parameters to fit; auto lets held-out error decide.  [default: auto]",
     ),
     click.option("--no-temperature", is_flag=True, help="Do not use the recording's temperature."),
-    click.option("--segment-seconds", type=Positive(3600), help="Length of a window.  [default: 5]"),
-    click.option(
-        "--stillness-threshold-g",
-        type=Positive(4),
-        help="Largest max - min of a still window.  [default: 0.12]",
-    ),
 ]
 
 _GRAVITY = [
@@ -129,7 +132,8 @@ def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Comman
 
 reading_options = _decorate([*_READING, _CHUNK])
 gravity_options = _decorate(_GRAVITY)
-method_options = _decorate([*_METHOD, *_GRAVITY])
+fitting_options = _decorate([*_FITTING, *_GRAVITY])
+method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
 
 
 def read_options(values: dict[str, Any]) -> ReadOptions:
@@ -154,19 +158,24 @@ def settings(values: dict[str, Any]) -> Settings:
     Raises:
         UsageError: the profile has no such model.
     """
-    changed = {
-        name: values[name]
-        for name in ("optimizer", "model", "segment_seconds", "stillness_threshold_g")
-        if values[name] is not None
-    }
-    if values["profile"] == "paper" and changed.get("model", "9") not in ("auto", "9"):
+    if values["profile"] == "paper" and (values["model"] or "9") not in ("auto", "9"):
         raise UsageError(
             "profile paper fits nine parameters", hint="leave --model out, or use profile default"
         )
+    chosen = _changed(PROFILES[values["profile"]], values, ("segment_seconds", "stillness_threshold_g"))
+    return fitting_settings(values, chosen)
+
+
+def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Settings:
+    """Settings with what the user said of the fit and of the place."""
+    changed = _changed(chosen, values, ("optimizer", "model"))
     place = gravity(values)
-    changed |= {"latitude": place.latitude, "altitude_m": place.altitude_m}
-    chosen = replace(PROFILES[values["profile"]], **changed)
-    return replace(chosen, temperature=False) if values["no_temperature"] else chosen
+    warm = changed.temperature and not values["no_temperature"]
+    return replace(changed, latitude=place.latitude, altitude_m=place.altitude_m, temperature=warm)
+
+
+def _changed(chosen: Settings, values: dict[str, Any], names: tuple[str, ...]) -> Settings:
+    return replace(chosen, **{name: values[name] for name in names if values[name] is not None})
 
 
 def gravity(values: dict[str, Any]) -> Gravity:

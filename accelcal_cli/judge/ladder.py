@@ -11,6 +11,7 @@ from accelcal_cli.core.points import MODELS, Model, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import clustered_error, mean
 from accelcal_cli.judge.holdout import FitFunction, Sample, blocked
+from accelcal_cli.judge.uncertainty import uncertainty
 
 LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
 """By number of parameters; the simpler model comes first."""
@@ -53,9 +54,22 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
         return Trial(model.name, None, reason)
     try:
         held = blocked(evidence.sample, model, fit, settings.folds)
+        doubt = _doubt(evidence.sample.points, model, fit, settings)
     except DivergedError:
         return Trial(model.name, None, "the fit diverges: the points do not determine it")
-    return Trial(model.name, held, None)
+    return Trial(model.name, held if doubt is None else None, doubt)
+
+
+def _doubt(points: PointSet, model: Model, fit: FitFunction, settings: Settings) -> str | None:
+    """Why a model that fits the held-out postures may still be wrong elsewhere on the sphere."""
+    if not model.free:
+        return None
+    known = uncertainty(points, fit(points, model).parameters, model)
+    if known is None:
+        return "the points do not determine it"
+    if settings.model == "auto" and known.worst_direction_mg >= settings.max_error_mg:
+        return f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
+    return None
 
 
 def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | None:
@@ -65,11 +79,19 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
     range_c = temperature_range_c(evidence.sample.points)
     if model.has_temperature and range_c < settings.min_temperature_range_c:
         return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
-    if settings.model == "auto" and any(index < 6 for index in model.free):
-        missing = one_sided_axes(evidence.coverage, settings.coverage_g)
+    if settings.model == "auto" and model.free:
+        missing = _uncovered(evidence.coverage, settings.coverage_g, model)
         if missing:
             return f"no stillness with {', '.join(missing)}"
     return None
+
+
+def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:
+    """What a model needs and the points lack: scale both sides of every axis, an offset one of them."""
+    if any(index < 6 for index in model.free):
+        return one_sided_axes(coverage, reach_g)
+    sides = zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
+    return [f"{axis} beyond +-{reach_g:g} g" for axis, low, high in sides if max(-low, high) < reach_g]
 
 
 def _beyond(models: tuple[str, ...], model: Model) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.judgement import Coverage, Holdout, Judgement, Outcome, Trial
@@ -27,6 +28,7 @@ def judge(
     fit: FitFunction,
     models: tuple[str, ...] = LADDER,
     why_none: str = NO_STILLNESS,
+    label: NDArray[np.int64] | None = None,
 ) -> Judgement:
     """Choose a model by posture-blocked held-out error, fit it to all points, and say so.
 
@@ -35,12 +37,13 @@ def judge(
         fit: (points, model) -> Fit, the optimizer.
         models: names of the models that it can fit.
         why_none: the reason, where there are no points.
+        label: (n,) posture numbers, where they are known; else found by direction.
     """
     seen = coverage_of(points)
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, seen, ())
-    label = postures(points, settings.posture_degrees)
-    number = int(label.max()) + 1
+    label = postures(points, settings.posture_degrees) if label is None else label
+    number = len(np.unique(label))
     if number < settings.min_postures:
         text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
@@ -110,7 +113,7 @@ def _outcome(
     if held is None:
         return Outcome.REFUSED, f"model {chosen.model} cannot be fitted: {chosen.reason}"
     if chosen.model == "0":
-        return _no_model(held, seen, settings)
+        return _no_model(held, trials, seen, settings)
     if held.after.mean >= settings.max_error_mg:
         text = f"the best model ({chosen.model}) leaves {held.after.mean:.1f} mg on {_unseen(held)}"
         return (
@@ -126,7 +129,12 @@ def _outcome(
     return Outcome.REDUCED_MODEL, text if insisted else text + _why_reduced(chosen, trials)
 
 
-def _no_model(held: Holdout, seen: Coverage, settings: Settings) -> tuple[Outcome, str]:
+def _no_model(
+    held: Holdout, trials: tuple[Trial, ...], seen: Coverage, settings: Settings
+) -> tuple[Outcome, str]:
+    if all(trial.holdout is None for trial in trials if trial.model != "0"):
+        why = trials[1].reason if len(trials) > 1 else None
+        return Outcome.REFUSED, f"no model could be tried: {why}; {_advice(seen, settings)}"
     text = f"no model improves on the {held.before.mean:.1f} mg of the raw data on postures it did not see"
     if held.before.mean < settings.max_error_mg:
         return Outcome.ALREADY_GOOD, text

@@ -18,6 +18,7 @@ from accelcal_cli.core.zones import iso_time
 from accelcal_cli.output.sections import (
     calibration_json,
     coverage_json,
+    fit_json,
     holdout_json,
     problem_json,
     trial_json,
@@ -56,20 +57,39 @@ class ReportInput:
 
 def build(data: ReportInput) -> dict[str, Any]:
     """The report without `provenance`: the same for the same input, settings and version."""
-    verdict = data.judgement
+    source = {
+        "recording": recording_json(data.recording, data.sha256, data.facts),
+        "settings": data.settings,
+        "file_health": _health(data),
+    }
+    windows = {name: getattr(data.windows, name) for name in data.windows.__dataclass_fields__}
+    raw = data.facts.still_error_mg
+    used = {**windows, "raw_error_mg": None if raw is None else round(raw, 4)}
+    return document(source, data.judgement, data.optimizer, used)
+
+
+def document(
+    source: dict[str, Any], verdict: Judgement, optimizer: dict[str, Any], windows: dict[str, Any]
+) -> dict[str, Any]:
+    """A report in the order of its keys.
+
+    Args:
+        source: the objects `recording`, `settings` and `file_health`.
+        windows: the object `fit.windows`.
+    """
     return {
         "schema_version": SCHEMA_VERSION,
         "accelcal_version": __version__,
-        "recording": recording_json(data.recording, data.sha256, data.facts),
-        "settings": data.settings,
+        "recording": source["recording"],
+        "settings": source["settings"],
         "outcome": str(verdict.outcome),
         "message": verdict.message,
-        "calibration": calibration_json(verdict, data.optimizer),
+        "calibration": calibration_json(verdict, optimizer),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
-        "fit": _fit(data),
+        "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),
         "models_tried": [trial_json(trial) for trial in verdict.trials],
-        "file_health": _health(data),
+        "file_health": source["file_health"],
     }
 
 
@@ -117,20 +137,6 @@ def _gap(gap: Gap, offset_s: int | None) -> dict[str, Any]:
         "sample": gap.sample,
         "start_time": iso_time(gap.start_us, offset_s),
         "seconds": round(gap.seconds, 6),
-    }
-
-
-def _fit(data: ReportInput) -> dict[str, Any]:
-    verdict, errors, raw = data.judgement, data.judgement.fit_errors, data.facts.still_error_mg
-    return {
-        "points": verdict.coverage.cells if errors is None else errors.points,
-        "postures": None if errors is None else errors.postures,
-        "before_mg": None if errors is None else round(errors.before_mg, 4),
-        "after_mg": None if errors is None else round(errors.after_mg, 4),
-        "windows": {
-            **{name: getattr(data.windows, name) for name in data.windows.__dataclass_fields__},
-            "raw_error_mg": None if raw is None else round(raw, 4),
-        },
     }
 
 

@@ -96,6 +96,18 @@ def _summary(errors: ErrorSummary) -> dict[str, float]:
     return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
 
 
+def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
+    """The `fit` object: errors on the points that were fitted."""
+    errors = verdict.fit_errors
+    return {
+        "points": verdict.coverage.cells if errors is None else errors.points,
+        "postures": None if errors is None else errors.postures,
+        "before_mg": None if errors is None else round(errors.before_mg, 4),
+        "after_mg": None if errors is None else round(errors.after_mg, 4),
+        "windows": windows,
+    }
+
+
 def coverage_json(seen: Coverage) -> dict[str, Any]:
     """The `coverage` object."""
     worst, condition = seen.worst_direction_mg, seen.condition_number

@@ -18,8 +18,8 @@ from accelcal_cli.pipeline.existing import prepare, remove, remove_stale_parquet
 from accelcal_cli.pipeline.identity import hashing
 from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.profiles import Method, make_method, optimizer_json
-from accelcal_cli.pipeline.provenance import provenance
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result, no_progress
+from accelcal_cli.pipeline.save import save_report, with_provenance
 from accelcal_cli.pipeline.survey import survey
 from accelcal_cli.readers import open_recording
 
@@ -92,8 +92,8 @@ class _Run:
             remove(self.job.integers)
         else:
             write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
-        report = {**reports.build(data), "provenance": provenance(list(self.request.command))}
-        write_text(self.job.report, reports.dumps(report, pretty=True) + "\n")
+        report = with_provenance(reports.build(data), self.request.command)
+        save_report(self.job.report, report)
         return Result(self.job, report)
 
     def _write_parquet(self, data: reports.ReportInput) -> int:

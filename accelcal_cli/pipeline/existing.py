@@ -37,12 +37,17 @@ def prepare(job: Job, *, force: bool) -> None:
         return
     refuse_foreign(job.parquet)
     for path in (job.report, job.integers):
-        if exists(path) and load(path) is None:
-            raise OutputError(
-                "exists and was not written by accelcal",
-                path=path,
-                hint="move it away, or use --force to replace it",
-            )
+        refuse_foreign_report(path)
+
+
+def refuse_foreign_report(path: Path) -> None:
+    """Raise OutputError if a file is in the way that accelcal did not write."""
+    if exists(path) and load(path) is None:
+        raise OutputError(
+            "exists and was not written by accelcal",
+            path=path,
+            hint="move it away, or use --force to replace it",
+        )
 
 
 def exists(path: Path) -> bool:

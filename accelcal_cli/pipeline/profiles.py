@@ -57,7 +57,7 @@ def make_method(recording: Recording, settings: Settings, optimizer: Optimizer) 
 
 def make_procedure(recording: Recording, settings: Settings, optimizer: Optimizer) -> Procedure:
     """The procedure of the settings' profile for one recording."""
-    fit = partial(_fit, optimizer, optimizer_settings(optimizer, settings))
+    fit = fit_function(optimizer, settings)
     lsb_per_g = local_lsb_per_g(recording, settings)
     if settings.profile == "paper":
         collected = PaperCollector(lsb_per_g, settings)
@@ -96,6 +96,11 @@ def optimizer_settings(optimizer: Optimizer, settings: Settings) -> Any:
 def optimizer_json(optimizer: Optimizer, settings: Settings) -> dict[str, Any]:
     """The report's `optimizer` object, before the fit."""
     return {"name": optimizer.name, "settings": asdict(optimizer_settings(optimizer, settings))}
+
+
+def fit_function(optimizer: Optimizer, settings: Settings) -> Callable[[PointSet, Model], Fit]:
+    """The optimizer with its numbers for the settings' profile."""
+    return partial(_fit, optimizer, optimizer_settings(optimizer, settings))
 
 
 def _fit(optimizer: Optimizer, numbers: Any, points: PointSet, model: Model) -> Fit:

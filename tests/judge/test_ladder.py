@@ -110,7 +110,7 @@ def test_sides_without_points_are_named() -> None:
 
 def warm_points(degrees: float) -> PointSet:
     held = spread(NINE, number=60)
-    tau = np.linspace(-0.5, 0.5, 60) * degrees / 4
+    tau = np.random.default_rng(2).permutation(np.linspace(-0.5, 0.5, 60)) * degrees / 4
     fixed = np.rint(tau * ONE).astype(np.int64)
     return PointSet(held.xyz, held.weights, held.windows, fixed, TemperatureScale(30_000, 4.0))
 
@@ -131,6 +131,33 @@ def test_slopes_need_a_range_of_temperatures(degrees: float, tried: bool, model:
             assert item.reason == (None if tried else "temperature varies by less than 2 C")
         else:
             assert item.holdout is not None
+
+
+def test_a_slope_that_follows_the_posture_is_not_believed() -> None:
+    held = warm_points(2.5)
+    order = np.argsort(held.xyz[:, 2])
+    tau = np.empty_like(held.xyz[:, 2])
+    tau[order] = np.sort(warm_points(2.5).tau)
+    trials = {item.model: item for item in try_models(evidence(replace(held, tau=tau)), DEFAULT, fast_fit)}
+    assert trials["9"].holdout is not None
+    assert trials["9T"].holdout is None
+    assert "uncertain by" in str(trials["9T"].reason)
+
+
+def test_points_in_a_plane_determine_nothing_across_it() -> None:
+    turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    flat = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    noisy = measured(OFFSET, flat) + 0.001 * np.random.default_rng(1).standard_normal((60, 3))
+    trials = {item.model: item for item in try_models(evidence(points(noisy)), DEFAULT, fast_fit)}
+    assert all(trials[name].holdout is None for name in ("3", "6", "9"))
+    assert trials["3"].reason == "no stillness with z beyond +-0.3 g"
+
+
+def test_an_offset_needs_one_side_of_an_axis() -> None:
+    d = directions(200)
+    above = points(measured(OFFSET, d[d[:, 2] > 0.1]))
+    trials = {item.model: item for item in try_models(evidence(above), DEFAULT, fast_fit)}
+    assert trials["3"].holdout is not None and trials["6"].holdout is None
 
 
 def diverging(held: PointSet, model: Model) -> Fit:

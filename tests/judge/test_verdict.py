@@ -207,3 +207,36 @@ def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_b
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == "6"
     assert "optimizer ellipsoid fits no misalignment" in found.message
+
+
+def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:
+    turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
+    flat = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
+    found = judge(points(flat), DEFAULT, fast_fit)
+    assert found.outcome is Outcome.REFUSED
+    assert found.message.startswith("no model could be tried: no stillness with z beyond +-0.3 g")
+
+
+def test_postures_that_are_known_are_taken_as_they_are() -> None:
+    held = spread(NINE)
+    label = np.arange(len(held), dtype=np.int64) % 12
+    found = judge(held, DEFAULT, fast_fit, label=label)
+    assert found.holdout is not None and found.holdout.postures == 12
+    few = judge(held, DEFAULT, fast_fit, label=label % 3)
+    assert few.message.startswith("stillness in only 3 postures")
+
+
+def test_results_are_in_standard_g_where_the_place_is_known() -> None:
+    place = replace(DEFAULT, latitude=0.0, altitude_m=2000.0)
+    g = float(place.gravity.local_g())
+    d = directions(150)
+    standard = points(measured(NINE, d * g) + 0.001 * np.random.default_rng(3).standard_normal(d.shape))
+    local = PointSet(np.rint(standard.xyz / g).astype(np.int64), standard.weights, standard.windows)
+    found, plain = judge(local, place, fixed32.fit), judge(local, DEFAULT, fixed32.fit)
+    assert found.calibration is not None and plain.calibration is not None
+    assert found.calibration.gravity == place.gravity
+    assert np.array_equal(found.calibration.gain(), plain.calibration.gain())
+    assert found.calibration.offset_g() == pytest.approx(plain.calibration.offset_g() * g, abs=2**-29)
+    calibrated = (standard.xyz_g() + found.calibration.offset_g()) @ found.calibration.gain().T
+    assert np.abs(np.linalg.norm(calibrated, axis=1) / g - 1).mean() < 0.0012
+    assert np.abs(found.calibration.offset_g() - NINE[6:9]).max() < 1e-3

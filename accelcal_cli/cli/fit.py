@@ -1,0 +1,49 @@
+"""`accelcal fit`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.options import fitting_options, fitting_settings
+from accelcal_cli.cli.results import line
+from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.names import printable
+from accelcal_cli.pipeline.existing import refuse_foreign_report
+from accelcal_cli.pipeline.fit import fit_points
+from accelcal_cli.pipeline.save import save_report, with_provenance
+
+
+@click.command("fit")
+@click.argument("points", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Write the report there."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@click.option("--force", is_flag=True, help="Overwrite a file that accelcal did not write.")
+@fitting_options
+def command(points: Path, output: Path | None, as_json: bool, force: bool, **values: Any) -> int:
+    """Fit the still-window means in POINTS and judge them as `calibrate` does.
+
+    POINTS is a CSV table with columns x, y, z in g (or meanx, meany, meanz), and optionally
+    temperature_c, weight and posture. Prints the line that `calibrate` prints, with the report's
+    name, where it is written, in place of the Parquet file's. Nothing is written if it is refused.
+    """
+    if output is not None and not force:
+        refuse_foreign_report(output)
+    made = fit_points(points, fitting_settings(values))
+    report = with_provenance(made, ("accelcal", *sys.argv[1:]))
+    refused = report["outcome"] == Outcome.REFUSED
+    if output is not None and not refused:
+        save_report(output, report)
+    shown = None if output is None or refused else output
+    click.echo(json.dumps(report) if as_json else line(report, points, shown))
+    if refused:
+        exits.say(f"{printable(points)}: refused: {report['message']}")
+        return exits.REFUSED
+    return exits.OK
