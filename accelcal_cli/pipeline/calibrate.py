@@ -17,7 +17,7 @@ from accelcal_cli.pipeline.applying import Target, applier, write_calibrated
 from accelcal_cli.pipeline.existing import prepare, remove, remove_stale_parquet, up_to_date
 from accelcal_cli.pipeline.identity import hashing
 from accelcal_cli.pipeline.plan import Job
-from accelcal_cli.pipeline.profiles import Method, make_method, optimizer_json
+from accelcal_cli.pipeline.profiles import Fitting, Method, fitting, make_method, optimizer_json
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.save import save_report, with_provenance
 from accelcal_cli.pipeline.survey import survey
@@ -55,14 +55,14 @@ class _Run:
     def run(self, path: Path) -> Result:
         """Survey, judge, write; `path` is where the bytes are."""
         settings = self.request.settings
-        method = make_method(self.reader.recording, settings, named_optimizer(settings.optimizer))
+        how, method = fitting(settings), make_method(self.reader.recording, settings)
         with hashing(path) as digest:
-            data = self._survey(method, digest)
+            data = self._survey(method, how, digest)
         data = replace(data, recording=replace(data.recording, path=self.job.source))
         points = method.procedure.points()
         return self._write(data, integers_json(data, points) if self.request.integers else None)
 
-    def _survey(self, method: Method, digest: Future[str]) -> reports.ReportInput:
+    def _survey(self, method: Method, how: Fitting, digest: Future[str]) -> reports.ReportInput:
         """First pass: everything the report says but what the second pass counts."""
         recording, settings = self.reader.recording, self.request.settings
         shown = self.progress("reading", recording.total_bytes)
@@ -73,7 +73,7 @@ class _Run:
             sha256=digest.result(),
             facts=facts,
             settings=self.request.effective_settings(recording.companion),
-            judgement=method.procedure.judge(),
+            judgement=method.procedure.judge(how),
             windows=method.procedure.window_use(method.segmenter.counts),
             optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
             clipped_after=None,

@@ -14,7 +14,7 @@ from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.points_report import PointsInput, build_points
 from accelcal_cli.pipeline.identity import sha256
-from accelcal_cli.pipeline.profiles import fit_function, optimizer_json
+from accelcal_cli.pipeline.profiles import fitting, optimizer_json
 
 NOT_NEAR = "no point is anywhere near 1 g; x, y and z must be in g"
 NO_POINTS = "the table holds no points"
@@ -32,10 +32,9 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
     digest = sha256(path)
     table = read_table(path)
     given = given_points(table, settings)
-    optimizer = named_optimizer(settings.optimizer)
-    fit = fit_function(optimizer, settings)
+    how = fitting(settings)
     why_none = NOT_NEAR if given.implausible else NO_POINTS
-    verdict = judge(given.points, settings, fit, optimizer.models, why_none, given.label)
+    verdict = judge(given.points, settings, how.fit, how.models, why_none, given.label)
     found = None if verdict.fit is None else verdict.fit.parameters
     data = PointsInput(
         path=path,
@@ -47,7 +46,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
         after_error_mg=None if found is None else _error_mg(given.rows, found),
         settings={**settings.as_json(), "report_only": True, "input": {"format": "points"}},
         judgement=verdict,
-        optimizer=optimizer_json(optimizer, settings),
+        optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
     )
     return build_points(data)
 

@@ -18,9 +18,8 @@ from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts
 from accelcal_cli.core.zones import iso_time
-from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.sections import holdout_json, problem_json
-from accelcal_cli.pipeline.profiles import make_method
+from accelcal_cli.pipeline.profiles import fitting, make_method
 from accelcal_cli.pipeline.survey import survey
 from accelcal_cli.readers import open_recording
 
@@ -52,11 +51,11 @@ def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool)
     """
     with open_recording(path, options) as reader:
         recording = reader.recording
-        method = make_method(recording, settings, named_optimizer(settings.optimizer))
+        how, method = fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         facts = survey(recording, pieces, method, lambda _end_byte: None)
     whole = full or facts.samples == recording.samples
-    return Inspection(recording, facts, method.segmenter.counts, method.procedure.judge(), whole)
+    return Inspection(recording, facts, method.segmenter.counts, method.procedure.judge(how), whole)
 
 
 def _pieces(reader: Reader) -> Iterator[Chunk]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -14,10 +13,32 @@ from accelcal_cli.core.points import Fit, Model, Optimizer, PointSet
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts, Windows
+from accelcal_cli.judge.holdout import FitFunction
 from accelcal_cli.judge.verdict import NO_STILLNESS, judge, judge_paper
+from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.segment.rules import still_rule
 from accelcal_cli.segment.segmenter import Segmenter
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitting:
+    """How points are fitted and judged.
+
+    Attributes:
+        fit: the optimizer with its numbers for the settings' profile.
+        models: names of the models that it can fit.
+    """
+
+    settings: Settings
+    fit: FitFunction
+    models: tuple[str, ...]
+
+
+def fitting(settings: Settings) -> Fitting:
+    """The fitting of the settings; raises UsageError for an unknown optimizer."""
+    optimizer = named_optimizer(settings.optimizer)
+    return Fitting(settings, fit_function(optimizer, settings), optimizer.models)
 
 
 class Procedure(Protocol):
@@ -29,7 +50,7 @@ class Procedure(Protocol):
     def points(self) -> PointSet:
         """The points that are fitted."""
 
-    def judge(self) -> Judgement:
+    def judge(self, how: Fitting) -> Judgement:
         """The verdict on all windows so far."""
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
@@ -49,22 +70,19 @@ class Method:
     rest_lsb: float
 
 
-def make_method(recording: Recording, settings: Settings, optimizer: Optimizer) -> Method:
+def make_method(recording: Recording, settings: Settings) -> Method:
     """The method of the settings for one recording."""
-    procedure = make_procedure(recording, settings, optimizer)
-    return Method(make_segmenter(recording, settings), procedure, local_lsb_per_g(recording, settings))
+    lsb_per_g = local_lsb_per_g(recording, settings)
+    return Method(make_segmenter(recording, settings), make_procedure(recording, settings), lsb_per_g)
 
 
-def make_procedure(recording: Recording, settings: Settings, optimizer: Optimizer) -> Procedure:
+def make_procedure(recording: Recording, settings: Settings) -> Procedure:
     """The procedure of the settings' profile for one recording."""
-    fit = fit_function(optimizer, settings)
     lsb_per_g = local_lsb_per_g(recording, settings)
     if settings.profile == "paper":
-        collected = PaperCollector(lsb_per_g, settings)
-        return PaperProcedure(collected, settings, fit, optimizer.models)
+        return PaperProcedure(PaperCollector(lsb_per_g, settings))
     warm = settings.temperature and recording.has_temperature
-    collector = CellCollector(lsb_per_g, settings, temperature=warm)
-    return CellProcedure(collector, settings, fit, optimizer.models)
+    return CellProcedure(CellCollector(lsb_per_g, settings, temperature=warm))
 
 
 def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
@@ -98,7 +116,7 @@ def optimizer_json(optimizer: Optimizer, settings: Settings) -> dict[str, Any]:
     return {"name": optimizer.name, "settings": asdict(optimizer_settings(optimizer, settings))}
 
 
-def fit_function(optimizer: Optimizer, settings: Settings) -> Callable[[PointSet, Model], Fit]:
+def fit_function(optimizer: Optimizer, settings: Settings) -> FitFunction:
     """The optimizer with its numbers for the settings' profile."""
     return partial(_fit, optimizer, optimizer_settings(optimizer, settings))
 
@@ -110,29 +128,14 @@ def _fit(optimizer: Optimizer, numbers: Any, points: PointSet, model: Model) -> 
 class CellProcedure:
     """The default: orientation cells, model ladder, posture-blocked hold-out."""
 
-    def __init__(
-        self,
-        collector: CellCollector,
-        settings: Settings,
-        fit: Callable[[PointSet, Model], Fit],
-        models: tuple[str, ...],
-    ) -> None:
+    def __init__(self, collector: CellCollector) -> None:
         self.collector = collector
-        self.settings = settings
-        self.fit = fit
-        self.models = models
+        self.add = collector.add
+        self.points = collector.points
 
-    def add(self, windows: Windows) -> None:
-        """Take windows in."""
-        self.collector.add(windows)
-
-    def points(self) -> PointSet:
-        """One point for each orientation cell."""
-        return self.collector.points()
-
-    def judge(self) -> Judgement:
+    def judge(self, how: Fitting) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.points(), self.settings, self.fit, self.models, self._why_none())
+        return judge(self.points(), how.settings, how.fit, how.models, self._why_none())
 
     def _why_none(self) -> str:
         """Why there are no points, if there are none."""
@@ -153,30 +156,15 @@ class CellProcedure:
 class PaperProcedure:
     """Profile `paper`: F's nine subsets, nine parameters, control points."""
 
-    def __init__(
-        self,
-        collector: PaperCollector,
-        settings: Settings,
-        fit: Callable[[PointSet, Model], Fit],
-        models: tuple[str, ...],
-    ) -> None:
+    def __init__(self, collector: PaperCollector) -> None:
         self.collector = collector
-        self.settings = settings
-        self.fit = fit
-        self.models = models
+        self.add = collector.add
+        self.points = collector.fit.points
 
-    def add(self, windows: Windows) -> None:
-        """Take windows in."""
-        self.collector.add(windows)
-
-    def points(self) -> PointSet:
-        """The first set."""
-        return self.collector.fit.points()
-
-    def judge(self) -> Judgement:
+    def judge(self, how: Fitting) -> Judgement:
         """Fit the first set, judge by the second."""
         control, missing = self.collector.control, self.collector.fit.missing()
-        return judge_paper(self.points(), control.points(), missing, self.settings, self.fit, self.models)
+        return judge_paper(self.points(), control.points(), missing, how.settings, how.fit, how.models)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

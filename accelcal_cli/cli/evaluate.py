@@ -1,0 +1,17 @@
+"""`accelcal evaluate`: the papers' tables, each part imported only when it is run."""
+
+from __future__ import annotations
+
+from accelcal_cli.cli.lazy import LazyGroup
+
+PARTS = {
+    "methods": "Every optimizer on the same points of recordings (Table 3 of the paper).",
+}
+"""Each lives in the module evaluate_NAME and binds `command`."""
+
+command = LazyGroup(
+    "evaluate",
+    parts=PARTS,
+    modules="accelcal_cli.cli.evaluate_",
+    help="Hold the papers' tables against this implementation.",
+)

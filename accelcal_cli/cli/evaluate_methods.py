@@ -1,0 +1,98 @@
+"""`accelcal evaluate methods`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
+from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.cli.tables import aligned, comma_separated, number
+from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
+from accelcal_cli.optimize import all_optimizers, named_optimizer
+
+HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
+PUBLISHED = (
+    "Table 3 of Farago, Maczak, Gingl 2024 (own recordings)",
+    "before mg",
+    "after mg",
+    "improved %",
+)
+
+
+@click.command("methods")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.option("--only", metavar="A,B", help="These optimizers only.  [default: all]")
+@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@reading_options
+@method_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Fit the same points of each RECORDING with every optimizer, and judge all by the same hold-out.
+
+    Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
+    paper), operations are additions and multiplications where they are counted, ms is the time of
+    one fit. With --profile paper: 18 points, and a second set to judge by, as in the paper.
+    """
+    names = _names(values["only"])
+    rows: list[Row] = []
+    failed = 0
+    for path in recordings:
+        try:
+            with progress_bars(path.name, quiet=values["quiet"]) as bars:
+                rows += compare(path, read_options(values), settings(values), names, bars)
+        except AccelcalError as error:
+            exits.say(str(error))
+            failed = error.exit_code
+    if rows:
+        click.echo(_shown(rows, values))
+    return exits.SOME_FAILED if failed and len(recordings) > 1 else failed
+
+
+def _names(only: str | None) -> tuple[str, ...]:
+    if only is None:
+        return tuple(item.name for item in all_optimizers())
+    names = tuple(name.strip() for name in only.split(",") if name.strip())
+    if not names:
+        raise UsageError("--only names no optimizer")
+    return tuple(named_optimizer(name).name for name in names)
+
+
+def _shown(rows: list[Row], values: dict[str, Any]) -> str:
+    if values["as_json_"]:
+        return json.dumps(as_json(rows))
+    if values["as_csv"]:
+        fields = list(Row.__dataclass_fields__)
+        return comma_separated(fields, [[getattr(row, name) for name in fields] for row in rows])
+    published = [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
+    return "\n\n".join([*_tables(rows), aligned(PUBLISHED, published)])
+
+
+def _tables(rows: list[Row]) -> list[str]:
+    """A table for each recording, and its refusals by name."""
+    found = []
+    for recording in dict.fromkeys(row.recording for row in rows):
+        own = [row for row in rows if row.recording == recording]
+        said = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
+        found.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *said]))
+    return found
+
+
+def _cells(row: Row) -> list[str]:
+    counted = None if row.additions is None else row.additions + (row.multiplications or 0)
+    return [
+        row.optimizer,
+        row.model or row.outcome,
+        number(row.before_mg, ".3f"),
+        number(row.after_mg, ".3f"),
+        number(row.improvement_percent, ".0f"),
+        number(row.iterations, "d"),
+        number(counted, "d"),
+        number(None if row.seconds is None else row.seconds * 1000, ".1f"),
+    ]
