@@ -75,8 +75,29 @@ class PageClock:
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
         """Times of rows start..stop-1 [us], shape (stop - start,)."""
-        rows = np.arange(start, stop, dtype=np.int64)
-        page = np.searchsorted(self.first_row, rows, side="right") - 1
-        span = self.span_rows[page]
-        into = (rows - self.first_row[page]) * self.span_us[page]
-        return self.time_us[page] + (2 * into + span) // (2 * span)
+        if stop <= start:
+            return np.empty(0, np.int64)
+        low, last = np.searchsorted(self.first_row, (start, stop - 1), side="right") - 1
+        pages = slice(int(low), int(last) + 1)
+        edges = np.append(self.first_row[pages], stop)
+        rows = np.diff(edges)
+        longest = int(rows.max())
+        if (rows[:-1] == longest).all() and (self.span_rows[pages] == longest).all():
+            return self._even(pages, longest)[start - int(edges[0]) : stop - int(edges[0])]
+        return self._uneven(pages, rows)[start - int(edges[0]) :]
+
+    def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
+        """Times of all rows of pages that hold `rows` rows each, one page after the other."""
+        into = np.outer(self.span_us[pages], np.arange(rows, dtype=np.int64))
+        into *= 2
+        into += rows
+        into //= 2 * rows
+        into += self.time_us[pages, np.newaxis]
+        return into.reshape(-1)
+
+    def _uneven(self, pages: slice, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of the first `rows[j]` rows of each page j."""
+        span = np.repeat(self.span_rows[pages], rows)
+        first = np.repeat(np.cumsum(rows) - rows, rows)
+        into = (np.arange(len(first), dtype=np.int64) - first) * np.repeat(self.span_us[pages], rows)
+        return np.repeat(self.time_us[pages], rows) + (2 * into + span) // (2 * span)

@@ -113,3 +113,25 @@ def test_two_pages_by_hand() -> None:
     )
     # page 0: 1.5 us a row, row 0 is its third; page 1: 3.333 us a row
     assert clock.times(0, 5).tolist() == [1003, 1005, 9000, 9003, 9007]
+
+
+@given(
+    st.integers(1, 30),
+    st.lists(st.tuples(st.integers(-(2**50), 2**50), st.integers(0, 10**9)), min_size=1, max_size=6),
+    st.integers(0, 180),
+    st.integers(0, 180),
+    st.integers(0, 10),
+)
+def test_full_pages_are_spread_like_any_others(
+    rows: int, pages: list[tuple[int, int]], one: int, other: int, before: int
+) -> None:
+    start, stop = sorted((one, other))
+    columns = [np.array([page[i] for page in pages], np.int64) for i in (0, 1)]
+    first = rows * np.arange(len(pages), dtype=np.int64) - min(before, rows - 1)
+    clock = PageClock(first, columns[0], np.full(len(pages), rows, np.int64), columns[1])
+    expected = []
+    for row in range(start, stop):
+        page = min((row - int(first[0])) // rows, len(pages) - 1)
+        into = Fraction((row - int(first[page])) * pages[page][1], rows)
+        expected.append(pages[page][0] + floor(into + HALF))
+    assert clock.times(start, stop).tolist() == expected
