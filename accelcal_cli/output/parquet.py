@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,7 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output.atomic import output_error
 
 ROW_GROUP_ROWS = 1 << 20
+WRITE_BATCH_ROWS = 1 << 16
 METADATA_KEY = b"accelcal"
 
 
@@ -51,7 +53,11 @@ def _field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
 
 
 class ParquetSink:
-    """Takes rows in any portions and writes them to a file that the caller made."""
+    """Takes rows in any portions and writes them to a file that the caller made.
+
+    Rows are collected in one of two row groups that are used in turn; a full one is encoded on a
+    thread of its own while the other fills.
+    """
 
     def __init__(self, path: Path, shown: Path, columns: Columns, metadata: dict[str, Any]) -> None:
         """Open `path` for writing; errors speak of `shown`.
@@ -61,23 +67,33 @@ class ParquetSink:
         """
         self.shown = shown
         self.schema = columns.schema(metadata)
-        self._held: list[list[NDArray[Any]]] = []
+        self._groups = [self._empty_group(), self._empty_group()]
         self._rows = 0
-        small = [name for name in self.schema.names if name in ("temperature", "validity")]
-        plain = {name: "PLAIN" for name in self.schema.names if name not in (*small, "time")}
+        self._encoding: Future[None] | None = None
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
+        plain = {name: "PLAIN" for name in self.schema.names if name != "time"}
         try:
             self._writer = pq.ParquetWriter(
                 path,
                 self.schema,
                 compression="zstd",
                 compression_level=1,
-                use_dictionary=small,
+                use_dictionary=False,
                 column_encoding={"time": "DELTA_BINARY_PACKED", **plain},
+                write_batch_size=WRITE_BATCH_ROWS,
                 write_statistics=["time"],
                 store_schema=True,
             )
         except OSError as error:
             raise output_error(error, shown) from error
+
+    def _empty_group(self) -> list[NDArray[Any]]:
+        """Room for one row group, a column each; times as whole microseconds."""
+        kinds = [np.int64 if name == "time" else kind.to_pandas_dtype() for name, kind in self._kinds()]
+        return [np.empty(ROW_GROUP_ROWS, kind) for kind in kinds]
+
+    def _kinds(self) -> list[tuple[str, pa.DataType]]:
+        return [(field.name, field.type) for field in self.schema]
 
     def write(self, arrays: list[NDArray[Any]]) -> None:
         """Take rows: one array a column, in the order of the schema.
@@ -88,21 +104,33 @@ class ParquetSink:
         start, stop = 0, len(arrays[0])
         while start < stop:
             take = min(stop - start, ROW_GROUP_ROWS - self._rows)
-            self._held.append([array[start : start + take] for array in arrays])
+            for column, array in zip(self._groups[0], arrays, strict=True):
+                column[self._rows : self._rows + take] = array[start : start + take]
             self._rows += take
             start += take
             if self._rows == ROW_GROUP_ROWS:
                 self._flush()
 
     def _flush(self) -> None:
-        joined = [np.concatenate(parts) for parts in zip(*self._held, strict=True)]
-        self._held, self._rows = [], 0
+        """Hand the full group to the thread, once it is done with the other one."""
+        self._wait()
+        self._encoding = self._thread.submit(self._encode, self._groups[0], self._rows)
+        self._groups.reverse()
+        self._rows = 0
+
+    def _encode(self, group: list[NDArray[Any]], rows: int) -> None:
         columns = [
-            pa.array(values, from_pandas=False).cast(field.type) if field.name == "time" else pa.array(values)
-            for values, field in zip(joined, self.schema, strict=True)
+            pa.array(values[:rows], from_pandas=False).view(kind)
+            for values, (_, kind) in zip(group, self._kinds(), strict=True)
         ]
+        self._writer.write_batch(pa.record_batch(columns, schema=self.schema), ROW_GROUP_ROWS)
+
+    def _wait(self) -> None:
+        """Raises OutputError if the thread could not write."""
+        encoding, self._encoding = self._encoding, None
         try:
-            self._writer.write_batch(pa.record_batch(columns, schema=self.schema), ROW_GROUP_ROWS)
+            if encoding is not None:
+                encoding.result()
         except OSError as error:
             raise output_error(error, self.shown) from error
 
@@ -114,6 +142,7 @@ class ParquetSink:
         """
         if self._rows:
             self._flush()
+        self._wait()
         try:
             self._writer.close()
         except OSError as error:
@@ -128,6 +157,7 @@ class ParquetSink:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._thread.shutdown()
         with contextlib.suppress(OSError):
             self._writer.close()
 
