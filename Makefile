@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 DEMO   := demo
 
-.PHONY: setup demo test nightly lint sample-data figure clean
+.PHONY: setup demo test nightly lint bench bench-peers sample-data figure clean
 
 setup: $(READY)
 
@@ -33,6 +33,17 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+bench: $(READY)
+	$(BIN)/python -m bench $(BENCH)
+
+bench-peers: $(READY) bench_data/peers/.ready
+	$(BIN)/python -m bench --peers bench_data/peers/bin/python $(BENCH)
+
+bench_data/peers/.ready:
+	$(PYTHON) -m venv bench_data/peers
+	bench_data/peers/bin/python -m pip install --quiet actipy scikit-digital-health pyarrow
+	touch $@
 
 sample-data: $(READY)
 	$(BIN)/python tools/make_sample_data.py

@@ -1,0 +1,1 @@
+"""Benchmarks: `make bench`. Outside the package and outside the tests."""

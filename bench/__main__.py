@@ -1,0 +1,129 @@
+"""`make bench`: whole processes against the floor, and against other tools where they are installed.
+
+Recordings are made once by `accelcal simulate` into the folder of the benchmark. All figures of a
+row come from runs in turn on the same machine; what matters are the ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli import __version__
+from accelcal_cli.cli.tables import aligned
+from bench.peers import peer_commands
+from bench.process import Timing, run, timed
+
+PYTHON = sys.executable
+ACCELCAL = [PYTHON, "-m", "accelcal_cli"]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """One recording.
+
+    Attributes:
+        floor: the floor's name of the format.
+        writes: whether the floor writes Parquet too, or only reads and decodes.
+    """
+
+    name: str
+    format: str
+    suffix: str
+    floor: str
+    writes: bool
+
+
+CASES = (
+    Case("cwa", "cwa", ".cwa", "cwa", writes=True),
+    Case("gt3x", "gt3x", ".gt3x", "gt3x", writes=False),
+    Case("geneactiv", "geneactiv", ".bin", "geneactiv", writes=False),
+    Case("flash", "flash", ".bin", "flash", writes=True),
+    Case("raw", "raw", ".raw", "raw", writes=True),
+    Case("hdf5", "hdf5", ".h5", "hdf5", writes=False),
+    Case("csv", "csv", ".csv.gz", "csv", writes=False),
+)
+
+
+def main() -> None:
+    """Time what is asked for, print a table, write it as JSON."""
+    options = _options()
+    options.folder.mkdir(parents=True, exist_ok=True)
+    chosen = [case for case in CASES if not options.only or case.name in options.only.split(",")]
+    rows = [row for case in chosen for row in _rows(case, options)]
+    head = ("run", "wall s", "least", "most", "CPU s", "MB", "of floor")
+    print(aligned(head, [_cells(row) for row in rows]))
+    shown = {"machine": _machine(), "days": options.days, "rate_hz": options.rate, "rows": rows}
+    options.json.write_text(json.dumps(shown, indent=2) + "\n")
+    print(f"\nWritten: {options.json}")
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m bench")
+    parser.add_argument("--folder", type=Path, default=Path("bench_data"))
+    parser.add_argument("--days", type=float, default=7)
+    parser.add_argument("--rate", type=float, default=100)
+    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--only", help="names of cases, separated by commas")
+    parser.add_argument("--peers", type=Path, help="python of a venv with actipy and scikit-digital-health")
+    parser.add_argument("--json", type=Path, default=Path("bench_data/latest.json"))
+    return parser.parse_args()
+
+
+def recording(case: Case, options: argparse.Namespace) -> Path:
+    """The recording of a case, made if it is not there yet."""
+    folder = options.folder / f"{case.name}_{options.days:g}d_{options.rate:g}hz"
+    path: Path = folder / f"week{case.suffix}"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        made = ["--format", case.format, "--days", f"{options.days:g}", "--rate", f"{options.rate:g}"]
+        run([*ACCELCAL, "simulate", str(path), *made, "--seed", "3", "--force", "-q"])
+    return path
+
+
+def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
+    path = recording(case, options)
+    out = path.parent / "out"
+    calibrate = [*ACCELCAL, "calibrate", str(path), "-d", str(out), "--format", case.format, "--force", "-q"]
+    floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
+    commands: dict[str, Sequence[str]] = {
+        f"{case.name}: floor": [*floor, str(path.parent / "floor.parquet")] if case.writes else floor,
+        f"{case.name}: accelcal": calibrate,
+        f"{case.name}: accelcal --report-only": [*calibrate, "--report-only"],
+    }
+    if options.peers:
+        commands |= peer_commands(options.peers, case.name, path)
+    found = timed(commands, options.runs)
+    least = found[f"{case.name}: floor"].wall_s
+    return [_row(name, timing, least) for name, timing in found.items()]
+
+
+def _row(name: str, timing: Timing, floor_s: float) -> dict[str, Any]:
+    return {"run": name, **timing.as_json(), "of_floor": round(timing.wall_s / floor_s, 2)}
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    seconds = [f"{row[key]:.2f}" for key in ("wall_s", "wall_least_s", "wall_most_s", "cpu_s")]
+    return [row["run"], *seconds, f"{row['memory_mb']:.0f}", f"{row['of_floor']:.2f}"]
+
+
+def _machine() -> dict[str, Any]:
+    return {
+        "time": datetime.now(UTC).isoformat(timespec="minutes"),
+        "accelcal": __version__,
+        "python": platform.python_version(),
+        "processor": platform.processor() or platform.machine(),
+        "cpus": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+    }
+
+
+if __name__ == "__main__":
+    main()
