@@ -64,6 +64,11 @@ _READING = [
     click.option("--lsb-per-g", type=Positive(), metavar="N", help="Counts in one g."),
     click.option("--columns", type=ColumnNames(), help="Columns of x, y, z: names, or numbers from 0."),
     click.option("--time-column", metavar="NAME", help="Column of the times."),
+    click.option(
+        "--date-format",
+        type=click.Choice(["dmy", "mdy", "ymd"]),
+        help="Order of day, month and year in dates such as 04/03/2024.",
+    ),
     click.option("--timezone", metavar="ZONE", help="Zone of the device's clock, such as Europe/Berlin."),
     click.option(
         "--layout",
@@ -146,6 +151,7 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         lsb_per_g=values["lsb_per_g"],
         columns=values["columns"],
         time_column=values["time_column"],
+        date_format=values["date_format"],
         timezone=values["timezone"],
         layout=values["layout"],
         sensor=values["sensor"],

@@ -23,6 +23,7 @@ class ReadOptions:
     Attributes:
         unit: one of g, mg, m/s2, counts.
         columns: names (or numbers from 0) of x, y and z.
+        date_format: order of day, month and year in dates: dmy, mdy or ymd.
         layout: a layout file for raw dumps.
         sensor: which sensor of a file with several.
     """
@@ -33,6 +34,7 @@ class ReadOptions:
     lsb_per_g: float | None = None
     columns: tuple[str, str, str] | None = None
     time_column: str | None = None
+    date_format: str | None = None
     timezone: str | None = None
     layout: Path | None = None
     sensor: str | None = None

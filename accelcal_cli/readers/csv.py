@@ -10,19 +10,21 @@ import numpy as np
 
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import GZIP_MAGIC, Format, Probe, ReadOptions
+from accelcal_cli.core.formats import Format, Probe, ReadOptions
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 from accelcal_cli.readers._csv.assemble import Assembler
-from accelcal_cli.readers._csv.blocks import Block, LineFile, lone_block
+from accelcal_cli.readers._csv.blocks import Block, LineFile
 from accelcal_cli.readers._csv.dialect import find_dialect
+from accelcal_cli.readers._csv.fills import FillFinder
+from accelcal_cli.readers._csv.last import last_time
 from accelcal_cli.readers._csv.open import HEAD_BYTES, Opened, examine
 from accelcal_cli.readers._csv.rows import RowMaker, Rows
 from accelcal_cli.readers._csv.spread import Spreader
-from accelcal_cli.readers._csv.time import NO_TIME
+from accelcal_cli.readers._csv.vendor import known_of
 
 NAME = "csv"
 SUFFIXES = (".csv", ".txt", ".tsv", ".log")
-TAIL_BYTES = 1 << 16
+VENDORS_SCORE = 90
 OTHER_TEXT = (b"Device Identity",)
 
 
@@ -30,6 +32,8 @@ def sniff(probe: Probe) -> int:
     """30 to 60 for text with three or more columns of numbers; more where name and header fit."""
     if probe.head.startswith(OTHER_TEXT):
         return 0
+    if known_of(probe.head) is not None:
+        return VENDORS_SCORE
     dialect = find_dialect(probe.head)
     if dialect is None:
         return 0
@@ -42,7 +46,7 @@ class CsvReader(Reader):
     def __init__(self, path: Path, opened: Opened, timezone: str | None) -> None:
         self._path = path
         self._opened = opened
-        self.recording = _recording(path, opened, timezone, self._first_time(), self._last_time())
+        self.recording = _recording(path, opened, timezone, self._first_time(), last_time(opened.sheet))
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all usable rows, at most `chunk_samples` at a time.
@@ -50,7 +54,7 @@ class CsvReader(Reader):
         Raises:
             UnreadableError: a line is no row of the file, or most rows cannot be used.
         """
-        assembler = Assembler(self._opened.pace, self._opened.sheet.time is not None)
+        assembler = self._assembler()
         notice = self._notices()
         end_byte = 0
         for rows, block in self._settled(chunk_samples):
@@ -65,18 +69,27 @@ class CsvReader(Reader):
         if notice:
             yield _end_chunk(assembler, notice, end_byte, self.recording.has_temperature)
 
+    def _assembler(self) -> Assembler:
+        opened = self._opened
+        return Assembler(opened.pace, opened.sheet.time is not None, opened.start_us or 0)
+
     def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
-        """Rows with their final times, and the block they came with."""
+        """Rows with their final times, and the block they came with; once a block."""
         opened, dialect = self._opened, self._opened.sheet.dialect
         maker = RowMaker(opened.sheet, opened.scale, opened.temperature_c)
-        spreader = Spreader(opened.pace) if opened.pace.stamp_period_us else None
+        stages: list[Spreader | FillFinder] = []
+        if opened.pace.stamp_period_us:
+            stages.append(Spreader(opened.pace))
+        if opened.known.repeats_idle:
+            stages.append(FillFinder(round(opened.pace.rate_hz)))
         block_bytes = max(1, int(0.95 * chunk_samples * opened.line_bytes))
         file = LineFile(self._path, dialect.bare_returns)
         try:
             for block in file.blocks(dialect.offset, dialect.skipped + 1, block_bytes):
                 rows = maker.rows(block)
-                for ready in spreader.add(rows, block.last) if spreader else (rows,):
-                    yield ready, block
+                for stage in stages:
+                    rows = stage.add(rows, block.last)
+                yield rows, block
         finally:
             file.close()
 
@@ -112,7 +125,7 @@ class CsvReader(Reader):
         Raises:
             UnreadableError: the beginning of the file holds no usable row.
         """
-        assembler = Assembler(self._opened.pace, self._opened.sheet.time is not None)
+        assembler = self._assembler()
         samples = int(HEAD_BYTES / self._opened.line_bytes)
         for rows, block in self._settled(samples):
             for chunk in assembler.chunks(rows, 0, max(samples, 1)):
@@ -126,23 +139,6 @@ class CsvReader(Reader):
             line=self._opened.sheet.dialect.skipped + 1,
             hint="check --columns and --unit",
         )
-
-    def _last_time(self) -> int | None:
-        """Time of the last row [us] of an uncompressed file that gives times."""
-        sheet = self._opened.sheet
-        with self._path.open("rb") as file:
-            if sheet.time is None or file.read(2) == GZIP_MAGIC or sheet.dialect.bare_returns:
-                return None
-            size = file.seek(0, 2)
-            file.seek(max(sheet.dialect.offset, size - TAIL_BYTES))
-            lines = file.read().splitlines(keepends=True)[-3:]
-        whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()][-1:]
-        try:
-            stamps = sheet.cells(lone_block(b"".join(whole), 1, 0)).time_us
-        except UnreadableError:
-            return None
-        usable = stamps is not None and len(stamps) and stamps[-1] != NO_TIME
-        return int(stamps[-1]) if stamps is not None and usable else None
 
 
 def open_csv(path: Path, options: ReadOptions) -> CsvReader:
@@ -159,7 +155,7 @@ def open_csv(path: Path, options: ReadOptions) -> CsvReader:
 def _recording(
     path: Path, opened: Opened, timezone: str | None, first_us: int | None, last_us: int | None
 ) -> Recording:
-    time = opened.sheet.time
+    told, zone = opened.known, opened.timezone
     length = None if first_us is None or last_us is None else (last_us - first_us) / 1e6
     return Recording(
         path=path,
@@ -167,8 +163,10 @@ def _recording(
         rate_hz=opened.pace.rate_hz,
         lsb_per_g=opened.scale.lsb_per_g,
         total_bytes=path.stat().st_size,
+        device=told.device,
+        range_g=told.range_g,
         start_us=first_us,
-        timezone="UTC" if time is not None and time.zoned else timezone,
+        timezone=zone if zone == "UTC" else timezone or zone,
         duration_s=length if length is not None and length > 0 else None,
         has_temperature=opened.temperature_c is not None,
         notes=opened.notes(),

@@ -193,5 +193,5 @@ FORMAT = Format(
     (".cwa",),
     sniff,
     open_recording,
-    ignores=("unit", "columns", "time_column", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
 )

@@ -140,5 +140,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     open_flash,
-    ignores=("unit", "columns", "time_column", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
 )

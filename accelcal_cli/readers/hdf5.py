@@ -190,5 +190,5 @@ FORMAT = Format(
     suffixes=(".h5", ".hdf5", ".hdf"),
     sniff=sniff_hdf5,
     open=open_recording,
-    ignores=("layout",),
+    ignores=("layout", "date_format"),
 )

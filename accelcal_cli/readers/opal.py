@@ -272,5 +272,5 @@ FORMAT = Format(
     suffixes=(".h5",),
     sniff=sniff,
     open=open_recording,
-    ignores=("layout", "columns", "time_column"),
+    ignores=("layout", "columns", "time_column", "date_format"),
 )

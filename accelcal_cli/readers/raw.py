@@ -159,5 +159,5 @@ FORMAT = Format(
     DUMP_SUFFIXES,
     sniff,
     open_raw,
-    ignores=("unit", "columns", "time_column", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "sensor"),
 )

@@ -54,6 +54,7 @@ class Read:
     breaks: list[int]
     problems: list[Problem]
     temperature: np.ndarray | None
+    validity: np.ndarray
 
     @property
     def g(self) -> np.ndarray:
@@ -69,6 +70,7 @@ class Read:
             and np.array_equal(self.times, other.times)
             and self.breaks == other.breaks
             and self.problems == other.problems
+            and np.array_equal(self.validity, other.validity)
         )
 
 
@@ -81,6 +83,7 @@ def read(path: Path, chunk_samples: int = 1000, **options: object) -> Read:
         assert firsts == [sum(sizes[:place]) for place in range(len(sizes))]
         assert max(sizes) <= chunk_samples
         spare = [chunk.temperature_mc for chunk in chunks]
+        marks = [np.zeros(len(c), np.uint8) if c.validity is None else c.validity for c in chunks]
         return Read(
             reader.recording,
             np.concatenate([chunk.counts for chunk in chunks]),
@@ -88,4 +91,5 @@ def read(path: Path, chunk_samples: int = 1000, **options: object) -> Read:
             [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks],
             [problem for chunk in chunks for problem in chunk.problems],
             np.concatenate(spare) if reader.recording.has_temperature else None,
+            np.concatenate(marks),
         )

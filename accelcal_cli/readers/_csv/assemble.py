@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
-from accelcal_cli.core.recording import Chunk, Problem
+from accelcal_cli.core.recording import Chunk, Problem, Validity
 from accelcal_cli.readers._csv.problems import Marks, RunLog
 from accelcal_cli.readers._csv.rate import GAP_PERIODS, Pace
 from accelcal_cli.readers._csv.rows import Fault, Rows
@@ -26,6 +27,10 @@ def _missing(count: int, line: int, _: float) -> str:
 
 def _out_of_range(count: int, line: int, _: float) -> str:
     return f"{_rows(count)} from line {line} on left out: a value is beyond any sensor's range"
+
+
+def _asleep(count: int, line: int, _: float) -> str:
+    return f"{_rows(count)} from line {line} on not measured: the device slept, and repeated a value"
 
 
 def _ahead(count: int, line: int, size: float) -> str:
@@ -51,6 +56,10 @@ class _Kept:
     line: NDArray[np.int64]
     time_us: NDArray[np.int64] | None
 
+    def of(self, values: NDArray[Any] | None) -> NDArray[Any] | None:
+        """The entries of these rows in a column of the stretch."""
+        return values if values is None or self.keep is None else values[self.keep]
+
 
 class Assembler:
     """Makes chunks of all rows of a file, in order.
@@ -58,16 +67,19 @@ class Assembler:
     Args:
         pace: how the rows follow each other.
         stamped: rows carry times; else they are counted at the pace.
+        start_us: time of the first row where they are counted.
     """
 
-    def __init__(self, pace: Pace, stamped: bool) -> None:
+    def __init__(self, pace: Pace, stamped: bool, start_us: int) -> None:
         self._stamped = stamped
+        self._start_us = start_us
         self._pace = pace
         self._rate = rate_fraction(pace.rate_hz)
         self._faults = {
             Fault.MISSING: RunLog("missing_value", _missing),
             Fault.OUT_OF_RANGE: RunLog("out_of_range", _out_of_range),
         }
+        self._asleep = RunLog("idle_sleep", _asleep)
         self._clocks = (RunLog("clock_gap", _ahead), RunLog("clock_back", _back))
         self._last_row = -1
         self._last_us = 0
@@ -78,9 +90,9 @@ class Assembler:
         """The good ones of the next rows, at most `chunk_samples` to a chunk."""
         found = self._fault_problems(rows)
         kept = self._kept(rows)
-        counts, spare = rows.counts, rows.temperature_mc
+        counts, spare, validity = rows.counts, kept.of(rows.temperature_mc), kept.of(_validity(rows))
         if kept.keep is not None:
-            counts, spare = counts[kept.keep], None if spare is None else spare[kept.keep]
+            counts = counts[kept.keep]
         breaks, jumps = self._breaks(kept)
         problems = tuple(problem for _, problem in sorted((*found, *jumps), key=_by_row))
         pieces = max(1, -(-len(counts) // chunk_samples))
@@ -94,6 +106,7 @@ class Assembler:
                 end_byte,
                 breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
                 temperature_mc=None if spare is None else spare[part],
+                validity=None if validity is None else validity[part],
                 problems=problems if start == 0 else (),
             )
             self.samples += stop - start
@@ -101,7 +114,8 @@ class Assembler:
 
     def finish(self) -> list[Problem]:
         """Problems that were still open at the end of the file."""
-        return [problem for log in (*self._faults.values(), *self._clocks) for problem in log.finish()]
+        logs = (*self._faults.values(), self._asleep, *self._clocks)
+        return [problem for log in logs for problem in log.finish()]
 
     def _fault_problems(self, rows: Rows) -> list[tuple[int, Problem]]:
         good = rows.fault == Fault.NONE
@@ -109,6 +123,8 @@ class Assembler:
         found: list[tuple[int, Problem]] = []
         for fault, log in self._faults.items():
             found += log.add(Marks(rows.fault == fault, rows.row, rows.line, sample))
+        if rows.filled is not None:
+            found += self._asleep.add(Marks(rows.filled, rows.row, rows.line, sample))
         return found
 
     def _kept(self, rows: Rows) -> _Kept:
@@ -117,13 +133,14 @@ class Assembler:
         keep = rows.fault == Fault.NONE
         stamps = rows.time_us
         if stamps is None:
-            stamps = UniformClock(0, rows.first_row, self._rate).times(0, len(rows))
+            stamps = UniformClock(self._start_us, rows.first_row, self._rate).times(0, len(rows))
         return _Kept(keep, rows.row[keep], rows.line[keep], stamps[keep])
 
     def _clock(self, kept: _Kept, start: int, stop: int) -> Clock:
         if kept.time_us is not None:
             return StampClock(kept.time_us[start:stop])
-        return UniformClock(0, int(kept.row[start]) if len(kept.row) else 0, self._rate)
+        first = int(kept.row[start]) if len(kept.row) else 0
+        return UniformClock(self._start_us, first, self._rate)
 
     def _breaks(self, kept: _Kept) -> tuple[NDArray[np.int64], list[tuple[int, Problem]]]:
         """Rows before which the recording is not continuous, and the jumps of the clock."""
@@ -150,6 +167,13 @@ class Assembler:
         for flag, log in zip(flags, self._clocks, strict=True):
             found += log.add(Marks(flag, kept.row, kept.line, sample, size))
         return found
+
+
+def _validity(rows: Rows) -> NDArray[np.uint8] | None:
+    """Of every row; None where all were measured."""
+    if rows.filled is None or not rows.filled.any():
+        return None
+    return np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))
 
 
 def _by_row(item: tuple[int, Problem]) -> tuple[int, str]:

@@ -23,6 +23,9 @@ TIME_NAMES = frozenset(
 )
 BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
 TEMPERATURE_NAMES = ({"temperature"}, {"temp"})
+G_FORCE = re.compile(r"^gF([xyz])$")
+"""As Physics Toolbox names the acceleration in g."""
+
 CELSIUS = frozenset({"", "c", "°c", "degc", "deg", "celsius"})
 AXES = ("x", "y", "z")
 
@@ -54,7 +57,7 @@ class Title:
 
     @classmethod
     def of(cls, number: int, name: str, unit: str | None) -> Title:
-        plain, hint = name_and_hint(name)
+        plain, hint = name_and_hint(G_FORCE.sub(r"acc_\1 [g]", name.strip()))
         spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", plain)
         words = tuple(
             word for part in re.split(r"[\W_]+", spaced.lower()) for word in _axis_apart(part) if word
@@ -190,8 +193,17 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
         f"which columns are x, y and z cannot be told from {what}",
         path=path,
         line=dialect.skipped + 1,
-        hint="give --columns X,Y,Z as names, or as numbers from 0",
+        hint=f"give --columns X,Y,Z as names, or as numbers from 0{_if_commas(dialect)}",
     )
+
+
+def _if_commas(dialect: Dialect) -> str:
+    """Advice for `0,012,0,996,-0,101`, which no option can settle."""
+    cells = [cell for row in dialect.sample for cell in row[-6:]]
+    doubtful = dialect.cleaner.delimiter == "," and dialect.columns in (6, 7, 8)
+    if not doubtful or not all(re.fullmatch(r"-?\d+", cell.strip()) for cell in cells):
+        return ""
+    return "; where commas are its decimals too, export it with another delimiter or decimal point"
 
 
 def _may_be_time(dialect: Dialect, column: int) -> bool:

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from accelcal_cli.core.formats import HEAD_BYTES
-from accelcal_cli.readers._csv.cells import COMMA_NUMBER, Kind, cell_kind, column_kind
-from accelcal_cli.readers._csv.clean import LONG_FRACTION, SPLIT_DATE, Cleaner
+from accelcal_cli.readers._csv.cells import COMMA_NUMBER, POINT_NUMBER, Kind, cell_kind, column_kind
+from accelcal_cli.readers._csv.clean import COLON_FRACTION, LONG_FRACTION, SPLIT_DATE, Cleaner
 from accelcal_cli.readers._csv.units import is_unit_cell
 
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -58,10 +58,13 @@ class Dialect:
         return [row[column] for row in self.sample]
 
 
-def find_dialect(head: bytes) -> Dialect | None:
+def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
     """The layout of the file with this beginning, None where it shows no rows of 3 or more numbers.
 
     A last line without its end is used only where nothing else is there.
+
+    Args:
+        preamble: lines that are known to be neither rows nor names of columns.
     """
     head = head[:HEAD_BYTES]
     if not is_text(head):
@@ -70,8 +73,14 @@ def find_dialect(head: bytes) -> Dialect | None:
     if bare_returns:
         head = head.replace(b"\r", b"\n")
     whole = head[: head.rfind(b"\n") + 1]
-    found = _dialect_of(whole) or _dialect_of(head)
+    found = _dialect_of(whole, preamble) or _dialect_of(head, preamble)
     return replace(found, bare_returns=bare_returns) if found else None
+
+
+def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
+    """One column's cells in some lines."""
+    rows = _rows(data.splitlines(keepends=True), dialect.cleaner)
+    return [row[column] for row in rows if column < len(row)]
 
 
 def is_text(head: bytes) -> bool:
@@ -79,15 +88,16 @@ def is_text(head: bytes) -> bool:
     return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
 
 
-def _dialect_of(head: bytes) -> Dialect | None:
+def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
     mark = len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0
-    raw_lines = head[mark:].splitlines(keepends=True)
+    lines = head[mark:].splitlines(keepends=True)
+    raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
     for tail in _tail_sizes(len(raw_lines)):
         layouts = [_Layout.of(raw_lines, delimiter, tail) for delimiter in DELIMITERS]
         best = max(layouts, key=lambda layout: layout.score)
         least = 0.0 if tail >= SURE_LINES else 0.5
-        if best.score > least and (dialect := best.dialect(mark)):
-            return dialect
+        if best.score > least and (dialect := best.dialect(offset)):
+            return replace(dialect, skipped=dialect.skipped + preamble)
     return None
 
 
@@ -145,15 +155,15 @@ class _Layout:
             return 0.0
         return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
 
-    def dialect(self, mark: int) -> Dialect | None:
-        """The full layout, None where no run of rows begins anywhere."""
+    def dialect(self, offset: int) -> Dialect | None:
+        """The full layout of lines from this byte on, None where no run of rows begins anywhere."""
         first = self._first_row()
         if first is None:
             return None
         names, units = self._names(first)
         sample = _rows(self.raw_lines[first : first + SAMPLE_ROWS], self.cleaner)
         whole = tuple(tuple(row) for row in sample if len(row) == len(self.kinds))
-        offset = mark + sum(map(len, self.raw_lines[:first]))
+        offset += sum(map(len, self.raw_lines[:first]))
         return Dialect(self.cleaner, self.kinds, names, units, whole, first, offset, False)
 
     def _first_row(self) -> int | None:
@@ -217,9 +227,15 @@ def _cleaner_for(raw_lines: list[bytes], delimiter: str) -> Cleaner:
         split_date=delimiter == " " and SPLIT_DATE.search(head) is not None,
         slash_dates=SLASH_DATE.search(head) is not None,
         long_fraction=LONG_FRACTION.search(head) is not None,
+        colon_fraction=COLON_FRACTION.search(head) is not None,
     )
 
 
 def _with_decimals(cleaner: Cleaner, rows: list[list[str]]) -> Cleaner:
-    commas = any(COMMA_NUMBER.fullmatch(cell.strip()) for row in rows for cell in row)
+    """Decimals have a comma where these rows say so, or where they are whole numbers throughout.
+
+    A recording may begin with hours of zeros; only commas can then follow that are not understood.
+    """
+    cells = [cell.strip() for row in rows for cell in row]
+    commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
     return replace(cleaner, decimal_comma=commas and cleaner.delimiter != ",")

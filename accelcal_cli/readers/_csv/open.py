@@ -2,28 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.readers._csv.blocks import Block, LineFile, lone_block
 from accelcal_cli.readers._csv.columns import Roles, column_name, find_roles
+from accelcal_cli.readers._csv.dated import dated
 from accelcal_cli.readers._csv.dialect import Dialect, find_dialect
-from accelcal_cli.readers._csv.rate import Pace, find_pace
+from accelcal_cli.readers._csv.rate import Pace, agreeing_pace, find_pace
 from accelcal_cli.readers._csv.sheet import Cells, Sheet
 from accelcal_cli.readers._csv.time import NO_TIME, find_time_format
-from accelcal_cli.readers._csv.units import Scale, guess_unit, said_unit, scale_for
+from accelcal_cli.readers._csv.units import Scale, check_unit, guess_unit, said_unit, scale_for
+from accelcal_cli.readers._csv.vendor import Known, known_of
 
 HEAD_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """Everything that the head of a file told."""
+    """Everything that the head of a file told.
 
+    Attributes:
+        start_us: time of the first row where rows carry none; None where it is not known.
+    """
+
+    known: Known
+    start_us: int | None
     sheet: Sheet
     scale: Scale
     pace: Pace
@@ -34,7 +42,13 @@ class Opened:
     @property
     def dated(self) -> bool:
         """Whether its times count from 1970 rather than from its first row."""
-        return self.sheet.time is not None and self.sheet.time.since_1970
+        return self.start_us is not None if self.sheet.time is None else self.sheet.time.since_1970
+
+    @property
+    def timezone(self) -> str | None:
+        """Zone of its clock, as the file says it."""
+        zoned = self.sheet.time is not None and self.sheet.time.zoned
+        return "UTC" if zoned else self.known.timezone
 
     def notes(self) -> tuple[str, ...]:
         """How the file was understood, for people."""
@@ -51,20 +65,33 @@ def examine(path: Path, options: ReadOptions) -> Opened:
     """
     _refuse_not_positive(options)
     head = _head(path, False)
-    dialect = find_dialect(head)
+    known = known_of(head) or Known()
+    _refuse_doubtful(known, options, path)
+    dialect = find_dialect(head, known.preamble)
     if dialect is None:
         raise _no_rows(path, head)
     if dialect.bare_returns:
         head = _head(path, True)
+    if dialect.names is None and len(known.names or ()) == dialect.columns:
+        dialect = replace(dialect, names=known.names)
     block = _head_block(head, dialect)
     roles = find_roles(dialect, options, path)
-    sheet = _sheet(path, dialect, roles, options)
+    sheet = _sheet(block, dialect, roles, known, options, path)
     cells = sheet.cells(block)
-    unit = said_unit(options, set(roles.hints))
-    scale = scale_for(unit or guess_unit(cells.values, path), options)
-    pace = _pace(cells, options, path)
+    scale, guessed = _scale(cells, roles, known, options, path)
+    pace = _pace(cells, known, options, path)
+    start_us = None
+    if sheet.time is None and known.start is not None:
+        start_us = known.start.us(options.date_format or known.date_order, path)
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
-    return Opened(sheet, scale, pace, _first_temperature(cells), line_bytes, unit is None)
+    temperature_c = _first_temperature(cells)
+    return Opened(known, start_us, sheet, scale, pace, temperature_c, line_bytes, guessed)
+
+
+def _refuse_doubtful(known: Known, options: ReadOptions, path: Path) -> None:
+    """What is no raw acceleration is read only by who insists on its unit."""
+    if known.doubt is not None and options.unit is None:
+        raise UnreadableError(known.doubt.message, path=path, line=1, hint=known.doubt.hint)
 
 
 def _refuse_not_positive(options: ReadOptions) -> None:
@@ -97,17 +124,36 @@ def _no_rows(path: Path, head: bytes) -> UnreadableError:
     return UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
 
 
-def _sheet(path: Path, dialect: Dialect, roles: Roles, options: ReadOptions) -> Sheet:
+def _sheet(
+    block: Block, dialect: Dialect, roles: Roles, known: Known, options: ReadOptions, path: Path
+) -> Sheet:
     if roles.time is None:
         return Sheet(path, dialect, roles, None)
+    dialect = dated(block, dialect, roles.time, known, options, path)
     cells, line = dialect.cells(roles.time), dialect.skipped + 1
-    time = find_time_format(cells, roles.time_unit_us, options.rate_hz, path, line)
+    rate_hz = options.rate_hz or known.rate_hz
+    time = find_time_format(cells, roles.time_unit_us, rate_hz, path, line)
     return Sheet(path, dialect, roles, time)
 
 
-def _pace(cells: Cells, options: ReadOptions, path: Path) -> Pace:
+def _scale(cells: Cells, roles: Roles, known: Known, options: ReadOptions, path: Path) -> tuple[Scale, bool]:
+    """The scale, and whether gravity alone told the unit."""
+    said = said_unit(options, set(roles.hints))
+    if said is None and known.unit is not None:
+        scale = scale_for(known.unit, known.lsb_per_g)
+        check_unit(cells.values, scale, path)
+        return scale, False
+    return scale_for(said or guess_unit(cells.values, path), options.lsb_per_g), said is None
+
+
+def _pace(cells: Cells, known: Known, options: ReadOptions, path: Path) -> Pace:
     if cells.time_us is not None:
-        return find_pace(cells.time_us[cells.time_us != NO_TIME], options.rate_hz, path)
+        stamps = cells.time_us[cells.time_us != NO_TIME]
+        if options.rate_hz is None and known.rate_hz is not None:
+            return agreeing_pace(stamps, known.rate_hz, path)
+        return find_pace(stamps, options.rate_hz, path)
+    if known.rate_hz is not None:
+        return Pace(agreed_rate(options, known.rate_hz, path))
     if options.rate_hz is None:
         raise UnreadableError(
             "no column is known to hold the time",
@@ -129,12 +175,14 @@ def _notes(opened: Opened) -> tuple[str, ...]:
     dialect, roles = opened.sheet.dialect, opened.sheet.roles
     axes = ", ".join(column_name(dialect, column) for column in roles.xyz)
     how = " (judged by the length of gravity)" if opened.guessed_unit else ""
-    notes = [f"x, y, z: {axes}", f"unit: {opened.scale.unit}{how}"]
+    notes = [f"an export of {opened.known.title}"] * bool(opened.known.title)
+    notes += [f"x, y, z: {axes}", f"unit: {opened.scale.unit}{how}"]
     if roles.time is not None:
         notes.append(f"time: {column_name(dialect, roles.time)}")
     if opened.pace.stamp_period_us:
         notes.append("several rows share a time stamp; they were spread evenly until the next one")
-    above = dialect.skipped - (dialect.names is not None) - (dialect.units is not None)
+    headings = (dialect.names is not opened.known.names) + (dialect.units is not None)
+    above = dialect.skipped - opened.known.preamble - headings
     if above > 0:
         notes.append(f"{above} lines before the header or the first row were not used")
     return tuple(notes)

@@ -69,6 +69,25 @@ def find_pace(stamps: NDArray[np.int64], said_hz: float | None, path: Path) -> P
     return Pace(said_hz, pace.stamp_period_us)
 
 
+def agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:
+    """The pace of the first rows of a file whose header tells its rate.
+
+    Raises:
+        UnreadableError: the rows are not made at that rate.
+    """
+    try:
+        pace = find_pace(stamps, None, path)
+    except UnreadableError:
+        return find_pace(stamps, header_hz, path)
+    if not 1 / DISAGREEMENT < header_hz / pace.rate_hz < DISAGREEMENT:
+        raise UnreadableError(
+            f"its header says {header_hz:g} Hz, the times of its rows say {pace.rate_hz:g} Hz",
+            path=path,
+            hint=f"export the raw data; or give --rate {pace.rate_hz:g} where the rows are right",
+        )
+    return Pace(header_hz, pace.stamp_period_us)
+
+
 def _only_stamp_period(stamps: NDArray[np.int64], distinct: int) -> int:
     """A second, where all rows there are share one or two whole-second stamps."""
     shared = len(stamps) > 2 * distinct and not (stamps % MICROSECONDS).any()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class Rows:
 
     first_row: number of the first, from 0. line: (n,) number in the text. counts: (n, 3) int32.
     fault: (n,) uint8 of `Fault`. time_us: (n,) or None. temperature_mc: (n,) int32 or None.
+    filled: (n,) rows that the device did not measure, or None where none are known.
     """
 
     first_row: int
@@ -40,6 +41,7 @@ class Rows:
     fault: NDArray[np.uint8]
     time_us: NDArray[np.int64] | None
     temperature_mc: NDArray[np.int32] | None
+    filled: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
         return len(self.line)
@@ -49,34 +51,33 @@ class Rows:
         """(n,) number of each row within the file, from 0."""
         return self.first_row + np.arange(len(self), dtype=np.int64)
 
-    def part(self, start: int, stop: int, time_us: NDArray[np.int64] | None) -> Rows:
-        """Rows start..stop-1, with these times (stop - start,)."""
-        spare = self.temperature_mc
+    def part(self, start: int, stop: int) -> Rows:
+        """Rows start..stop-1, as views."""
         return Rows(
             self.first_row + start,
             self.line[start:stop],
             self.counts[start:stop],
             self.fault[start:stop],
-            time_us,
-            None if spare is None else spare[start:stop],
+            *(None if item is None else item[start:stop] for item in self._spare),
         )
 
     def then(self, other: Self) -> Rows:
-        """These rows and the next ones; both have times."""
-        spare = None
-        if self.temperature_mc is not None and other.temperature_mc is not None:
-            spare = np.concatenate((self.temperature_mc, other.temperature_mc))
-        stamps = None
-        if self.time_us is not None and other.time_us is not None:
-            stamps = np.concatenate((self.time_us, other.time_us))
+        """These rows and the next ones of the same file."""
         return Rows(
             self.first_row,
             np.concatenate((self.line, other.line)),
             np.concatenate((self.counts, other.counts)),
             np.concatenate((self.fault, other.fault)),
-            stamps,
-            spare,
+            *(
+                None if one is None or two is None else np.concatenate((one, two))
+                for one, two in zip(self._spare, other._spare, strict=True)
+            ),
         )
+
+    @property
+    def _spare(self) -> tuple[NDArray[Any] | None, ...]:
+        """The columns that not every file has."""
+        return self.time_us, self.temperature_mc, self.filled
 
 
 class RowMaker:

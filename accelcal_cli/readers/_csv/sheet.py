@@ -98,11 +98,11 @@ class Sheet:
         try:
             return self._parsed(data), data
         except pa.ArrowException:
-            unpadded = replace(self.dialect.cleaner, padded=True)(data)
+            thorough = replace(self.dialect.cleaner, thorough=True)(block.data)
         try:
-            return self._parsed(unpadded), unpadded
+            return self._parsed(thorough), thorough
         except pa.ArrowException as error:
-            raise self._check.bad_line(unpadded, block.line, self.path) from error
+            raise self._check.bad_line(thorough, block.line, self.path) from error
 
     def _parsed(self, data: bytes) -> Any:
         parsing, converting = self.options

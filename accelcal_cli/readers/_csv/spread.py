@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ class Spreader:
         self._held: Rows | None = None
         self._before = NO_TIME
 
-    def add(self, rows: Rows, last: bool) -> Iterator[Rows]:
+    def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those whose times are settled (all, where these are the last)."""
         rows = rows if self._held is None else self._held.then(rows)
         stamps = self._filled(rows.time_us)
@@ -36,12 +36,14 @@ class Spreader:
         ends = np.append(starts[1:], len(stamps))
         settled = len(starts) if last else max(len(starts) - 1, 0)
         cut = int(ends[settled - 1]) if settled else 0
+        times = stamps[:0]
         if settled:
             after = stamps[starts[settled]] if settled < len(starts) else NO_TIME
             around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
-            yield rows.part(0, cut, self._spread(around, (ends - starts)[:settled]))
+            times = self._spread(around, (ends - starts)[:settled])
             self._before = int(around[-2])
-        self._held = None if last else rows.part(cut, len(rows), stamps[cut:])
+        self._held = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
+        return replace(rows.part(0, cut), time_us=times)
 
     def _filled(self, stamps: NDArray[np.int64] | None) -> NDArray[np.int64]:
         """Rows without a time belong to the group before them; they are left out later."""

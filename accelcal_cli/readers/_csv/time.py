@@ -20,7 +20,11 @@ NO_TIME = -(1 << 62)
 """Stands for a missing time; far enough from every real one to subtract without overflow."""
 
 STAMP = re.compile(r"\d{4}[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?")
+DAY_US = 86_400e6
 UNITS_US = (1e6, 1e3, 1.0, 1e-3)
+EPOCH_DAYS = (25_569.0, 719_529.0)
+"""1970-01-01 as spreadsheets (from 1899-12-30) and as MATLAB number days."""
+
 EPOCH_S = (9e8, 5e9)
 """Plain numbers count from 1970 where they then mean 1998 to 2128."""
 
@@ -37,11 +41,13 @@ class TimeFormat:
         unit_us: microseconds in one unit of a plain number; None for ISO 8601.
         zoned: every ISO time ends in Z or an offset, so that the times are UTC.
         since_1970: False where the numbers count from the start of the recording.
+        epoch_day: the number of 1970-01-01 where days are counted from another date.
     """
 
     unit_us: float | None
     zoned: bool = False
     since_1970: bool = True
+    epoch_day: float = 0.0
 
     @property
     def arrow_type(self) -> Any:
@@ -58,7 +64,7 @@ class TimeFormat:
             if whole.null_count:
                 stamps[whole.is_null().to_numpy()] = NO_TIME
             return stamps
-        values = np.rint(column.fill_null(np.nan).to_numpy() * self.unit_us)
+        values = np.rint((column.fill_null(np.nan).to_numpy() - self.epoch_day) * self.unit_us)
         usable = np.abs(values) < 1 << 60
         return np.where(usable, np.where(usable, values, 0).astype(np.int64), NO_TIME)
 
@@ -82,8 +88,8 @@ def find_time_format(
             f"the time {wrong!r} is not written as 2024-03-04 12:34:56.789",
             path=path,
             line=line,
-            hint="day and month cannot be told apart safely; rewrite the times that way, with the date and "
-            "the time of day in one column, or give --time-column none and --rate",
+            hint="rewrite the times that way, with the date and the time of day in one column, or give "
+            "--time-column none and --rate",
         )
     zones = {bool(stamp and stamp["zone"]) for stamp in stamps}
     if len(zones) == 2:
@@ -102,13 +108,17 @@ def _number_format(
     step = _usual_step(values)
     middle = sorted(values)[len(values) // 2]
     units = UNITS_US if unit_us is None else (unit_us,)
-    for unit in units:
-        if EPOCH_S[0] <= middle * unit / 1e6 <= EPOCH_S[1] and step * unit <= LONGEST_PERIOD_US:
-            return TimeFormat(unit)
+    since = [unit for unit in units if _is_epoch(middle * unit) and step * unit <= LONGEST_PERIOD_US]
+    fitting = [unit for unit in (*UNITS_US, DAY_US) if _fits(step * unit, rate_hz)]
+    sure = [unit for unit in since if unit in fitting]
+    if sure or (since and not fitting):
+        return TimeFormat((sure or since)[0])
     if unit_us is not None:
-        return TimeFormat(unit_us, since_1970=False)
-    fitting = [unit for unit in UNITS_US if _fits(step * unit, rate_hz)]
-    if len(fitting) == 1:
+        return TimeFormat(unit_us, since_1970=bool(since))
+    for epoch_day in EPOCH_DAYS:
+        if fitting == [DAY_US] and _is_epoch((middle - epoch_day) * DAY_US):
+            return TimeFormat(DAY_US, epoch_day=epoch_day)
+    if len(fitting) == 1 and (rate_hz or not since):
         return TimeFormat(fitting[0], since_1970=False)
     known = f"does not fit {rate_hz:g} Hz" if rate_hz else "may be seconds or milliseconds"
     raise UnreadableError(
@@ -116,6 +126,11 @@ def _number_format(
         path=path,
         hint="give the right --rate, or --time-column none with --rate where it only counts rows",
     )
+
+
+def _is_epoch(time_us: float) -> bool:
+    """Whether microseconds since 1970 mean a date in the life of actigraphs."""
+    return EPOCH_S[0] <= time_us / 1e6 <= EPOCH_S[1]
 
 
 def _usual_step(values: Sequence[float]) -> float:

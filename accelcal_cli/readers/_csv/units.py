@@ -35,6 +35,11 @@ OTHER_WORDS = (
     *("-", "", "°c", "degc", "deg_c", "c", "celsius", "deg/s", "dps", "rad/s", "°/s", "deg/sec"),
     *("no units", "no_units", "n/a", "local_flux", "ut", "µt", "hz", "v", "mv", "lux", "pa", "kpa", "cal"),
 )
+USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
+SURE_SHARE = 0.15
+USUAL_G = (0.3, 3.0)
+"""A recording's usual length of acceleration lies between, however its wearer moves."""
+
 GUESSES = (("g", 0.7, 1.4), ("m/s2", 7.0, 13.0), ("mg", 700.0, 1400.0))
 
 
@@ -79,22 +84,26 @@ class Scale:
         """Values (n,) as counts (n,), rounded half to even; NaN stays NaN."""
         if self.unit == "counts":
             return values
-        per_g = {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}[self.unit]
-        in_g = values if per_g == 1.0 else values / per_g
+        in_g = values if self.per_g == 1.0 else values / self.per_g
         return np.rint(in_g * self.lsb_per_g)
 
+    @property
+    def per_g(self) -> float:
+        """How much one g is in the unit."""
+        return {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}.get(self.unit, self.lsb_per_g)
 
-def scale_for(unit: str, options: ReadOptions) -> Scale:
+
+def scale_for(unit: str, lsb_per_g: float | None) -> Scale:
     """The scale of a unit.
 
     Raises:
-        UsageError: counts without --lsb-per-g.
+        UsageError: counts whose number in one g is not known.
     """
     if unit != "counts":
         return Scale(unit, FLOAT_LSB_PER_G)
-    if options.lsb_per_g is None:
+    if lsb_per_g is None:
         raise UsageError("counts need their scale", hint="give --lsb-per-g, the counts in one g")
-    return Scale(unit, float(options.lsb_per_g))
+    return Scale(unit, float(lsb_per_g))
 
 
 def said_unit(options: ReadOptions, hints: set[str]) -> str | None:
@@ -117,14 +126,40 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
     Raises:
         UnreadableError: the length fits no unit.
     """
-    norm = np.sqrt((values * values).sum(axis=1))
-    norm = norm[np.isfinite(norm) & (norm > 0)]
-    median = float(np.median(norm)) if len(norm) else 0.0
+    median = usual_length(values)
     for unit, low, high in GUESSES:
         if low <= median <= high:
             return unit
     raise UnreadableError(
         f"the unit of the acceleration is not clear (its usual length is {median:g})",
         path=path,
-        hint="give --unit g, mg or m/s2, or --unit counts with --lsb-per-g",
+        hint=f"give --unit g, mg or m/s2, or --unit counts with --lsb-per-g{_likely_counts(median)}",
     )
+
+
+def usual_length(values: NDArray[np.float64]) -> float:
+    """Median length of vectors (n, 3), zeros and missing ones left out; 0 where there are no others."""
+    norm = np.sqrt((values * values).sum(axis=1))
+    norm = norm[np.isfinite(norm) & (norm > 0)]
+    return float(np.median(norm)) if len(norm) else 0.0
+
+
+def _likely_counts(median: float) -> str:
+    """The number of counts in one g that many sensors have and that fits this length, in words."""
+    fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
+    return f" ({fits[0]} would fit)" if fits else ""
+
+
+def check_unit(values: NDArray[np.float64], scale: Scale, path: Path) -> None:
+    """Doubt a unit that a vendor's layout let expect.
+
+    Raises:
+        UnreadableError: in it, values (n, 3) are far from the length of gravity.
+    """
+    length = usual_length(values) / scale.per_g
+    if length and not USUAL_G[0] < length < USUAL_G[1]:
+        raise UnreadableError(
+            f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt",
+            path=path,
+            hint="give --unit g, mg or m/s2, or --unit counts with --lsb-per-g",
+        )
