@@ -48,22 +48,18 @@ def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, cap
 
 
 @pytest.mark.parametrize(
-    ("name", "words", "raw_error_mg"),
+    ("name", "raw_error_mg"),
     [
-        ("zio_chest_1.56hz_14d.csv.gz", (), 25.4),
-        ("actigraph_30hz_12h.csv.gz", (), 22.9),
-        ("actigraph_gt3xplus_30hz_9h.csv.gz", ("--rate", 30), 16.8),
+        ("zio_chest_1.56hz_14d.csv.gz", 25.4),
+        ("actigraph_30hz_12h.csv.gz", 22.9),
+        ("actigraph_gt3xplus_30hz_9h.csv.gz", 15.36),
     ],
 )
 def test_raw_errors_over_still_windows_are_the_known_ones(
-    real_data: Path,
-    tmp_path: Path,
-    capsys: Capture,
-    name: str,
-    words: tuple[object, ...],
-    raw_error_mg: float,
+    real_data: Path, tmp_path: Path, capsys: Capture, name: str, raw_error_mg: float
 ) -> None:
-    options = ("--profile", "paper", "--report-only", *words)
+    """The ActiGraph GT3X+ has 16.8 mg over 4011 windows, of which 2095 are filled: 15.36 mg without them."""
+    options = ("--profile", "paper", "--report-only")
     _, report = calibrated(capsys, real_data / "vendor" / name, tmp_path, *options)
     assert report["fit"]["windows"]["raw_error_mg"] == pytest.approx(raw_error_mg, abs=0.05)
 
@@ -78,10 +74,22 @@ def test_zeros_that_a_device_wrote_are_left_out(real_data: Path, tmp_path: Path,
 
 def test_one_sided_stillness_gives_no_scale(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
     path = real_data / "vendor" / "actigraph_gt3xplus_30hz_9h.csv.gz"
-    code, report = calibrated(capsys, path, tmp_path, "--rate", 30)
+    code, report = calibrated(capsys, path, tmp_path)
     assert code == 0
     assert (report["outcome"], report["calibration"]["model"]) == ("reduced_model", "3")
     assert "x below -0.3 g" in report["message"]
+    assert report["recording"]["start_time"] == "2012-06-27T10:54:00.000000"
+    assert report["file_health"]["filled_samples"] == 338_770
+
+
+def test_counts_of_a_wristband(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    path = real_data / "vendor" / "empatica_e4_32hz_2h.csv"
+    code, report = calibrated(capsys, path, tmp_path, "--report-only")
+    assert code == 0
+    assert (report["outcome"], report["calibration"]["model"]) == ("reduced_model", "3")
+    assert report["recording"]["samples"] == 200_406
+    assert report["recording"]["start_time"] == "2017-06-02T22:50:04.000000+00:00"
+    assert "x above 0.3 g" in report["message"]
 
 
 def test_too_few_postures_are_refused(real_data: Path, tmp_path: Path, capsys: Capture) -> None:

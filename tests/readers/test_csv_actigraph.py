@@ -123,6 +123,14 @@ def test_rows_are_dated_as_the_day_of_the_start_shows(tmp_path: Path) -> None:
         assert found.recording.start_us == START_US - 22 * 86_400_000_000
 
 
+def test_rows_of_a_later_day_are_dated_as_the_header_says(tmp_path: Path) -> None:
+    for order, form in (("M/d/yyyy", "6/9/2012 10:54:"), ("d/M/yyyy", "9/6/2012 10:54:")):
+        day = "6/5/2012" if order[0] == "M" else "5/6/2012"
+        header = HEADER.replace("6/27/2012", day).replace("M/d/yyyy at 30", f"{order} at 10")
+        found = read(written(tmp_path, header + "Timestamp," + NAMES + stamped(form)))
+        assert found.recording.start_us == START_US - 18 * 86_400_000_000
+
+
 def test_european_delimiter_and_decimals(tmp_path: Path) -> None:
     rows = stamped("27.06.2012 10:54:").replace(",", ";").replace(".", ",").replace("27,06,", "27.06.")
     header = HEADER.replace("M/d/yyyy at 30", "dd.MM.yyyy at 10").replace("6/27/2012", "27.06.2012")

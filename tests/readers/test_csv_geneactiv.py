@@ -79,6 +79,13 @@ def test_a_shorter_header_and_names_of_columns(tmp_path: Path) -> None:
         assert found.temperature is not None
 
 
+def test_fewer_columns_with_names(tmp_path: Path) -> None:
+    rows = "".join(f"2024-03-04 00:00:00:{20 * row:03d},20.5,1.0,0.5,0.25\n" for row in range(12))
+    found = read(written(tmp_path, HEADER + "time,temperature,z,y,x\n" + rows))
+    assert found.g.tolist() == [[0.25, 0.5, 1.0]] * 12
+    assert found.temperature is not None
+
+
 @pytest.mark.parametrize("delimiter", [";", "\t"])
 def test_other_delimiters_with_decimal_commas(tmp_path: Path, delimiter: str) -> None:
     rows = ROWS.replace(",", delimiter).replace(".", ",")

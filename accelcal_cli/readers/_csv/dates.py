@@ -29,9 +29,9 @@ def year_first(block: bytes, order: str, thorough: bool) -> bytes:
         return DATE.sub(lambda found: _iso(found, order), block)
     end = block.find(b"\n") + 1 or len(block)
     begin = block.rstrip(b"\r\n").rfind(b"\n") + 1
-    for line in (block[:end], block[begin:]):
-        if found := DATE.search(line):
-            block = block.replace(found[0], _iso(found, order))
+    ends = [found for line in (block[:end], block[begin:]) if (found := DATE.search(line))]
+    for old, new in {found[0]: _iso(found, order) for found in ends}.items():
+        block = block.replace(old, new)
     return block
 
 

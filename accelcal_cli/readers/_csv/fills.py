@@ -32,12 +32,13 @@ class FillFinder:
         if not len(rows):
             return rows
         repeats = self._repeats(rows)
-        starts = np.flatnonzero(~repeats)
-        edges = np.unique(np.concatenate(([0], starts, [len(rows)])))
-        sizes = np.diff(edges)
+        begins = ~repeats
+        begins[0] = True
+        starts = np.flatnonzero(begins)
+        sizes = np.diff(starts, append=len(rows))
         long = sizes >= self._least
-        long[0] |= bool(repeats[0])
-        settled = len(rows) if last or long[-1] else int(edges[-2])
+        long[0] |= repeats[0]
+        settled = len(rows) if last or long[-1] else int(starts[-1])
         filled = (np.repeat(long, sizes) & repeats) | self._zeros(rows)
         self._asleep = rows.counts[-1].copy() if long[-1] else None
         self._held = rows.part(settled, len(rows)) if settled < len(rows) else None
@@ -45,14 +46,12 @@ class FillFinder:
 
     def _repeats(self, rows: Rows) -> NDArray[np.bool_]:
         """Rows that equal the one before, (n,); one that cannot be used equals none."""
-        before = np.empty_like(rows.counts)
-        before[1:] = rows.counts[:-1]
-        same = np.zeros(len(rows), np.bool_)
-        if self._asleep is not None:
-            before[0], same[0] = self._asleep, True
-        good = rows.fault == Fault.NONE
-        same[1:] = good[:-1]
-        return np.asarray(same & good & (rows.counts == before).all(axis=1))
+        same = rows.fault == Fault.NONE
+        same[0] &= self._asleep is not None and np.array_equal(rows.counts[0], self._asleep)
+        for axis in rows.counts.T:
+            same[1:] &= axis[1:] == axis[:-1]
+        return np.asarray(same)
 
     def _zeros(self, rows: Rows) -> NDArray[np.bool_]:
-        return np.asarray((rows.fault == Fault.NONE) & ~rows.counts.any(axis=1))
+        x, y, z = rows.counts.T
+        return np.asarray((rows.fault == Fault.NONE) & ((x | y | z) == 0))
