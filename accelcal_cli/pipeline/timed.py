@@ -67,8 +67,8 @@ def timed_pass(reader: Reader, chunk_samples: int, settings: PoseSettings, progr
 def timed(windows: Windows, chunk: Chunk, rate_hz: float) -> TimedWindows:
     """Windows that end in a chunk, with their times: its clock knows each one's last sample."""
     last = windows.first_sample + windows.samples - 1 - chunk.first_sample
-    times = [int(chunk.clock.times(row, row + 1)[0]) for row in last.tolist()]
-    last_us = np.array(times, np.int64)
+    low, high = (int(last[0]), int(last[-1]) + 1) if len(last) else (0, 0)
+    last_us = chunk.clock.times(low, high)[last - low]
     lengths_us = np.rint((windows.samples - 1) * 1e6 / rate_hz).astype(np.int64)
     return TimedWindows(windows, last_us - lengths_us, last_us + round(1e6 / rate_hz))
 

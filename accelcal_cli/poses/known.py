@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.poses import Floats3, KnownFit, Matrix3, Session
+from accelcal_cli.core.poses import Floats3, KnownFit, Matrix3, PoseError, Session
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.poses.errors import between_norm_mg, pose_errors
 from accelcal_cli.poses.solve import Solution, condition_number, solve
@@ -28,12 +30,7 @@ def known_fit(session: Session, settings: PoseSettings) -> KnownFit:
     _require(session, condition, settings)
     solution = solve(session.poses, settings.gravity)
     errors = pose_errors(session.poses, solution.calibration, settings)
-    checked = {p.number for p, e in zip(session.poses, errors, strict=True) if e.held_out is not None}
-    if len(checked) < FEWEST_CHECKED:
-        raise DivergedError(
-            f"the poses{_which(session)} only just determine twelve parameters and leave none to judge by",
-            hint=f"{_missing(session)}{_LONGER}",
-        )
+    _require_checks(session, errors)
     precision = uncertainty(session.poses, solution)
     return KnownFit(
         calibration=solution.calibration,
@@ -59,6 +56,17 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
         raise DivergedError(
             f"{few}{_which(session)} cannot determine twelve parameters: that takes four whose matrix [a 1] "
             "has rank 4, and a fifth to judge by",
+            hint=f"{_missing(session)}{_LONGER}",
+        )
+
+
+def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
+    """Raise DivergedError where hardly any orientation could be left out."""
+    held = zip(session.poses, errors, strict=True)
+    checked = {pose.number for pose, error in held if error.held_out is not None}
+    if len(checked) < FEWEST_CHECKED:
+        raise DivergedError(
+            f"the poses{_which(session)} only just determine twelve parameters and leave none to judge by",
             hint=f"{_missing(session)}{_LONGER}",
         )
 

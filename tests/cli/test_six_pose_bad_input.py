@@ -65,6 +65,14 @@ def test_a_wrong_unit(tmp_path: Path, capsys: Capture) -> None:
     assert "far from 1 g; check the unit" in refused(capsys, 4, path, "--unit", "m/s2")
 
 
+def test_listed_poses_of_a_scale_that_fixed_point_cannot_hold(tmp_path: Path, capsys: Capture) -> None:
+    path = write_csv(tmp_path / "s.csv", session(list(UP)), factor=0.2)
+    lines = [f"{start_s(n)},{start_s(n) + 10},{x},{y},{z}" for n, (x, y, z) in enumerate(UP.values())]
+    listed = write_list(tmp_path / "poses.csv", lines)
+    assert "a parameter leaves" in refused(capsys, 4, path, "--unit", "g", "--poses", listed)
+    assert only(tmp_path, "s.csv", "poses.csv")
+
+
 def test_missing_values_are_gaps_and_all_of_them_are_an_error(tmp_path: Path, capsys: Capture) -> None:
     path = six_faces(tmp_path)
     lines = path.read_text().splitlines()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.poses import State
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.poses.known import known_fit
-from tests.poses.known import poses_of, session_of, stacked
+from tests.poses.known import fixed3, poses_of, session_of, stacked
 from tests.poses.made import UP, K, O, turned
 
 FACES = np.array(list(UP.values()), float)
@@ -64,6 +67,20 @@ def test_a_box_that_is_not_square_shows_nowhere_but_in_the_misalignment() -> Non
     fit = known_fit(session_of(poses_of(FACES, raw_of(true))), SETTINGS)
     assert max(error.held_out for error in fit.errors) < 1e-3
     assert abs(fit.k[1][0] - K[1, 0]) * 1000 == pytest.approx(DEGREE_MG, rel=0.02)
+    diagonal = fixed3((np.array([1.0, 1.0, 0.0]) / np.sqrt(2)) @ K.T + O)
+    session = replace(session_of(poses_of(FACES, raw_of(true))), between=(State(0, 1, 1, diagonal),))
+    assert known_fit(session, SETTINGS).between_norm_mg == pytest.approx(DEGREE_MG / 2, rel=0.05)
+
+
+def test_a_slanted_surface_cancels_when_each_face_is_turned_by_half_a_turn() -> None:
+    tilt = np.random.default_rng(5).normal(0, 0.02, (6, 3)) * (FACES == 0)
+    references, numbers = np.vstack([FACES, FACES]), [*range(6), *range(6)]
+    true = np.vstack([FACES + tilt, FACES - tilt])
+    fit = known_fit(session_of(poses_of(references, raw_of(true), numbers)), SETTINGS)
+    np.testing.assert_allclose(fit.k, K, atol=1e-8)
+    np.testing.assert_allclose(fit.o, O, atol=1e-8)
+    expected = 1000 * np.linalg.norm(tilt, axis=1)
+    np.testing.assert_allclose([error.repeat for error in fit.errors[:6]], expected, rtol=1e-4)
 
 
 def test_without_one_face_the_opposite_one_cannot_be_left_out() -> None:

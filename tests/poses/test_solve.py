@@ -14,7 +14,7 @@ from accelcal_cli.poses.errors import calibrated
 from accelcal_cli.poses.solve import check_range, condition_number, solve
 from accelcal_cli.poses.uncertainty import uncertainty
 from tests.poses.known import poses_of, stacked
-from tests.poses.made import UP, K, O
+from tests.poses.made import UP, K, O, turned
 
 FACES = np.array(list(UP.values()), float)
 
@@ -109,6 +109,28 @@ def test_standard_errors_are_the_scatter_of_simulated_sessions() -> None:
     assert np.all(np.abs(spread / np.sqrt(6 / 4) - 1) < 0.25), spread
     beyond = float((np.abs(ratios) > 3).mean())
     assert 0.01 < beyond < 0.04
+
+
+def test_errors_of_the_inverse_are_those_of_k_carried_through() -> None:
+    """To first order G(K + dK) = G - G dK G: here by differences, with K far from symmetric."""
+    k = np.array([[1.2, 0.5, -0.3], [-0.1, 0.8, 0.4], [0.3, 0.2, 1.5]])
+    references = np.vstack([FACES[:5], turned(UP["-z"], 40.0, axis=1)[None]])
+    poses = poses_of(references, references @ k.T + O + 0.003 * directions(6, 9))
+    solution = solve(poses, STANDARD)
+    known = uncertainty(poses, solution)
+    rows = np.hstack([references, np.ones((6, 1))])
+    cover = np.linalg.inv(rows.T @ rows)
+    sigma = known.o[0] / np.sqrt(cover[3, 3])
+    factor, found = np.linalg.cholesky(cover[:3, :3]), as_floats(solution.k)
+    variance = np.zeros((3, 3))
+    for row in range(3):
+        for column in factor.T:
+            step = np.zeros((3, 3))
+            step[row] = 1e-6 * column
+            change = (np.linalg.inv(found + step) - np.linalg.inv(found - step)) / 2e-6
+            variance += (sigma * change) ** 2
+    expected = np.sqrt(variance)[[0, 1, 2, 1, 2, 2, 0, 0, 1], [0, 1, 2, 0, 0, 1, 1, 2, 2]]
+    np.testing.assert_allclose([*known.parameters[:6], *known.parameters[12:]], expected, rtol=1e-4)
 
 
 def test_the_least_certain_direction_is_that_of_a_missing_face() -> None:
