@@ -47,6 +47,7 @@ bench_data/peers/.ready:
 
 sample-data: $(READY)
 	$(BIN)/python tools/make_sample_data.py
+	$(BIN)/python tools/make_six_faces.py
 
 figure: $(READY)
 	$(BIN)/python tools/make_figure.py

@@ -17,6 +17,7 @@ FLOOR = {
     "collect": 1,
     "optimize": 1,
     "judge": 1,
+    "poses": 1,
     "simulate": 1,
     "output": 1,
     "pipeline": 2,

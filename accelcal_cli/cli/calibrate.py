@@ -70,7 +70,7 @@ def _one(job: Job, request: Request, values: dict[str, Any]) -> int:
     try:
         with contextlib.ExitStack() as stack:
             if job.source == STDIN:
-                source = stack.enter_context(spooled(_stdin()))
+                source = stack.enter_context(spooled(stdin()))
             bars = stack.enter_context(progress_bars(job.source.name, quiet=values["quiet"]))
             result = calibrate(job, request, bars, source)
     except AccelcalError as error:
@@ -81,11 +81,12 @@ def _one(job: Job, request: Request, values: dict[str, Any]) -> int:
         return exits.report_bug()
     shown = line(result.report, result.job.source, _written(result))
     click.echo(json.dumps(result.report) if values["as_json"] else shown)
-    _comment(result, values)
+    comment(result, values)
     return exits.REFUSED if result.outcome is Outcome.REFUSED else exits.OK
 
 
-def _stdin() -> BinaryIO:
+def stdin() -> BinaryIO:
+    """Standard input; raises UsageError where it is closed."""
     if sys.stdin is None:
         raise UsageError("standard input is closed", hint="name a file")
     return sys.stdin.buffer
@@ -95,7 +96,7 @@ def _written(result: Result) -> Path | None:
     return result.job.parquet if result.has_parquet else None
 
 
-def _comment(result: Result, values: dict[str, Any]) -> None:
+def comment(result: Result, values: dict[str, Any]) -> None:
     """Reasons and warnings, on stderr."""
     report = result.report
     if result.outcome is Outcome.REFUSED:

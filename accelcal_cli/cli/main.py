@@ -13,13 +13,14 @@ from accelcal_cli.cli.lazy import LazyGroup
 
 COMMANDS = {
     "calibrate": "Calibrate recordings: calibrated Parquet and a report for each.",
+    "six-pose": "Calibrate a sensor from a session on its six faces.",
     "inspect": "Show what a recording holds and what calibrating it would give.",
     "fit": "Fit still-window means from another tool, and judge them.",
     "gravity": "Show local gravity at a latitude and altitude.",
     "evaluate": "Hold the papers' tables against this implementation.",
     "simulate": "Write a recording with known errors.",
 }
-"""Each lives in the module of its name and binds `command`."""
+"""Each lives in the module of its name (`_` for `-`) and binds `command`."""
 
 
 @click.group(

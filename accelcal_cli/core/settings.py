@@ -69,6 +69,65 @@ class Settings:
         return asdict(self)
 
 
+@dataclass(frozen=True, slots=True)
+class PoseSettings:
+    """What decides a calibration from known orientations, besides the recording and its list of poses.
+
+    Attributes:
+        segment_seconds: length of a window [s]; short, since a face is held for seconds.
+        stillness_threshold_g, stillness_deviation_g: as in `Settings`, on every axis.
+        norm_low_g, norm_high_g: as in `Settings`; not asked of listed poses.
+        face_degrees: a state within so many degrees of an axis lies on that face; wide, since raw
+            values carry the very errors that are sought.
+        state_degrees: windows within so many degrees of their state's mean belong to it.
+        min_state_seconds: shorter states are left out [s]; not asked of listed poses.
+        posture_degrees: listed references within so many degrees are held out together.
+        max_condition: of the matrix [a 1]; the poses do not determine the parameters beyond.
+        max_error_mg: as in `Settings`.
+        max_vector_error_mg: held-out |a - reference| that a usable calibration stays below [mg]; one
+            face tilted by a degree makes 12 mg of it.
+        latitude, altitude_m: as in `Settings`.
+    """
+
+    segment_seconds: float = 1.0
+    stillness_threshold_g: float = 0.12
+    stillness_deviation_g: float = 0.013
+    norm_low_g: float = 0.5
+    norm_high_g: float = 1.5
+    face_degrees: float = 15.0
+    state_degrees: float = 2.0
+    min_state_seconds: float = 2.0
+    posture_degrees: float = 15.0
+    max_condition: float = 1000.0
+    max_error_mg: float = 10.0
+    max_vector_error_mg: float = 20.0
+    latitude: float | None = None
+    altitude_m: float | None = None
+
+    @property
+    def gravity(self) -> Gravity:
+        """What rest measures."""
+        return Gravity(self.latitude, self.altitude_m)
+
+    @property
+    def stillness(self) -> Settings:
+        """The same as settings of the segmenter."""
+        names = (
+            "segment_seconds",
+            "stillness_threshold_g",
+            "stillness_deviation_g",
+            "latitude",
+            "altitude_m",
+        )
+        bounds = ("norm_low_g", "norm_high_g")
+        return Settings(**{name: getattr(self, name) for name in names + bounds})
+
+    def as_json(self) -> dict[str, Any]:
+        """The report's `settings` object."""
+        fixed = {"profile": "six-pose", "optimizer": "least-squares", "model": "12", "temperature": False}
+        return {**fixed, **asdict(self)}
+
+
 DEFAULT = Settings()
 PAPER = replace(
     DEFAULT,

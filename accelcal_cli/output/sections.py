@@ -60,9 +60,11 @@ def _standard_errors(found: Calibration, errors: tuple[float, ...] | None) -> di
     if errors is None:
         return None
     span = 1.0 if found.temperature is None else found.temperature.span_c
-    scaled = [value if index < 9 else value / span for index, value in enumerate(errors)]
+    scaled = [value / span if 9 <= index < 12 else value for index, value in enumerate(errors)]
     number = 9 if found.temperature is None else 12
-    return {name: significant(value) for name, value in zip(PARAMETER_NAMES[:number], scaled, strict=False)}
+    named = dict(zip(PARAMETER_NAMES[:number], scaled, strict=False))
+    named |= dict(zip(UPPER_NAMES, scaled[12:], strict=False))
+    return {name: significant(value) for name, value in named.items()}
 
 
 def _fixed_point(found: Calibration) -> dict[str, Any]:
@@ -85,14 +87,15 @@ def holdout_json(held: Holdout) -> dict[str, Any]:
         "method": held.method,
         "points": held.points,
         "postures": held.postures,
-        "before_mg": _summary(held.before),
-        "after_mg": _summary(held.after),
+        "before_mg": summary_json(held.before),
+        "after_mg": summary_json(held.after),
         "improvement_percent": round(held.improvement_percent(), 1) if held.after.mean else None,
         "ci95_mg": [round(value, 4) for value in held.ci95],
     }
 
 
-def _summary(errors: ErrorSummary) -> dict[str, float]:
+def summary_json(errors: ErrorSummary) -> dict[str, float]:
+    """Mean, median and 95th percentile [mg]."""
     return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
 
 

@@ -15,7 +15,7 @@ from accelcal_cli.output.parquet import metadata_of, refuse_foreign, written_by_
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.plan import Job, real
-from accelcal_cli.pipeline.request import Request, Result
+from accelcal_cli.pipeline.request import Asked, Result
 
 
 def prepare(job: Job, *, force: bool) -> None:
@@ -62,7 +62,7 @@ def exists(path: Path) -> bool:
         raise output_error(error, path) from error
 
 
-def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
+def up_to_date(job: Job, source: Path, recording: Recording, request: Asked) -> Result | None:
     """The existing result if it stands for this input, these settings and this version.
 
     Raises:

@@ -58,6 +58,27 @@ def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> l
     return jobs
 
 
+def plan_report(source: Path, output_dir: Path | None, report: Path | None, *inputs: Path) -> Job:
+    """The job of a command that writes a report and no Parquet.
+
+    Args:
+        report: name of the report, if not the usual one.
+        inputs: further files that must not be written to.
+
+    Raises:
+        UsageError: an input would be overwritten.
+    """
+    job = _job(source, output_dir, None)
+    if report is not None:
+        base = report.name.removesuffix(".json").removesuffix(".calibration")
+        job = Job(source, report.with_name(base + PARQUET_SUFFIX), report)
+    _refuse_collisions([job])
+    for path in inputs:
+        if real(path) == real(job.report):
+            raise UsageError(f"{path} would be overwritten by the report", hint="use -o or -d")
+    return job
+
+
 def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
     if output is not None:
         base = output.name.removesuffix(".parquet").removesuffix(".calibrated")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Outcome
@@ -25,6 +25,17 @@ ProgressMaker = Callable[[str, int], Progress]
 def no_progress(_stage: str, _total: int) -> Progress:
     """Shows nothing."""
     return lambda _end_byte: None
+
+
+class Asked(Protocol):
+    """What decides whether an earlier result still holds."""
+
+    @property
+    def integers(self) -> bool:
+        """Whether the fit's integers are wanted too."""
+
+    def effective_settings(self, companion: Path | None) -> dict[str, Any]:
+        """The report's `settings`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +63,17 @@ class Request:
         Args:
             companion: the file that says how to read the recording; its content counts.
         """
-        options = asdict(self.options)
-        options["layout"] = None if companion is None else companion.name
-        options["layout_sha256"] = None if companion is None else sha256(companion)
-        options["columns"] = None if self.options.columns is None else list(self.options.columns)
-        return {**self.settings.as_json(), "report_only": self.report_only, "input": options}
+        told = input_settings(self.options, companion)
+        return {**self.settings.as_json(), "report_only": self.report_only, "input": told}
+
+
+def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
+    """The `input` object of a report's settings: what the user said of the recording."""
+    told = asdict(options)
+    told["layout"] = None if companion is None else companion.name
+    told["layout_sha256"] = None if companion is None else sha256(companion)
+    told["columns"] = None if options.columns is None else list(options.columns)
+    return told
 
 
 @dataclass(frozen=True, slots=True)

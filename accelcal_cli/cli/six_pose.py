@@ -1,0 +1,113 @@
+"""`accelcal six-pose`."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import calibrate, exits
+from accelcal_cli.cli.options import gravity, gravity_options, read_options, reading_options
+from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.cli.results import line
+from accelcal_cli.core.errors import AccelcalError
+from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.pipeline.identity import spooled
+from accelcal_cli.pipeline.plan import STDIN, Job, plan_report
+from accelcal_cli.pipeline.request import Result
+from accelcal_cli.pipeline.six_pose import PoseRequest, six_pose
+
+DEFAULT = PoseSettings()
+
+
+@click.command("six-pose")
+@click.argument("recording", type=click.Path(path_type=Path, readable=False))
+@click.option(
+    "--poses",
+    type=click.Path(path_type=Path, readable=False),
+    help="CSV with start,end,ax,ay,az of each pose; else the six faces are found.",
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Name of the report (JSON)."
+)
+@click.option(
+    "-d", "--output-dir", type=click.Path(path_type=Path, readable=False), help="Folder of the report."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the report.")
+@click.option("--force", is_flag=True, help="Redo what is up to date; overwrite what accelcal did not write.")
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing on stderr but errors.")
+@click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
+@click.option(
+    "--segment-seconds",
+    type=click.FloatRange(0.1, 60),
+    default=DEFAULT.segment_seconds,
+    show_default=True,
+    help="Length of a window.",
+)
+@click.option(
+    "--stillness-threshold-g",
+    type=click.FloatRange(0, 4, min_open=True),
+    default=DEFAULT.stillness_threshold_g,
+    show_default=True,
+    help="Largest max - min of a still window.",
+)
+@click.option(
+    "--face-degrees",
+    type=click.FloatRange(1, 45),
+    default=DEFAULT.face_degrees,
+    show_default=True,
+    help="How far from its axis the raw mean of a face may be.",
+)
+@reading_options
+@gravity_options
+def command(recording: Path, **values: Any) -> int:
+    """Calibrate from a session in which the device rested on its six faces; `-` reads standard input.
+
+    Twelve parameters by linear least squares (docs/six-pose.md says how to make the session). Writes
+    STEM.calibration.json beside the recording, and prints a line: path, outcome, model, error before
+    and after in mg on orientations left out, improvement in percent, and the report, separated by tabs.
+    """
+    inputs = [] if values["poses"] is None else [values["poses"]]
+    job = plan_report(recording, values["output_dir"], values["output"], *inputs)
+    request = PoseRequest(
+        options=read_options(values),
+        settings=_settings(values),
+        poses=values["poses"],
+        chunk_samples=values["chunk_samples"],
+        force=values["force"],
+        command=("accelcal", *sys.argv[1:]),
+    )
+    result = _run(job, request, quiet=values["quiet"])
+    shown = line(result.report, job.source, job.report)
+    click.echo(json.dumps(result.report) if values["as_json"] else shown)
+    calibrate.comment(result, values)
+    return exits.REFUSED if result.outcome is Outcome.REFUSED else exits.OK
+
+
+def _settings(values: dict[str, Any]) -> PoseSettings:
+    place = gravity(values)
+    return PoseSettings(
+        segment_seconds=values["segment_seconds"],
+        stillness_threshold_g=values["stillness_threshold_g"],
+        face_degrees=values["face_degrees"],
+        latitude=place.latitude,
+        altitude_m=place.altitude_m,
+    )
+
+
+def _run(job: Job, request: PoseRequest, *, quiet: bool) -> Result:
+    source = None
+    with contextlib.ExitStack() as stack:
+        if job.source == STDIN:
+            source = stack.enter_context(spooled(calibrate.stdin()))
+        bars = stack.enter_context(progress_bars(job.source.name, quiet=quiet))
+        try:
+            return six_pose(job, request, bars, source)
+        except AccelcalError as error:
+            error.path = STDIN if source is not None and error.path == source else error.path
+            raise

@@ -1,0 +1,1 @@
+"""Calibration from known orientations (Bragge et al.): finding the poses, solving, errors."""
