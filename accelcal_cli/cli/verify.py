@@ -13,7 +13,8 @@ from accelcal_cli.cli import exits
 from accelcal_cli.cli.options import chunk_option
 from accelcal_cli.cli.progress import progress_bars
 from accelcal_cli.core.names import printable
-from accelcal_cli.pipeline.verify import ParquetCheck, Verified, Wanted, verify
+from accelcal_cli.pipeline.values import ParquetCheck
+from accelcal_cli.pipeline.verify import Verified, Wanted, verify
 
 DIFFERS = 1
 SHOWN_KEYS = 5

@@ -49,7 +49,7 @@ def refuse_kind(document: Document) -> None:
         raise UsageError(
             "was not made of the stillness of a recording",
             path=document.path,
-            hint="only reports of calibrate and apply can be verified",
+            hint="only reports of calibrate, apply and fit can be verified",
         )
 
 

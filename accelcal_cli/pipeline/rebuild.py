@@ -29,6 +29,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "coverage_g": (0, 4),
     "max_error_mg": (0, 1e6),
     "min_temperature_range_c": (0, 1e3),
+    "temperature_block_c": (1e-3, 1e3),
     "latitude": (-90, 90),
     "altitude_m": (-500, 9000),
     "rate_hz": (1e-3, 1e5),
@@ -40,7 +41,11 @@ CHOICES = {
     "profile": tuple(PROFILES),
     "model": ("auto", "9", "6", "3"),
     "unit": ("g", "mg", "m/s2", "counts"),
+    "date_format": ("dmy", "mdy", "ymd"),
 }
+
+POINTS = "points"
+"""What `fit` calls the format of its tables."""
 
 NOT_SETTINGS = ("report_only", "input")
 NOT_OPTIONS = ("layout", "layout_sha256")
@@ -77,7 +82,7 @@ def rebuild(document: Document) -> Rebuilt:
         raise damaged(document, "it does not say how the recording was read")
     try:
         settings = restored(Settings, _without(held, NOT_SETTINGS))
-        options = restored(ReadOptions, _without(held["input"], NOT_OPTIONS))
+        options = _options(held["input"])
         _check(settings.record)
         _check(options.record)
         report_only = _typed(held, "report_only", bool, default=False)
@@ -93,6 +98,13 @@ def rebuild(document: Document) -> Rebuilt:
     return Rebuilt(settings.record, options.record, report_only, layout, digest, missing, unknown)
 
 
+def _options(held: Mapping[str, Any]) -> Restored[ReadOptions]:
+    """Reading options; a table of points has none."""
+    if held.get("format") == POINTS:
+        return Restored(ReadOptions(), (), ())
+    return restored(ReadOptions, _without(held, NOT_OPTIONS))
+
+
 def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name not in names}
 
@@ -103,7 +115,8 @@ def _odd(
     """Missing and unknown keys, by their places in `settings`."""
     outer = [name for name in NOT_SETTINGS if name not in held]
     read = [name for name in options.missing if name not in NOT_OPTIONS]
-    read += [name for name in NOT_OPTIONS if name not in held["input"]]
+    if held["input"].get("format") != POINTS:
+        read += [name for name in NOT_OPTIONS if name not in held["input"]]
     return (
         (*settings.missing, *outer, *(f"input.{name}" for name in read)),
         (*settings.unknown, *(f"input.{name}" for name in options.unknown)),

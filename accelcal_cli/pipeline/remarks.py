@@ -45,7 +45,8 @@ def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) 
         notes.append(f"this recording's device is {ours.serial or 'unknown'}")
     elif theirs.model and ours.model and theirs.model != ours.model:
         notes.append(f"this recording's device is a {ours.model} of the same serial")
-    if then["sha256"] == donor.origin.sha256 and then["lsb_per_g"] != recording.lsb_per_g:
+    direct = then["sha256"] == donor.origin.sha256
+    if direct and then["lsb_per_g"] not in (None, recording.lsb_per_g):
         notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then['lsb_per_g']:.10g} there")
     if donor.calibration.temperature is not None and calibration.temperature is None:
         at_c = donor.calibration.reference_c()

@@ -1,4 +1,4 @@
-"""A calibrated Parquet file against the values that its recording gives, bit for bit."""
+"""The calibrated Parquet file beside a report, against the report and against its recording, bit for bit."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.output.parquet import Columns
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.output.document import Document
+from accelcal_cli.output.parquet import Columns, metadata_of
 from accelcal_cli.output.parquet_source import ParquetSource
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.applying import calibrated, rows
+from accelcal_cli.pipeline.compare import differing
 from accelcal_cli.pipeline.passes import Passes, applier_of
+from accelcal_cli.pipeline.plan import PARQUET_SUFFIX, REPORT_SUFFIX
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +28,61 @@ class Values:
     rows: int
     first_row: int | None = None
     column: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ParquetCheck:
+    """The Parquet file beside a report.
+
+    Attributes:
+        differs: keys of its metadata that are not the report's.
+        values: None where they were not asked for.
+    """
+
+    path: Path
+    differs: tuple[str, ...]
+    values: Values | None
+
+    @property
+    def differing(self) -> tuple[str, ...]:
+        """Keys of the metadata that differ, and `values` where these do."""
+        apart = self.values is not None and self.values.first_row is not None
+        return (*self.differs, *(("values",) if apart else ()))
+
+
+def check_parquet(
+    made: tuple[Passes, ReportInput] | None, document: Document, *, values: bool
+) -> ParquetCheck | None:
+    """Compare the Parquet file beside a report with the report, and with its recording.
+
+    Args:
+        made: the recording's passes and result; None where the result has no calibrated data.
+        values: compare every value too.
+
+    Returns:
+        None where no such file lies there.
+
+    Raises:
+        UsageError: values are to be compared, but there are none.
+    """
+    path = None if made is None else _parquet_beside(document.path)
+    if path is None or made is None:
+        if values:
+            raise UsageError(
+                "no calibrated Parquet file lies beside it", path=document.path, hint="leave --values out"
+            )
+        return None
+    held, named = metadata_of(path), ("accelcal_version", "calibration", "recording")
+    said = {name: document.report.get(name) for name in named}
+    keys = tuple(differing({name: held.get(name) for name in named}, said))
+    return ParquetCheck(path, keys, compare_values(*made, path) if values else None)
+
+
+def _parquet_beside(report: Path) -> Path | None:
+    stem = report.name.removesuffix(REPORT_SUFFIX)
+    names = (stem + PARQUET_SUFFIX, stem + ".parquet", stem)
+    found = (report.with_name(name) for name in names if name != report.name)
+    return next((path for path in found if path.is_file()), None)
 
 
 def compare_values(passes: Passes, data: ReportInput, path: Path) -> Values:

@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import UsageError
 from accelcal_cli.judge.borrowed import difference_mg
 from accelcal_cli.judge.uncertainty import directions
 from accelcal_cli.output.coefficients import Coefficients, calibration_of
 from accelcal_cli.output.document import Document, check_sections, read_document
-from accelcal_cli.output.parquet import metadata_of
 from accelcal_cli.output.report import ReportInput, build
 from accelcal_cli.output.sections import significant
 from accelcal_cli.pipeline import apply, calibrate
@@ -19,11 +17,12 @@ from accelcal_cli.pipeline.again import donor_of, layout_of, refuse_kind, refuse
 from accelcal_cli.pipeline.compare import differing
 from accelcal_cli.pipeline.donor import relation
 from accelcal_cli.pipeline.existing import as_stored
+from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.passes import Passes, writes_parquet
-from accelcal_cli.pipeline.plan import PARQUET_SUFFIX, REPORT_SUFFIX, Job
-from accelcal_cli.pipeline.rebuild import Rebuilt, rebuild
+from accelcal_cli.pipeline.plan import Job
+from accelcal_cli.pipeline.rebuild import POINTS, Rebuilt, rebuild
 from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES, ProgressMaker, Request, no_progress
-from accelcal_cli.pipeline.values import Values, compare_values
+from accelcal_cli.pipeline.values import ParquetCheck, check_parquet
 from accelcal_cli.readers import open_recording
 
 NOT_COMPARED = ("provenance", "accelcal_version")
@@ -44,26 +43,6 @@ class Wanted:
     coefficients: Path | None = None
     values: bool = False
     chunk_samples: int = DEFAULT_CHUNK_SAMPLES
-
-
-@dataclass(frozen=True, slots=True)
-class ParquetCheck:
-    """The Parquet file beside a report.
-
-    Attributes:
-        differs: keys of its metadata that are not the report's.
-        values: None where they were not asked for.
-    """
-
-    path: Path
-    differs: tuple[str, ...]
-    values: Values | None
-
-    @property
-    def differing(self) -> tuple[str, ...]:
-        """Keys of the metadata that differ, and `values` where these do."""
-        apart = self.values is not None and self.values.first_row is not None
-        return (*self.differs, *(("values",) if apart else ()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +89,19 @@ def verify(report: Path, recording: Path, wanted: Wanted, progress: ProgressMake
     check_sections(document, ("recording",))
     refuse_kind(document)
     refuse_other(document, recording)
-    held, donor = rebuild(document), donor_of(document, wanted.coefficients)
+    held = rebuild(document)
+    if document.report["recording"].get("format") == POINTS:
+        check_parquet(None, document, values=wanted.values)
+        return _verified(document, held, fit_points(recording, held.settings), None)
+    data, parquet = _of_recording(document, held, recording, wanted, progress)
+    return _verified(document, held, build(data), parquet)
+
+
+def _of_recording(
+    document: Document, held: Rebuilt, recording: Path, wanted: Wanted, progress: ProgressMaker
+) -> tuple[ReportInput, ParquetCheck | None]:
+    """All that the report is made of, made again; and the Parquet file beside it."""
+    donor = donor_of(document, wanted.coefficients)
     options = replace(held.options, layout=layout_of(held, recording, wanted.layout))
     request = Request(
         options=options,
@@ -121,10 +112,10 @@ def verify(report: Path, recording: Path, wanted: Wanted, progress: ProgressMake
         any_device=True,
     )
     with open_recording(recording, options) as reader:
-        passes = Passes(Job(recording, recording, report), request, progress, reader, recording)
+        passes = Passes(Job(recording, recording, document.path), request, progress, reader, recording)
         data = passes.count_beyond(_again(passes, donor))
-        parquet = _parquet(passes, data, document, wanted)
-    return _verified(document, held, build(data), parquet)
+        made = (passes, data) if writes_parquet(data) else None
+        return data, check_parquet(made, document, values=wanted.values)
 
 
 def _again(passes: Passes, donor: Coefficients | None) -> ReportInput:
@@ -132,27 +123,6 @@ def _again(passes: Passes, donor: Coefficients | None) -> ReportInput:
         return calibrate.judged(passes)[0]
     found = relation(donor, passes.reader.recording, passes.bytes_at, passes.request)
     return apply.judged(passes, donor, found)
-
-
-def _parquet(passes: Passes, data: ReportInput, document: Document, wanted: Wanted) -> ParquetCheck | None:
-    path = _parquet_beside(document.path) if writes_parquet(data) else None
-    if path is None:
-        if wanted.values:
-            raise UsageError(
-                "no calibrated Parquet file lies beside it", path=document.path, hint="leave --values out"
-            )
-        return None
-    held, named = metadata_of(path), ("accelcal_version", "calibration", "recording")
-    said = {name: document.report.get(name) for name in named}
-    values = compare_values(passes, data, path) if wanted.values else None
-    return ParquetCheck(path, tuple(differing({name: held.get(name) for name in named}, said)), values)
-
-
-def _parquet_beside(report: Path) -> Path | None:
-    stem = report.name.removesuffix(REPORT_SUFFIX)
-    names = (stem + PARQUET_SUFFIX, stem + ".parquet", stem)
-    found = (report.with_name(name) for name in names if name != report.name)
-    return next((path for path in found if path.is_file()), None)
 
 
 def _verified(
@@ -175,7 +145,7 @@ def _keep_places(now: dict[str, Any], said: dict[str, Any]) -> None:
     for section in ("recording", "coefficients"):
         if section in now and section in said:
             now[section]["path"] = said[section]["path"]
-    if now["settings"]["input"]["layout"] is not None and "layout" in said["settings"]["input"]:
+    if now["settings"]["input"].get("layout") is not None and "layout" in said["settings"]["input"]:
         now["settings"]["input"]["layout"] = said["settings"]["input"]["layout"]
 
 
