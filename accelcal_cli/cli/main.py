@@ -16,6 +16,8 @@ COMMANDS = {
     "six-pose": "Calibrate a sensor from a session on its six faces.",
     "inspect": "Show what a recording holds and what calibrating it would give.",
     "fit": "Fit still-window means from another tool, and judge them.",
+    "apply": "Apply known coefficients to recordings of the same device.",
+    "verify": "Fit a recording again and compare with its report, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",
     "evaluate": "Hold the papers' tables against this implementation.",
     "simulate": "Write a recording with known errors.",

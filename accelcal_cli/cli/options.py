@@ -55,6 +55,25 @@ class ColumnNames(click.ParamType[tuple[str, str, str]]):
         return parts[0], parts[1], parts[2]
 
 
+_PLACES = [
+    click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)),
+    click.option(
+        "-d", "--output-dir", type=click.Path(path_type=Path, readable=False), help="Folder of the outputs."
+    ),
+    click.option(
+        "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Name of the Parquet file."
+    ),
+]
+
+_SAYING = [
+    click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object a line."),
+    click.option(
+        "--force", is_flag=True, help="Redo what is up to date; overwrite what accelcal did not write."
+    ),
+    click.option("-q", "--quiet", is_flag=True, help="Say nothing on stderr but errors."),
+    click.option("-v", "--verbose", is_flag=True, help="Say more on stderr."),
+]
+
 _READING = [
     click.option(
         "--format", "format_name", metavar="NAME", help="Format of the recording, if not by content."
@@ -135,7 +154,10 @@ def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Comman
     return decorator
 
 
+place_options = _decorate(_PLACES)
+saying_options = _decorate(_SAYING)
 reading_options = _decorate([*_READING, _CHUNK])
+chunk_option = _decorate([_CHUNK])
 gravity_options = _decorate(_GRAVITY)
 fitting_options = _decorate([*_FITTING, *_GRAVITY])
 method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import contextlib
-import json
 import sys
 from pathlib import Path
 from typing import Any
 
 import click
 
-from accelcal_cli.cli import calibrate, exits
+from accelcal_cli.cli.each import each
 from accelcal_cli.cli.options import gravity, gravity_options, read_options, reading_options
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.cli.results import line
-from accelcal_cli.core.errors import AccelcalError
-from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.pipeline.identity import spooled
-from accelcal_cli.pipeline.plan import STDIN, Job, plan_report
+from accelcal_cli.pipeline.plan import plan_report
 from accelcal_cli.pipeline.request import Result
 from accelcal_cli.pipeline.six_pose import PoseRequest, six_pose
 
@@ -82,11 +75,7 @@ def command(recording: Path, **values: Any) -> int:
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
     )
-    result = _run(job, request, quiet=values["quiet"])
-    shown = line(result.report, job.source, job.report)
-    click.echo(json.dumps(result.report) if values["as_json"] else shown)
-    calibrate.comment(result, values)
-    return exits.REFUSED if result.outcome is Outcome.REFUSED else exits.OK
+    return each([job], lambda job, bars, source: six_pose(job, request, bars, source), values, report_of)
 
 
 def _settings(values: dict[str, Any]) -> PoseSettings:
@@ -100,14 +89,6 @@ def _settings(values: dict[str, Any]) -> PoseSettings:
     )
 
 
-def _run(job: Job, request: PoseRequest, *, quiet: bool) -> Result:
-    source = None
-    with contextlib.ExitStack() as stack:
-        if job.source == STDIN:
-            source = stack.enter_context(spooled(calibrate.stdin()))
-        bars = stack.enter_context(progress_bars(job.source.name, quiet=quiet))
-        try:
-            return six_pose(job, request, bars, source)
-        except AccelcalError as error:
-            error.path = STDIN if source is not None and error.path == source else error.path
-            raise
+def report_of(result: Result) -> Path:
+    """A six-face session has no Parquet; its line names the report."""
+    return result.job.report

@@ -52,7 +52,7 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Hold
     method = f"{number} folds of whole postures"
     posture = dict(zip(sample.block.tolist(), label.tolist(), strict=True))
     compared = tuple((posture[key], blocks[key]) for key in sorted(blocks))
-    return _holdout(method, len(points), pairs, compared)
+    return of_postures(method, len(points), pairs, compared)
 
 
 def control(points: PointSet, parameters: tuple[int, ...]) -> Holdout:
@@ -60,15 +60,16 @@ def control(points: PointSet, parameters: tuple[int, ...]) -> Holdout:
     before = deviations_mg(points, IDENTITY).tolist()
     after = deviations_mg(points, parameters).tolist()
     pairs = tuple(zip(before, after, strict=True))
-    return _holdout("control points (second set)", len(points), pairs, tuple(enumerate(after)))
+    return of_postures("control points (second set)", len(points), pairs, tuple(enumerate(after)))
 
 
-def _holdout(
+def of_postures(
     method: str,
     number: int,
     pairs: tuple[tuple[float, float], ...],
-    blocks: tuple[tuple[int, float], ...],
+    blocks: tuple[tuple[int, float], ...] = (),
 ) -> Holdout:
+    """The summary of (before, after) [mg] of each posture, of so many points."""
     before, after = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     errors = (summary(before), summary(after), interval95(after))
     return Holdout(method, number, len(pairs), *errors, pairs, blocks)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,6 +15,7 @@ from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.names import printable
 from accelcal_cli.core.recording import Recording, as_json_device
 from accelcal_cli.core.zones import iso_time
+from accelcal_cli.output.schema import fault
 from accelcal_cli.output.sections import (
     calibration_json,
     coverage_json,
@@ -43,7 +44,12 @@ class WindowUse:
 
 @dataclass(frozen=True, slots=True)
 class ReportInput:
-    """All that a report is made of, save the provenance."""
+    """All that a report is made of, save the provenance.
+
+    Attributes:
+        taken: sections of the report that do not follow from the judgement: those of another report
+            whose coefficients are applied.
+    """
 
     recording: Recording
     sha256: str
@@ -53,6 +59,7 @@ class ReportInput:
     windows: WindowUse
     optimizer: dict[str, Any]
     clipped_after: int | None
+    taken: dict[str, Any] = field(default_factory=dict)
 
 
 def build(data: ReportInput) -> dict[str, Any]:
@@ -65,7 +72,7 @@ def build(data: ReportInput) -> dict[str, Any]:
     windows = {name: getattr(data.windows, name) for name in data.windows.__dataclass_fields__}
     raw = data.facts.still_error_mg
     used = {**windows, "raw_error_mg": None if raw is None else round(raw, 4)}
-    return document(source, data.judgement, data.optimizer, used)
+    return document(source, data.judgement, data.optimizer, used) | data.taken
 
 
 def document(
@@ -97,7 +104,7 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
     """What the Parquet file says of itself: calibration, recording, version."""
     return {
         "accelcal_version": __version__,
-        "calibration": calibration_json(data.judgement, data.optimizer),
+        "calibration": data.taken.get("calibration") or calibration_json(data.judgement, data.optimizer),
         "recording": recording_json(data.recording, data.sha256, data.facts),
     }
 
@@ -165,9 +172,17 @@ def report_schema() -> dict[str, Any]:
 
 
 def load(path: Path) -> dict[str, Any] | None:
-    """A report that accelcal wrote, or None where the file is anything else."""
+    """A JSON file that accelcal wrote, or None where the file is anything else."""
     try:
         report = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return report if isinstance(report, dict) and "accelcal_version" in report else None
+
+
+def load_report(path: Path) -> dict[str, Any] | None:
+    """A report of ours that says whose it is, or None where the file is anything else."""
+    report, needed = load(path), ("path", "sha256", "bytes")
+    known = report_schema()["properties"]["recording"]["properties"]
+    asked = {"type": "object", "required": needed, "properties": {name: known[name] for name in needed}}
+    return report if report and fault(report.get("recording"), asked) is None else None

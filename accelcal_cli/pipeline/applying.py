@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,10 +33,14 @@ class Applier:
         calibrated = []
         for row in range(3):
             total = shifted[row] * self.gain[row, row]
-            for column in range(row):
+            for column in self._others(row):
                 total += shifted[column] * self.gain[row, column]
             calibrated.append(total.astype(np.float32))
         return calibrated
+
+    def _others(self, row: int) -> list[int]:
+        """Columns besides the diagonal; above it only where K is not lower triangular."""
+        return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
     def _shifted(self, chunk: Chunk, axis: int) -> NDArray[np.float64]:
         values = chunk.counts[:, axis] / self.lsb_per_g
@@ -70,6 +74,17 @@ class Target:
     offset_s: int
 
 
+def calibrated(
+    recording: Recording, chunks: Iterable[Chunk], apply: Applier, progress: Progress
+) -> Iterator[tuple[Chunk, list[NDArray[np.float32]]]]:
+    """A recording's chunks, none of them empty, each with its calibrated x, y, z [g]."""
+    for raw in chunks:
+        chunk = with_clipping(raw, recording)
+        if len(chunk):
+            yield chunk, apply.apply(chunk)
+        progress(chunk.end_byte)
+
+
 def write_calibrated(
     recording: Recording, chunks: Iterable[Chunk], target: Target, progress: Progress
 ) -> int:
@@ -81,18 +96,15 @@ def write_calibrated(
     Raises:
         OutputError: the output cannot be written.
     """
-    beyond = 0
-    for raw in chunks:
-        chunk = with_clipping(raw, recording)
-        if len(chunk):
-            xyz = target.apply.apply(chunk)
-            beyond += _beyond(xyz, recording.range_g)
-            target.sink.write(rows(chunk, xyz, recording, target))
-        progress(chunk.end_byte)
-    return beyond
+    total, names = 0, target.sink.schema.names
+    for chunk, xyz in calibrated(recording, chunks, target.apply, progress):
+        total += beyond(xyz, recording.range_g)
+        target.sink.write(rows(chunk, xyz, recording, names, target.offset_s))
+    return total
 
 
-def _beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:
+def beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:
+    """How many calibrated samples lie beyond the sensor's range."""
     if range_g is None or all(-range_g <= v.min() and v.max() <= range_g for v in xyz):
         return 0
     over = [np.abs(value) > range_g for value in xyz]
@@ -100,11 +112,10 @@ def _beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:
 
 
 def rows(
-    chunk: Chunk, xyz: list[NDArray[np.float32]], recording: Recording, target: Target
+    chunk: Chunk, xyz: list[NDArray[np.float32]], recording: Recording, names: list[str], offset_s: int
 ) -> list[NDArray[Any]]:
-    """One array a column, in the order of the schema's names."""
-    names = target.sink.schema.names
-    times = chunk.clock.times(0, len(chunk)) - target.offset_s * MICROSECONDS
+    """One array a column, in the order of the schema's names; times in UTC by the clock's offset."""
+    times = chunk.clock.times(0, len(chunk)) - offset_s * MICROSECONDS
     columns: list[NDArray[Any]] = [times, *xyz]
     if "temperature" in names:
         columns.append(_temperature(chunk))

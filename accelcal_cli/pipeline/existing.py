@@ -12,7 +12,8 @@ from accelcal_cli.core.names import printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.atomic import output_error
 from accelcal_cli.output.parquet import metadata_of, refuse_foreign, written_by_us
-from accelcal_cli.output.report import load
+from accelcal_cli.output.report import load, load_report, report_schema
+from accelcal_cli.output.schema import fault
 from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.plan import Job, real
 from accelcal_cli.pipeline.request import Asked, Result
@@ -36,13 +37,17 @@ def prepare(job: Job, *, force: bool) -> None:
     if force:
         return
     refuse_foreign(job.parquet)
-    for path in (job.report, job.integers):
-        refuse_foreign_report(path)
+    refuse_foreign_report(job.report)
+    _refuse_foreign(job.integers, known=load(job.integers) is not None)
 
 
 def refuse_foreign_report(path: Path) -> None:
-    """Raise OutputError if a file is in the way that accelcal did not write."""
-    if exists(path) and load(path) is None:
+    """Raise OutputError if a file is in the way that is not a report of ours."""
+    _refuse_foreign(path, known=load_report(path) is not None)
+
+
+def _refuse_foreign(path: Path, *, known: bool) -> None:
+    if not known and exists(path):
         raise OutputError(
             "exists and was not written by accelcal",
             path=path,
@@ -68,12 +73,11 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Asked) -> 
     Raises:
         OutputError: the outputs are those of another recording.
     """
-    report = load(job.report) if exists(job.report) else None
-    if report is not None:
-        _refuse_other(job, source, report)
-    if report is None or report.get("accelcal_version") != __version__:
+    report = load_report(job.report) if exists(job.report) else None
+    if report is None:
         return None
-    if report.get("settings") != as_stored(request.effective_settings(recording.companion)):
+    _refuse_other(job, source, report)
+    if not _as_asked(report, recording, request):
         return None
     held = Result(job, report, up_to_date=True)
     if held.has_parquet and held.report["recording"] != metadata_of(job.parquet).get("recording"):
@@ -83,6 +87,15 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Asked) -> 
     recorded = report["recording"]
     same = recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source)
     return held if same else None
+
+
+def _as_asked(report: dict[str, Any], recording: Recording, request: Asked) -> bool:
+    """Whether a report is whole, of this version, these settings and these coefficients."""
+    if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
+        return False
+    used = report.get("coefficients", {}).get("sha256")
+    settings = as_stored(request.effective_settings(recording.companion))
+    return bool(report["settings"] == settings and used == request.coefficients_sha256)
 
 
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:

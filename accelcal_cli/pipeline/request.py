@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.plan import Job
 
@@ -34,6 +35,10 @@ class Asked(Protocol):
     def integers(self) -> bool:
         """Whether the fit's integers are wanted too."""
 
+    @property
+    def coefficients_sha256(self) -> str | None:
+        """Of the file of known coefficients; None where the recording's own are found."""
+
     def effective_settings(self, companion: Path | None) -> dict[str, Any]:
         """The report's `settings`."""
 
@@ -43,6 +48,8 @@ class Request:
     """How to calibrate.
 
     Attributes:
+        coefficients: those to apply, None to find the recording's own.
+        any_device: apply them whatever device recorded.
         report_only: write no Parquet.
         integers: also write the fit's points and result as integers.
         force: overwrite what accelcal did not write, and redo what is up to date.
@@ -56,6 +63,13 @@ class Request:
     integers: bool = False
     force: bool = False
     command: tuple[str, ...] = ()
+    coefficients: Coefficients | None = None
+    any_device: bool = False
+
+    @property
+    def coefficients_sha256(self) -> str | None:
+        """Hash of the file of the coefficients to apply, if there is one."""
+        return None if self.coefficients is None else self.coefficients.document.sha256
 
     def effective_settings(self, companion: Path | None) -> dict[str, Any]:
         """The report's `settings`: all that decides the result besides the recording.

@@ -62,6 +62,11 @@ class PoseRequest:
         """There is no such output."""
         return False
 
+    @property
+    def coefficients_sha256(self) -> None:
+        """A session's coefficients are its own."""
+        return None
+
     def effective_settings(self, companion: Path | None) -> dict[str, Any]:
         """The report's `settings`: all that decides the result besides the recording."""
         return {

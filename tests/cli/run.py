@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -56,3 +58,13 @@ def assert_one_line(ran: Ran, *parts: str) -> None:
     assert "Traceback" not in ran.err
     for part in parts:
         assert part in ran.err, ran.err
+
+
+def verify(
+    capsys: pytest.CaptureFixture[str], report: Path, recording: Path, *words: object
+) -> tuple[Ran, dict[str, Any]]:
+    """`accelcal verify --json`, which writes nothing, and its object."""
+    before = {path: path.read_bytes() for path in report.parent.iterdir() if path.is_file()}
+    ran = run(capsys, "verify", report, recording, "--json", *words)
+    assert {path: path.read_bytes() for path in report.parent.iterdir() if path.is_file()} == before
+    return ran, json.loads(ran.out) if ran.out else {}

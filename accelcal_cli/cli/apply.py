@@ -1,0 +1,66 @@
+"""`accelcal apply`."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli.each import each
+from accelcal_cli.cli.options import (
+    gravity,
+    gravity_options,
+    place_options,
+    read_options,
+    reading_options,
+    saying_options,
+)
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.output.coefficients import read_coefficients
+from accelcal_cli.pipeline.apply import apply, keep_coefficients
+from accelcal_cli.pipeline.plan import plan
+from accelcal_cli.pipeline.request import Request
+
+
+@click.command("apply")
+@place_options
+@click.option(
+    "--coefficients",
+    required=True,
+    type=click.Path(path_type=Path, readable=False),
+    metavar="STEM.calibration.json",
+    help="Report that holds the coefficients.",
+)
+@click.option("--any-device", is_flag=True, help="Apply them to whatever device recorded.")
+@click.option("--no-temperature", is_flag=True, help="Use them as at their reference temperature.")
+@saying_options
+@reading_options
+@gravity_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Apply known coefficients to each RECORDING; `-` reads standard input.
+
+    The coefficients are those of a report: of this recording, or of another one of the same device.
+    Writes STEM.calibrated.parquet and STEM.calibration.json and prints the line that `calibrate`
+    prints; the errors are those of the recording's own stillness.
+    """
+    jobs = plan(list(recordings), values["output_dir"], values["output"])
+    keep_coefficients(values["coefficients"], jobs)
+    place = gravity(values)
+    request = Request(
+        options=read_options(values),
+        settings=replace(
+            DEFAULT,
+            temperature=not values["no_temperature"],
+            latitude=place.latitude,
+            altitude_m=place.altitude_m,
+        ),
+        chunk_samples=values["chunk_samples"],
+        force=values["force"],
+        command=("accelcal", *sys.argv[1:]),
+        coefficients=read_coefficients(values["coefficients"]),
+        any_device=values["any_device"],
+    )
+    return each(jobs, lambda job, bars, source: apply(job, request, bars, source), values)

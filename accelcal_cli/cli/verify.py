@@ -1,0 +1,123 @@
+"""`accelcal verify`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli import __version__
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.options import chunk_option
+from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.core.names import printable
+from accelcal_cli.pipeline.values import ParquetCheck
+from accelcal_cli.pipeline.verify import Verified, Wanted, verify
+
+DIFFERS = 1
+SHOWN_KEYS = 5
+
+
+@click.command("verify")
+@click.argument("report", type=click.Path(path_type=Path, readable=False))
+@click.argument("recording", type=click.Path(path_type=Path, readable=False))
+@click.option("--values", is_flag=True, help="Also compare every value of the Parquet beside the report.")
+@click.option(
+    "--layout",
+    type=click.Path(path_type=Path, readable=False),
+    help="Layout file of a raw dump, where it is not beside it.",
+)
+@click.option(
+    "--coefficients",
+    type=click.Path(path_type=Path, readable=False),
+    help="Coefficient file of a report of `apply`, where it is not where it was.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
+@click.option("-q", "--quiet", is_flag=True, help="Say nothing on stderr but errors.")
+@chunk_option
+def command(report: Path, recording: Path, **values: Any) -> int:
+    """Make REPORT again from its RECORDING and compare, bit for bit; nothing is written.
+
+    Everything is done with the settings and reading options of the report. Prints path, `identical`
+    or `differs`, the largest and the mean difference of calibrated vectors in mg, the version that
+    wrote the report, this version, and the keys that differ, separated by tabs. Exits with 1 where
+    anything differs.
+    """
+    wanted = Wanted(values["layout"], values["coefficients"], values["values"], values["chunk_samples"])
+    with progress_bars(recording.name, quiet=values["quiet"]) as bars:
+        found = verify(report, recording, wanted, bars)
+    click.echo(json.dumps(as_object(report, recording, found)) if values["as_json"] else line(report, found))
+    if not values["quiet"]:
+        _comment(report, found)
+    return exits.OK if found.identical else DIFFERS
+
+
+def line(report: Path, found: Verified) -> str:
+    """The result in tab-separated fields; `-` where there is nothing to say."""
+    keys = found.all_differing
+    shown, more = ", ".join(keys[:SHOWN_KEYS]), len(keys) - SHOWN_KEYS
+    fields = [
+        printable(report),
+        _word(found.identical),
+        *("-" if value is None else f"{value:g}" for value in (found.largest_mg, found.mean_mg)),
+        found.made_by,
+        __version__,
+        (f"{shown} and {more} more" if more > 0 else shown) or "-",
+    ]
+    return "\t".join(printable(field) if field else "-" for field in fields)
+
+
+def _word(identical: bool) -> str:
+    return "identical" if identical else "differs"
+
+
+def as_object(report: Path, recording: Path, found: Verified) -> dict[str, Any]:
+    """The result as a JSON object."""
+    return {
+        "report": printable(report),
+        "recording": printable(recording),
+        "result": _word(found.identical),
+        "differs": list(found.differs),
+        "largest_mg": found.largest_mg,
+        "mean_mg": found.mean_mg,
+        "versions": {"report": found.made_by, "this": __version__},
+        "settings_assumed": list(found.missing),
+        "settings_unknown": list(found.unknown),
+        "parquet": None if found.parquet is None else _parquet(found.parquet),
+    }
+
+
+def _parquet(check: ParquetCheck) -> dict[str, Any]:
+    values = check.values
+    return {
+        "path": printable(check.path),
+        "metadata": _word(not check.differs),
+        "differs": list(check.differs),
+        "values": None if values is None else _word(values.first_row is None),
+        "rows": None if values is None else values.rows,
+        "first_row": None if values is None else values.first_row,
+        "column": None if values is None else values.column,
+    }
+
+
+def _comment(report: Path, found: Verified) -> None:
+    """What was assumed, and what the Parquet file has to do with it, on stderr."""
+    name = printable(report)
+    if found.missing:
+        exits.say(f"{name}: does not name {', '.join(found.missing)}; this version's defaults were used")
+    if found.unknown:
+        exits.say(f"{name}: names {', '.join(found.unknown)}, which this version does not have")
+    if found.parquet is not None:
+        exits.say(f"{printable(found.parquet.path)}: {_said(found.parquet)}")
+
+
+def _said(check: ParquetCheck) -> str:
+    if check.differs:
+        return f"its metadata differ from the report in {', '.join(check.differs[:SHOWN_KEYS])}"
+    if check.values is None:
+        return "carries the calibration of the report; its values were not compared (--values does)"
+    if check.values.first_row is None:
+        return f"carries the calibration of the report, and all {check.values.rows} rows are identical"
+    return f"column {check.values.column} differs from row {check.values.first_row} on (counted from 0)"

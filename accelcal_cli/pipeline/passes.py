@@ -1,0 +1,116 @@
+"""The two passes over an open recording: reading what is judged, and writing what is calibrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.facts import Facts
+from accelcal_cli.core.judgement import Judgement
+from accelcal_cli.core.recording import Reader
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output import report as reports
+from accelcal_cli.output.atomic import replacing, write_text
+from accelcal_cli.output.parquet import Columns, ParquetSink
+from accelcal_cli.pipeline.applying import Applier, Target, applier, beyond, calibrated, write_calibrated
+from accelcal_cli.pipeline.existing import remove, remove_stale_parquet
+from accelcal_cli.pipeline.plan import Job
+from accelcal_cli.pipeline.profiles import Method, make_method, optimizer_json
+from accelcal_cli.pipeline.request import ProgressMaker, Request, Result
+from accelcal_cli.pipeline.save import save_report, with_provenance
+from accelcal_cli.pipeline.survey import survey
+
+
+@dataclass(frozen=True, slots=True)
+class Passes:
+    """One open recording, what is asked for, and where the results go.
+
+    Attributes:
+        bytes_at: where the recording's bytes are; the job's source but for standard input.
+    """
+
+    job: Job
+    request: Request
+    progress: ProgressMaker
+    reader: Reader
+    bytes_at: Path
+
+    def method(self) -> Method:
+        """How the settings find and judge the recording's stillness."""
+        return make_method(self.reader.recording, self.request.settings)
+
+    def survey(self, method: Method) -> Facts:
+        """First pass: facts, and still windows into the method."""
+        recording = self.reader.recording
+        shown = self.progress("reading", recording.total_bytes)
+        return survey(recording, self.reader.chunks(self.request.chunk_samples), method, shown)
+
+    def found(self, method: Method, facts: Facts, judgement: Judgement, sha256: str) -> reports.ReportInput:
+        """Everything the report says but what the second pass counts."""
+        recording, settings = self.reader.recording, self.request.settings
+        return reports.ReportInput(
+            recording=replace(recording, path=self.job.source),
+            sha256=sha256,
+            facts=facts,
+            settings=self.request.effective_settings(recording.companion),
+            judgement=judgement,
+            windows=method.procedure.window_use(method.segmenter.counts),
+            optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
+            clipped_after=None,
+        )
+
+    def write(self, data: reports.ReportInput, integers: dict[str, Any] | None = None) -> Result:
+        """Parquet first, the report last: it is the commit mark.
+
+        The report of an earlier result is removed only when the new Parquet is complete.
+        """
+        if writes_parquet(data):
+            data = replace(data, clipped_after=self._write_parquet(data))
+        else:
+            remove_stale_parquet(self.job.parquet, reports.parquet_metadata(data))
+        if integers is None:
+            remove(self.job.integers)
+        else:
+            write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
+        report = with_provenance(reports.build(data), self.request.command)
+        save_report(self.job.report, report)
+        return Result(self.job, report)
+
+    def _write_parquet(self, data: reports.ReportInput) -> int:
+        """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
+        facts, recording = data.facts, data.recording
+        columns = Columns(facts.has_temperature, facts.has_gyroscope, facts.utc_offset_s is not None)
+        shown = self.progress("writing", recording.total_bytes)
+        chunks = self.reader.chunks(self.request.chunk_samples)
+        with (
+            replacing(self.job.parquet) as temporary,
+            ParquetSink(temporary, self.job.parquet, columns, reports.parquet_metadata(data)) as sink,
+        ):
+            target = Target(applier_of(data), sink, facts.utc_offset_s or 0)
+            over = write_calibrated(recording, chunks, target, shown)
+            sink.close()
+            remove(self.job.report)
+            return over
+
+    def count_beyond(self, data: reports.ReportInput) -> reports.ReportInput:
+        """Second pass without writing: what writing would have counted."""
+        if not writes_parquet(data):
+            return data
+        if data.recording.range_g is None:
+            return replace(data, clipped_after=0)
+        shown = self.progress("applying", data.recording.total_bytes)
+        chunks = self.reader.chunks(self.request.chunk_samples)
+        parts = calibrated(data.recording, chunks, applier_of(data), shown)
+        return replace(data, clipped_after=sum(beyond(xyz, data.recording.range_g) for _, xyz in parts))
+
+
+def writes_parquet(data: reports.ReportInput) -> bool:
+    """Whether calibrated data belong to a result."""
+    return data.judgement.calibration is not None and not data.settings["report_only"]
+
+
+def applier_of(data: reports.ReportInput) -> Applier:
+    """What applies a result's calibration to its recording."""
+    assert data.judgement.calibration is not None
+    return applier(data.judgement.calibration, data.recording.lsb_per_g)

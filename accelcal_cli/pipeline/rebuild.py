@@ -1,0 +1,148 @@
+"""Settings and reading options back from a report's `settings`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import PROFILES, Settings
+from accelcal_cli.core.typed import Restored, restored
+from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.document import Document, damaged
+from accelcal_cli.readers import named_format
+
+LIMITS: dict[str, tuple[float, float]] = {
+    "segment_seconds": (1e-6, 3600),
+    "stillness_threshold_g": (1e-9, 4),
+    "stillness_deviation_g": (1e-9, 4),
+    "stillness_axes": (0, 2),
+    "cells_per_g": (1, 1000),
+    "norm_low_g": (0, 10),
+    "norm_high_g": (0, 10),
+    "posture_degrees": (1e-3, 180),
+    "folds": (2, 1000),
+    "min_postures": (2, 1_000_000),
+    "coverage_g": (0, 4),
+    "max_error_mg": (0, 1e6),
+    "min_temperature_range_c": (0, 1e3),
+    "temperature_block_c": (1e-3, 1e3),
+    "latitude": (-90, 90),
+    "altitude_m": (-500, 9000),
+    "rate_hz": (1e-3, 1e5),
+    "lsb_per_g": (1e-9, 1e9),
+}
+"""Between which a number can be used at all; a report with others was not written so."""
+
+CHOICES = {
+    "profile": tuple(PROFILES),
+    "model": ("auto", "9", "6", "3"),
+    "unit": ("g", "mg", "m/s2", "counts"),
+    "date_format": ("dmy", "mdy", "ymd"),
+}
+
+POINTS = "points"
+"""What `fit` calls the format of its tables."""
+
+NOT_SETTINGS = ("report_only", "input")
+NOT_OPTIONS = ("layout", "layout_sha256")
+
+
+@dataclass(frozen=True, slots=True)
+class Rebuilt:
+    """What a report was made with.
+
+    Attributes:
+        options: without the layout, of which a report holds only the name.
+        layout, layout_sha256: the layout file's name and hash, None without one.
+        missing: settings that the report does not name; this version's defaults stand for them.
+        unknown: settings that it names and this version does not have; they are not used.
+    """
+
+    settings: Settings
+    options: ReadOptions
+    report_only: bool
+    layout: str | None
+    layout_sha256: str | None
+    missing: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+def rebuild(document: Document) -> Rebuilt:
+    """The settings of a report.
+
+    Raises:
+        UnreadableError: they are missing, or one cannot be what it is.
+    """
+    held = document.report.get("settings")
+    if not isinstance(held, dict) or not isinstance(held.get("input"), dict):
+        raise damaged(document, "it does not say how the recording was read")
+    try:
+        settings = restored(Settings, _without(held, NOT_SETTINGS))
+        options = _options(held["input"])
+        _check(settings.record)
+        _check(options.record)
+        report_only = _typed(held, "report_only", bool, default=False)
+        layout = _typed(held["input"], "layout", str, default=None)
+        digest = _typed(held["input"], "layout_sha256", str, default=None)
+    except ValueError as error:
+        raise damaged(document, f"settings: {error}") from error
+    except AccelcalError as error:
+        raise UnreadableError(
+            f"settings: {error.message}", path=document.path, hint="this version does not know it"
+        ) from error
+    missing, unknown = _odd(held, settings, options)
+    return Rebuilt(settings.record, options.record, report_only, layout, digest, missing, unknown)
+
+
+def _options(held: Mapping[str, Any]) -> Restored[ReadOptions]:
+    """Reading options; a table of points has none."""
+    if held.get("format") == POINTS:
+        return Restored(ReadOptions(), (), ())
+    return restored(ReadOptions, _without(held, NOT_OPTIONS))
+
+
+def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def _odd(
+    held: Mapping[str, Any], settings: Restored[Settings], options: Restored[ReadOptions]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Missing and unknown keys, by their places in `settings`."""
+    outer = [name for name in NOT_SETTINGS if name not in held]
+    read = [name for name in options.missing if name not in NOT_OPTIONS]
+    if held["input"].get("format") != POINTS:
+        read += [name for name in NOT_OPTIONS if name not in held["input"]]
+    return (
+        (*settings.missing, *outer, *(f"input.{name}" for name in read)),
+        (*settings.unknown, *(f"input.{name}" for name in options.unknown)),
+    )
+
+
+def _check(record: Settings | ReadOptions) -> None:
+    """Raise ValueError for a number out of its limits, AccelcalError for a name this version lacks."""
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        low, high = LIMITS.get(name, (float("-inf"), float("inf")))
+        numbers = value if isinstance(value, tuple) else (value,)
+        if name in LIMITS and value is not None and not (numbers and all(low <= v <= high for v in numbers)):
+            raise ValueError(f"{name} cannot be {value}")
+        if name in CHOICES and value is not None and value not in CHOICES[name]:
+            raise ValueError(f"{name} cannot be {value!r}")
+    if isinstance(record, Settings):
+        named_optimizer(record.optimizer)
+    else:
+        utc_offset_s(record.timezone, 0)
+        if record.format is not None:
+            named_format(record.format)
+
+
+def _typed(values: Mapping[str, Any], name: str, kind: type, *, default: Any) -> Any:
+    value = values.get(name, default)
+    if value is not default and not isinstance(value, kind):
+        raise ValueError(f"{name} cannot be {str(value)[:80]!r}")
+    return value

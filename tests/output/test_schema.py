@@ -1,0 +1,119 @@
+"""Our check of a document against that of the jsonschema package, on every damage of a real report."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import jsonschema
+import pytest
+
+from accelcal_cli.output.report import report_schema
+from accelcal_cli.output.schema import fault
+from tests.devices import donor
+
+WRONG: list[Any] = [None, True, -1, 1.5, "", [], {}]
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory: pytest.TempPathFactory) -> dict:
+    held = json.loads(donor(tmp_path_factory.mktemp("donor"), warm=True).read_text())
+    return held | {"models_tried": held["models_tried"][-1:]}
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    yield path
+    inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in inner:
+        yield from places(part, (*path, key))
+
+
+def changed(report: dict, path: tuple[Any, ...], value: Any, *, drop: bool = False) -> dict:
+    held = copy.deepcopy(report)
+    inside = held
+    for key in path[:-1]:
+        inside = inside[key]
+    if drop:
+        del inside[path[-1]]
+    else:
+        inside[path[-1]] = value
+    return held
+
+
+def tolerant(schema: Any) -> Any:
+    """The schema without its ban on further keys."""
+    if isinstance(schema, dict):
+        return {key: tolerant(part) for key, part in schema.items() if key != "additionalProperties"}
+    return [tolerant(part) for part in schema] if isinstance(schema, list) else schema
+
+
+def test_a_real_report_has_no_fault(report: dict) -> None:
+    assert fault(report, report_schema()) is None
+    assert fault({**report, "later": 1}, report_schema()) is None
+
+
+def test_every_missing_key_is_named(report: dict) -> None:
+    oracle = jsonschema.Draft202012Validator(tolerant(report_schema()))
+    for path in places(report):
+        if path and isinstance(path[-1], str):
+            damaged = changed(report, path, None, drop=True)
+            found = fault(damaged, report_schema())
+            assert (found is None) == oracle.is_valid(damaged), path
+            assert found is None or f"{path[-1]} is missing" in found
+
+
+def test_every_wrong_value_is_found_as_jsonschema_finds_it(report: dict) -> None:
+    oracle = jsonschema.Draft202012Validator(tolerant(report_schema()))
+    for path in places(report):
+        for value in WRONG if path and path[0] not in ("settings", "provenance") else ():
+            damaged = changed(report, path, value)
+            assert (fault(damaged, report_schema()) is None) == oracle.is_valid(damaged), (path, value)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ([[1, 0, 0], [0, "x", 0], [0, 0, 1]], "calibration.gain[1][1] is not a number"),
+        ([[1, 0], [0, 1, 0], [0, 0, 1]], "calibration.gain[0] has 2 entries"),
+        ("x", "calibration.gain is not a list"),
+    ],
+)
+def test_the_place_is_named(report: dict, value: Any, text: str) -> None:
+    assert fault(changed(report, ("calibration", "gain"), value), report_schema()) == text
+
+
+def test_a_number_that_is_not_finite_is_none(report: dict) -> None:
+    for value in (float("nan"), float("inf")):
+        damaged = changed(report, ("calibration", "offset_g", 1), value)
+        assert fault(damaged, report_schema()) == "calibration.offset_g[1] is not a number"
+
+
+def test_conditions_hold(report: dict) -> None:
+    assert fault({**report, "outcome": "refused"}, report_schema()) is not None
+    assert fault({**report, "outcome": "refused", "calibration": None}, report_schema()) is None
+    assert fault({**report, "calibration": None}, report_schema()) is not None
+    assert fault({**report, "holdout": None}, report_schema()) is not None
+    assert "coefficients is missing" in str(fault({**report, "outcome": "borrowed"}, report_schema()))
+
+
+def test_the_schema_uses_nothing_that_is_not_checked() -> None:
+    known = {
+        "$schema", "title", "description", "type", "properties", "required", "additionalProperties", "items",
+        "minItems", "maxItems", "minimum", "exclusiveMinimum", "minLength", "pattern", "enum", "const",
+        "anyOf", "allOf", "if", "then", "else",
+    }  # fmt: skip
+
+    def words(schema: Any) -> Iterator[str]:
+        if isinstance(schema, list):
+            for part in schema:
+                yield from words(part)
+        elif isinstance(schema, dict):
+            for key, part in schema.items():
+                yield key
+                inner = part.values() if key == "properties" else [part]
+                for item in inner:
+                    yield from words(item)
+
+    assert set(words(report_schema())) <= known

@@ -1,0 +1,88 @@
+"""Settings back from a report: complete, bounded, and honest about what was assumed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
+from accelcal_cli.output.document import Document
+from accelcal_cli.pipeline.rebuild import LIMITS, Rebuilt, rebuild
+from accelcal_cli.pipeline.request import Request
+
+
+def stored(request: Request) -> dict[str, Any]:
+    return json.loads(json.dumps(request.effective_settings(None)))
+
+
+def rebuilt(settings: Any) -> Rebuilt:
+    return rebuild(Document(Path("a.json"), "", {"settings": settings}))
+
+
+@pytest.mark.parametrize("settings", [DEFAULT, PAPER, replace(DEFAULT, model="6", latitude=3.5)])
+def test_everything_comes_back(settings: Settings) -> None:
+    options = ReadOptions(format="csv", rate_hz=30.0, unit="mg", columns=("a", "b", "c"), sensor="s")
+    made = rebuilt(stored(Request(options=options, settings=settings, report_only=True)))
+    assert made == Rebuilt(settings, options, True, None, None, (), ())
+
+
+def test_missing_and_unknown_settings_are_told() -> None:
+    held = stored(Request())
+    del held["cells_per_g"], held["report_only"], held["input"]["sensor"], held["input"]["layout_sha256"]
+    held["later"], held["input"]["more"] = 1, 2
+    made = rebuilt(held)
+    assert made.missing == ("cells_per_g", "report_only", "input.sensor", "input.layout_sha256")
+    assert made.unknown == ("later", "input.more")
+    assert made.settings == DEFAULT
+
+
+def test_every_number_has_its_limits() -> None:
+    """A setting without limits could bring a report that makes nonsense of them to a bug."""
+    for record in (DEFAULT, ReadOptions()):
+        for name, field in record.__dataclass_fields__.items():
+            assert name in LIMITS or not any(kind in str(field.type) for kind in ("int", "float")), name
+
+
+@pytest.mark.parametrize("name", sorted(LIMITS))
+@pytest.mark.parametrize("value", [-1e12, 1e12, "x", True, {}, [], [1e12]])
+def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
+    held = stored(Request())
+    inside = held if name in held else held["input"]
+    inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
+    with pytest.raises(UnreadableError, match=rf"a\.json: .*{name} cannot be"):
+        rebuilt(held)
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"profile": "x"}, "profile cannot be 'x'"),
+        ({"model": "12"}, "model cannot be '12'"),
+        ({"optimizer": "x"}, "unknown optimizer 'x'"),
+        ({"report_only": "no"}, "report_only cannot be 'no'"),
+        ({"temperature": 1}, "temperature cannot be '1'"),
+        ({"input": None}, "does not say how"),
+        ({"input": []}, "does not say how"),
+        ({"input": {"format": "x"}}, "unknown format 'x'"),
+        ({"input": {"unit": "lbs"}}, "unit cannot be 'lbs'"),
+        ({"input": {"timezone": "Mars/North"}}, "unknown time zone"),
+        ({"input": {"layout": 5}}, "layout cannot be '5'"),
+        ({"input": {"columns": ["a", "b"]}}, "columns cannot be"),
+    ],
+)
+def test_unknown_names_are_refused(change: dict[str, Any], part: str) -> None:
+    with pytest.raises(UnreadableError) as caught:
+        rebuilt(stored(Request()) | change)
+    assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("settings", [None, [], 5, "x"])
+def test_settings_that_are_none(settings: Any) -> None:
+    with pytest.raises(UnreadableError, match="does not say how"):
+        rebuilt(settings)
