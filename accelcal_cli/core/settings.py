@@ -69,6 +69,10 @@ class Settings:
         return asdict(self)
 
 
+SIX_POSE = "six-pose"
+"""The profile that reports of known orientations name."""
+
+
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
     """What decides a calibration from known orientations, besides the recording and its list of poses.
@@ -124,7 +128,7 @@ class PoseSettings:
 
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
-        fixed = {"profile": "six-pose", "optimizer": "least-squares", "model": "12", "temperature": False}
+        fixed = {"profile": SIX_POSE, "optimizer": "least-squares", "model": "12", "temperature": False}
         return {**fixed, **asdict(self)}
 
 

@@ -11,7 +11,7 @@ from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.names import printable
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.core.settings import DEFAULT, SIX_POSE, Settings
 from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.rebuild import rebuild
@@ -120,7 +120,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
         UnreadableError: the donor's report has settings that cannot be.
     """
     held = donor.document.report.get("settings")
-    known = isinstance(held, dict) and "input" in held
+    known = isinstance(held, dict) and "input" in held and held.get("profile") != SIX_POSE
     base = rebuild(donor.document).settings if known else DEFAULT
     if found is Link.OWN:
         return base
