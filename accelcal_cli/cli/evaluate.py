@@ -5,7 +5,9 @@ from __future__ import annotations
 from accelcal_cli.cli.lazy import LazyGroup
 
 PARTS = {
+    "simulation": "Every optimizer on sensors with known errors (Table 2 of the paper).",
     "methods": "Every optimizer on the same points of recordings (Table 3 of the paper).",
+    "gravity": "Standard against local gravity (Table 8 of Grammenos et al. 2018).",
 }
 """Each lives in the module evaluate_NAME and binds `command`."""
 

@@ -55,6 +55,35 @@ class ColumnNames(click.ParamType[tuple[str, str, str]]):
         return parts[0], parts[1], parts[2]
 
 
+class Listed(click.ParamType[tuple[Any, ...]]):
+    """Different numbers of one kind within bounds, separated by commas."""
+
+    name = "numbers"
+
+    def __init__(self, kind: type[int] | type[float], least: float, largest: float) -> None:
+        self.kind = kind
+        self.least = least
+        self.largest = largest
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[Any, ...]:
+        """Split, parse and check."""
+        if isinstance(value, tuple):
+            return value
+        parts = str(value).replace(",", " ").split()
+        try:
+            numbers = tuple(dict.fromkeys(self.kind(part) for part in parts))
+        except ValueError:
+            numbers = ()
+        if not numbers:
+            self.fail(f"{value!r} is not a list of numbers separated by commas", param, ctx)
+        for number in numbers:
+            if not self.least <= number <= self.largest:
+                self.fail(f"{number} is not between {self.least:g} and {self.largest:g}", param, ctx)
+        return numbers
+
+
 _PLACES = [
     click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)),
     click.option(

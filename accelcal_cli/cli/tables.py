@@ -28,6 +28,13 @@ def comma_separated(head: Sequence[str], rows: Sequence[Sequence[object]]) -> st
     return text.getvalue().rstrip("\n")
 
 
+def figure(value: float | None, digits: int = 3) -> str:
+    """A cell of so many significant digits, `-` for none."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+
+
 def number(value: float | None, form: str) -> str:
     """A cell of a number in a format, `-` for none."""
     return "-" if value is None else format(value, form)

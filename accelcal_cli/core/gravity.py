@@ -24,6 +24,14 @@ def local_gravity(latitude: float, altitude_m: float = 0.0) -> float:
     return at_sea_level - _FREE_AIR_PER_M * altitude_m
 
 
+def standard_g(metres_per_s2: float) -> Fraction:
+    """Units of standard g, nine decimals.
+
+    The decimals make it the same number on every machine, whatever the last bit of a latitude's sine.
+    """
+    return Fraction(round(metres_per_s2 / STANDARD_GRAVITY * 10**_DECIMALS), 10**_DECIMALS)
+
+
 @dataclass(frozen=True, slots=True)
 class Gravity:
     """Where a recording was made; without a latitude, rest measures 1 standard g.
@@ -37,14 +45,10 @@ class Gravity:
     altitude_m: float | None = None
 
     def local_g(self) -> Fraction:
-        """Local gravity in units of standard g, nine decimals; exactly 1 without a latitude.
-
-        The decimals make it the same number on every machine, whatever the last bit of its sine.
-        """
+        """Local gravity in units of standard g; exactly 1 without a latitude."""
         if self.latitude is None:
             return Fraction(1)
-        ratio = local_gravity(self.latitude, self.altitude_m or 0.0) / STANDARD_GRAVITY
-        return Fraction(round(ratio * 10**_DECIMALS), 10**_DECIMALS)
+        return standard_g(local_gravity(self.latitude, self.altitude_m or 0.0))
 
 
 STANDARD = Gravity()

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,6 +100,10 @@ class PointSet:
         return self.xyz / float(ONE)
 
 
+Arithmetic = Literal["integer", "float"]
+"""Kind of number that an optimizer computes with."""
+
+
 @dataclass(frozen=True, slots=True)
 class Operations:
     """Scalar additions and multiplications, as F counts them (its 32-bit operations)."""
@@ -135,6 +139,8 @@ class Optimizer:
         fit: (points, model, settings) -> Fit; `settings` are the optimizer's own numbers.
         settings: profile name -> those numbers.
         models: names of the models it can fit.
+        arithmetic: what its operations cost on a microcontroller depends on it.
+        needs: a package that it imports beyond those that are always installed.
     """
 
     name: str
@@ -142,6 +148,8 @@ class Optimizer:
     fit: Callable[[PointSet, Model, Any], Fit]
     settings: dict[str, Any]
     models: tuple[str, ...] = tuple(MODELS)
+    arithmetic: Arithmetic = "float"
+    needs: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,4 +78,5 @@ OPTIMIZER = Optimizer(
     title="BFGS of SciPy, a general quasi-Newton solver",
     fit=fit,
     settings={"default": DEFAULT},
+    needs="scipy",
 )

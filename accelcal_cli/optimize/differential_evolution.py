@@ -92,4 +92,5 @@ OPTIMIZER = Optimizer(
     title="differential evolution of SciPy, a global search",
     fit=fit,
     settings={"default": DEFAULT},
+    needs="scipy",
 )

@@ -156,4 +156,5 @@ OPTIMIZER = Optimizer(
     title="gradient descent in 16-bit fixed point (Farago, Maczak, Gingl 2024)",
     fit=fit,
     settings={"default": PAPER, "paper": PAPER},
+    arithmetic="integer",
 )

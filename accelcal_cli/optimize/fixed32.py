@@ -157,4 +157,5 @@ OPTIMIZER = Optimizer(
     title="gradient descent in 32-bit fixed point (Farago, Maczak, Gingl 2024)",
     fit=fit,
     settings={"default": DEFAULT, "paper": PAPER},
+    arithmetic="integer",
 )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from math import floor, log10
 from typing import Any
 
 from accelcal_cli.core.fixed import FRACTION_BITS, to_float
 from accelcal_cli.core.judgement import Coverage, ErrorSummary, Holdout, Judgement, Trial
-from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES, Calibration, Fit
+from accelcal_cli.core.microcontrollers import predicted_seconds
+from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES, Arithmetic, Calibration, Fit
 from accelcal_cli.core.recording import Problem
 
 EQUATION = "a = K (v + o + s (T - Tref))"
@@ -18,11 +20,10 @@ def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str,
     found, fit = verdict.calibration, verdict.fit
     if found is None or fit is None:
         return None
-    made = {**optimizer, "iterations": fit.iterations, "stop": fit.stop, "operations": _operations(fit)}
     return {
         **coefficients_json(found),
         "standard_errors": _standard_errors(found, verdict.standard_errors),
-        "optimizer": made,
+        "optimizer": {**optimizer, **_effort(fit, optimizer["arithmetic"])},
     }
 
 
@@ -77,8 +78,14 @@ def _fixed_point(found: Calibration) -> dict[str, Any]:
     }
 
 
-def _operations(fit: Fit) -> dict[str, int]:
-    return {"additions": fit.operations.additions, "multiplications": fit.operations.multiplications}
+def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
+    seconds = predicted_seconds(fit.operations, arithmetic)
+    return {
+        "iterations": fit.iterations,
+        "stop": fit.stop,
+        "operations": asdict(fit.operations),
+        "predicted_seconds": seconds and {name: significant(value) for name, value in seconds.items()},
+    }
 
 
 def holdout_json(held: Holdout) -> dict[str, Any]:

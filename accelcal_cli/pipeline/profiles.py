@@ -113,7 +113,8 @@ def optimizer_settings(optimizer: Optimizer, settings: Settings) -> Any:
 
 def optimizer_json(optimizer: Optimizer, settings: Settings) -> dict[str, Any]:
     """The report's `optimizer` object, before the fit."""
-    return {"name": optimizer.name, "settings": asdict(optimizer_settings(optimizer, settings))}
+    numbers = asdict(optimizer_settings(optimizer, settings))
+    return {"name": optimizer.name, "arithmetic": optimizer.arithmetic, "settings": numbers}
 
 
 def fit_function(optimizer: Optimizer, settings: Settings) -> FitFunction:

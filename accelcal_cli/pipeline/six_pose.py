@@ -37,7 +37,7 @@ from accelcal_cli.poses.listed import Listed, read_list
 from accelcal_cli.poses.solve import check_range
 from accelcal_cli.readers import open_recording
 
-OPTIMIZER = {"name": "least-squares", "settings": {}}
+OPTIMIZER = {"name": "least-squares", "arithmetic": "float", "settings": {}}
 
 
 @dataclass(frozen=True, slots=True)

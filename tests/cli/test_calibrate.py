@@ -245,6 +245,7 @@ def test_profile_paper_fits_eighteen_points_in_fifty_iterations(tmp_path: Path, 
         "additions": 90_150,
         "multiplications": 90_150,
     }
+    assert report["calibration"]["optimizer"]["predicted_seconds"]["ATmega328"] == 0.7043  # F: about 0.7 s
     assert report["holdout"]["method"].startswith("control points")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -193,6 +194,22 @@ def test_it_is_found_by_name_and_has_settings_for_a_report(optimizer: Optimizer)
 @EVERY
 def test_it_has_a_test_file_of_its_own(optimizer: Optimizer) -> None:
     assert (Path(__file__).parent / f"test_{optimizer.name.replace('-', '_')}.py").is_file()
+
+
+@EVERY
+def test_its_kind_of_arithmetic_is_known(optimizer: Optimizer) -> None:
+    assert optimizer.arithmetic == ("integer" if optimizer.name.startswith("fixed") else "float")
+
+
+@EVERY
+def test_a_package_that_it_needs_is_named(optimizer: Optimizer, monkeypatch: pytest.MonkeyPatch) -> None:
+    if optimizer.needs is None:
+        monkeypatch.setitem(sys.modules, "scipy", None)
+        fit(optimizer, made("6", 20), "6")
+    else:
+        monkeypatch.setitem(sys.modules, optimizer.needs, None)
+        with pytest.raises(UsageError):
+            fit(optimizer, made("6", 20), "6")
 
 
 def test_names_are_distinct_and_the_default_exists() -> None:
