@@ -179,6 +179,7 @@ def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowU
         filled=counts.filled,
         clipped=counts.clipped,
         recovered=counts.recovered,
+        joined=counts.joined,
         implausible=implausible,
         constant_left_out=constant,
         used=counts.still - implausible - constant,
