@@ -6,6 +6,7 @@ from accelcal_cli.cli.lazy import LazyGroup
 
 PARTS = {
     "methods": "Every optimizer on the same points of recordings (Table 3 of the paper).",
+    "stillness": "Every rule of stillness on the same recordings.",
 }
 """Each lives in the module evaluate_NAME and binds `command`."""
 
