@@ -7,6 +7,7 @@ from accelcal_cli.cli.lazy import LazyGroup
 PARTS = {
     "simulation": "Every optimizer on sensors with known errors (Table 2 of the paper).",
     "methods": "Every optimizer on the same points of recordings (Table 3 of the paper).",
+    "stillness": "Every rule of stillness on the same recordings.",
     "gravity": "Standard against local gravity (Table 8 of Grammenos et al. 2018).",
 }
 """Each lives in the module evaluate_NAME and binds `command`."""

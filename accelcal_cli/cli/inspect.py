@@ -56,7 +56,7 @@ def text(seen: Inspection, shown: dict[str, Any]) -> str:
         f"  start        {about['start_time'] or 'unknown'}{_zone(about['timezone'])}",
         f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
         f"  also holds   {_extras(about)}",
-        f"  read         {scope}: {seen.windows.still} of {seen.windows.complete} windows still",
+        f"  read         {scope}: {shown['read']['still_windows']} of {seen.windows.complete} windows still",
         f"  problems     {_problems(shown)}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
     ]

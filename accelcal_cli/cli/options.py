@@ -9,10 +9,11 @@ from typing import Any, TypeVar
 
 import click
 
+from accelcal_cli.cli.stillness import stillness_settings
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.settings import DEFAULT, PROFILES, Settings
+from accelcal_cli.core.settings import DEFAULT, PROFILES, STILLNESS, Settings
 from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
 
@@ -134,11 +135,18 @@ _METHOD = [
         show_default=True,
         help="`paper`: the published procedure, 18 points and 50 iterations.",
     ),
-    click.option("--segment-seconds", type=Positive(3600), help="Length of a window.  [default: 5]"),
+    click.option(
+        "--stillness",
+        type=click.Choice(list(STILLNESS)),
+        help="What counts as still, see docs/stillness.md.  [default: both; profile paper: range]",
+    ),
+    click.option(
+        "--segment-seconds", type=Positive(3600), help="Length of a window.  [default: by --stillness]"
+    ),
     click.option(
         "--stillness-threshold-g",
         type=Positive(4),
-        help="Largest max - min of a still window.  [default: 0.12]",
+        help="Largest max - min of a still window, of both and range.  [default: 0.12]",
     ),
 ]
 
@@ -213,14 +221,13 @@ def settings(values: dict[str, Any]) -> Settings:
     """The profile's settings with what the user changed.
 
     Raises:
-        UsageError: the profile has no such model.
+        UsageError: the profile has no such model, or the rule of stillness no such number.
     """
     if values["profile"] == "paper" and (values["model"] or "9") not in ("auto", "9"):
         raise UsageError(
             "profile paper fits nine parameters", hint="leave --model out, or use profile default"
         )
-    chosen = _changed(PROFILES[values["profile"]], values, ("segment_seconds", "stillness_threshold_g"))
-    return fitting_settings(values, chosen)
+    return fitting_settings(values, stillness_settings(PROFILES[values["profile"]], values))
 
 
 def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Settings:

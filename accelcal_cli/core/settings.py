@@ -9,6 +9,32 @@ from accelcal_cli.core.gravity import Gravity
 
 
 @dataclass(frozen=True, slots=True)
+class Adaptive:
+    """Numbers of stillness rule `adaptive` (G: Grammenos, Mascolo, Crowcroft 2018, section 4.4).
+
+    Attributes:
+        acceleration_factor: standard deviation of |a| stays below so many times its minimum (G: 2).
+        rotation_factor: the same for the gyroscope, where there is one (G: 3).
+        min_samples: a window has at least so many samples, however long they take (the standard
+            deviation of 100 values is known to 7 %, so that the minimum over a week of windows is
+            about two thirds of the usual one; of 30 values it would be less than half).
+        min_windows: a state has at least so many windows (G gathers more once a first window has
+            passed; 2, since |a| alone does not see a slow turn, but the means of two windows do).
+        max_windows: a state has at most so many windows, then another begins (60: a minute at
+            100 Hz), so that hours in one posture stay many windows with their own temperatures.
+        held_windows: candidates wait until so many more have come, so that an early one is judged
+            by a minimum that has settled (measured: 16384 are about 4.5 h of rest; 3 MB).
+    """
+
+    acceleration_factor: int = 2
+    rotation_factor: int = 3
+    min_samples: int = 100
+    min_windows: int = 2
+    max_windows: int = 60
+    held_windows: int = 1 << 14
+
+
+@dataclass(frozen=True, slots=True)
 class Settings:
     """What decides the result, besides the recording. All of it is in the report.
 
@@ -17,12 +43,16 @@ class Settings:
         optimizer: as in `--optimizer`.
         model: `auto`, or the model (9, 6, 3) the user insists on.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
-        segment_seconds: length of a window [s] (F II.B.1: 5 s).
-        stillness_threshold_g: max - min of a still window stays below [g] (F II.B.1: 0.12 g).
+        stillness: rule of stillness, a key of STILLNESS, which sets the next five.
+        segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:
+            at least 1 s).
+        stillness_threshold_g: max - min of a still window stays below [g] (F II.B.1: 0.12 g);
+            None: not looked at.
         stillness_deviation_g: standard deviation of every axis stays below [g] (van Hees et al.
             2014: 13 mg); None: not looked at.
         stillness_axes: axes of the max - min rule (F: one; here all, since slow movement across
             the other two passes a rule that looks at one).
+        adaptive: numbers of rule `adaptive`; None for the others.
         cells_per_g: orientation cells per g on each axis (measured: 20; 10 leaves a bias).
         norm_low_g, norm_high_g: still windows with |mean| outside are implausible [g].
         posture_degrees: points within so many degrees are one posture.
@@ -42,10 +72,12 @@ class Settings:
     optimizer: str = "fixed32"
     model: str = "auto"
     temperature: bool = True
+    stillness: str = "both"
     segment_seconds: float = 5.0
-    stillness_threshold_g: float = 0.12
+    stillness_threshold_g: float | None = 0.12
     stillness_deviation_g: float | None = 0.013
     stillness_axes: tuple[int, ...] = (0, 1, 2)
+    adaptive: Adaptive | None = None
     cells_per_g: int = 20
     norm_low_g: float = 0.5
     norm_high_g: float = 1.5
@@ -129,15 +161,36 @@ class PoseSettings:
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
         fixed = {"profile": SIX_POSE, "optimizer": "least-squares", "model": "12", "temperature": False}
-        return {**fixed, **asdict(self)}
+        return {**fixed, "stillness": self.stillness.stillness, **asdict(self)}
+
+
+_FIXED: dict[str, Any] = {
+    "segment_seconds": 5.0,
+    "stillness_threshold_g": 0.12,
+    "stillness_deviation_g": 0.013,
+    "stillness_axes": (0, 1, 2),
+    "adaptive": None,
+}
+_UNUSED: dict[str, Any] = {"stillness_threshold_g": None, "stillness_axes": ()}
+STILLNESS: dict[str, dict[str, Any]] = {
+    "both": _FIXED,
+    "range": {**_FIXED, "stillness_deviation_g": None, "stillness_axes": (0,)},
+    "deviation": {**_FIXED, **_UNUSED, "segment_seconds": 10.0},
+    "adaptive": {
+        **_UNUSED,
+        "segment_seconds": 1.0,
+        "stillness_deviation_g": None,
+        "adaptive": Adaptive(),
+    },
+}
+"""Rules of stillness, as in `--stillness`, and the settings that make them."""
+
+
+def with_stillness(settings: Settings, name: str) -> Settings:
+    """The settings with a rule of stillness and its own numbers."""
+    return replace(settings, stillness=name, **STILLNESS[name])
 
 
 DEFAULT = Settings()
-PAPER = replace(
-    DEFAULT,
-    profile="paper",
-    temperature=False,
-    stillness_deviation_g=None,
-    stillness_axes=(0,),
-)
+PAPER = replace(with_stillness(DEFAULT, "range"), profile="paper", temperature=False)
 PROFILES = {"default": DEFAULT, "paper": PAPER}

@@ -39,7 +39,11 @@ class Windows:
 
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
-    """How many windows there were and why some were not used; sums over chunks by +."""
+    """How many windows there were and why some were not used; sums over chunks by +.
+
+    complete = moving + filled + clipped + recovered + joined + still, where a still window made of
+    several counts once as still, and its others as joined to it.
+    """
 
     complete: int = 0
     moving: int = 0
@@ -47,6 +51,7 @@ class WindowCounts:
     clipped: int = 0
     recovered: int = 0
     still: int = 0
+    joined: int = 0
 
     def __add__(self, other: WindowCounts) -> WindowCounts:
         return WindowCounts(

@@ -68,7 +68,7 @@ def _health() -> dict[str, Any]:
 
 
 def _windows(data: PointsInput) -> dict[str, Any]:
-    none = ("moving", "filled", "clipped", "recovered")
+    none = ("moving", "filled", "clipped", "recovered", "joined")
     return {
         "complete": data.rows,
         **dict.fromkeys(none, 0),

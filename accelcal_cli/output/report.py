@@ -30,13 +30,18 @@ SCHEMA_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class WindowUse:
-    """Windows by fate, for `fit.windows`."""
+    """Windows by fate, for `fit.windows`; all but `complete` add up to it.
+
+    Where still windows that agree are joined, the joint one counts once, by its fate, and the others
+    as `joined`.
+    """
 
     complete: int
     moving: int
     filled: int
     clipped: int
     recovered: int
+    joined: int
     implausible: int
     constant_left_out: int
     used: int

@@ -97,7 +97,7 @@ def as_json(seen: Inspection) -> dict[str, Any]:
             "whole": seen.whole,
             "samples": facts.samples,
             "windows": seen.windows.complete,
-            "still_windows": seen.windows.still,
+            "still_windows": seen.windows.still + seen.windows.joined,
         },
         "prediction": {
             "outcome": str(guess.outcome),

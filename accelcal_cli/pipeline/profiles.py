@@ -17,7 +17,7 @@ from accelcal_cli.judge.holdout import FitFunction
 from accelcal_cli.judge.verdict import NO_STILLNESS, judge, judge_paper
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
-from accelcal_cli.segment.rules import still_rule
+from accelcal_cli.segment.choose import chosen_rule, window_length
 from accelcal_cli.segment.segmenter import Segmenter
 
 
@@ -92,18 +92,8 @@ def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
 
 def make_segmenter(recording: Recording, settings: Settings) -> Segmenter:
     """The segmenter of the settings for one recording."""
-    rule = still_rule(
-        settings.stillness_axes,
-        settings.stillness_threshold_g,
-        settings.stillness_deviation_g,
-        recording.lsb_per_g,
-    )
-    return Segmenter(window_length(recording, settings), rule)
-
-
-def window_length(recording: Recording, settings: Settings) -> int:
-    """Samples in a window."""
-    return max(1, round(settings.segment_seconds * recording.rate_hz))
+    length = window_length(settings, recording.rate_hz)
+    return Segmenter(length, chosen_rule(settings, recording.lsb_per_g, length))
 
 
 def optimizer_settings(optimizer: Optimizer, settings: Settings) -> Any:
@@ -136,11 +126,13 @@ class CellProcedure:
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.points(), how.settings, how.fit, how.models, self._why_none())
+        return judge(self.points(), how.settings, how.fit, how.models, self._why_none(how.settings))
 
-    def _why_none(self) -> str:
+    def _why_none(self, settings: Settings) -> str:
         """Why there are no points, if there are none."""
         counts = self.collector.counts()
+        if settings.adaptive is not None:
+            return "no rest comes near the quietest window of the recording; use another rule of --stillness"
         if counts.implausible:
             return "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
         if counts.constant:
@@ -180,6 +172,7 @@ def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowU
         filled=counts.filled,
         clipped=counts.clipped,
         recovered=counts.recovered,
+        joined=counts.joined,
         implausible=implausible,
         constant_left_out=constant,
         used=counts.still - implausible - constant,

@@ -152,11 +152,16 @@ def survey(
         UnreadableError: it cannot be read on.
     """
     observer = Observer(recording, method.rest_lsb)
+
+    def use(found: Iterable[Windows]) -> None:
+        for windows in found:
+            observer.see_still(windows)
+            method.procedure.add(windows)
+
     for raw in chunks:
         chunk = with_clipping(raw, recording)
         observer.see(chunk)
-        for windows in method.segmenter.feed(chunk):
-            observer.see_still(windows)
-            method.procedure.add(windows)
+        use(method.segmenter.feed(chunk))
         progress(chunk.end_byte)
+    use(method.segmenter.finish())
     return observer.facts()

@@ -35,3 +35,24 @@ def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
     """Sums over the last axis of squares that add up to at most `bound`; blocks is (m, n)."""
     values = blocks.astype(exact_type(bound))
     return np.asarray(np.einsum("mn,mn->m", values, values)).astype(np.int64)
+
+
+def centred_squares(
+    blocks: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(c, r), both (m,), with n^2 times the variance of a window of n counts = n c - r^2, r < n.
+
+    With d = counts - first count and sum(d) = q n + r, c is sum(d^2) - n q^2 - 2 q r; all terms
+    stay small.
+
+    Args:
+        blocks: (m, n) counts, m > 0.
+        spread: (m,) max - min.
+        sums: (m,) sums of counts.
+    """
+    length = blocks.shape[1]
+    origin = blocks[:, :1].astype(np.int64)
+    largest = int(spread.max())
+    squares = sums_of_squares(blocks - origin, largest * largest * length)
+    q, r = np.divmod(sums - length * origin[:, 0], length)
+    return squares - length * q * q - 2 * q * r, r

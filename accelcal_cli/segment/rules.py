@@ -1,4 +1,4 @@
-"""When is a window still? Rules over blocks of windows, exact in integers."""
+"""Rules with fixed limits: max - min, standard deviation, or both; exact in integers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.segment._exact import sums_of_squares
+from accelcal_cli.core.windows import Windows
+from accelcal_cli.segment._exact import centred_squares
+from accelcal_cli.segment.blocks import Blocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +23,7 @@ class StillRule:
     2014: 13 mg). All comparisons are of integers.
 
     Attributes:
-        axes: which axes the max - min rule looks at.
+        axes: which axes the max - min rule looks at; it may be none.
         spread_limit: counts; a window is moving if max - min on one of these axes reaches it.
         variance_limit: counts squared; exclusive bound of the variance of every axis, or None.
     """
@@ -29,6 +31,15 @@ class StillRule:
     axes: tuple[int, ...]
     spread_limit: int
     variance_limit: Fraction | None
+
+    def take(self, blocks: Blocks) -> list[Windows]:
+        """The still windows, decided at once."""
+        still = self.still(blocks.columns, blocks.high - blocks.low, blocks.sums)
+        return [blocks.windows(still & blocks.usable)]
+
+    def rest(self) -> list[Windows]:
+        """Nothing is held back."""
+        return []
 
     def still(
         self, columns: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
@@ -58,32 +69,25 @@ class StillRule:
     def _quiet(
         self, blocks: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
     ) -> NDArray[np.bool_]:
-        """Variance below the limit, for (m, n) counts of one axis.
-
-        With d = counts - first count and sum(d) = q n + r, n^2 times the variance is
-        n (sum(d^2) - n q^2 - 2 q r) - r^2, whose terms stay small.
-        """
+        """Variance below the limit, for (m, n) counts of one axis."""
         assert self.variance_limit is not None
         if not len(blocks):
             return np.empty(0, np.bool_)
         length = blocks.shape[1]
-        origin = blocks[:, :1].astype(np.int64)
-        largest = int(spread.max())
-        squares = sums_of_squares(blocks - origin, largest * largest * length)
-        q, r = np.divmod(sums - length * origin[:, 0], length)
-        centred = squares - length * q * q - 2 * q * r
+        centred, r = centred_squares(blocks, spread, sums)
         limit = self.variance_limit * length**2
         whole, rest = divmod(-(-limit.numerator // limit.denominator), length)
         return np.asarray(centred < whole + (rest + r * r + length - 1) // length)
 
 
 def still_rule(
-    axes: tuple[int, ...], threshold_g: float, deviation_g: float | None, lsb_per_g: float
+    axes: tuple[int, ...], threshold_g: float | None, deviation_g: float | None, lsb_per_g: float
 ) -> StillRule:
-    """A rule in g as a rule in counts.
+    """A rule in g as a rule in counts; None: not looked at.
 
     max - min < threshold in g is max - min < ceil(threshold * lsb_per_g) in whole counts.
     """
-    limit = Fraction(str(threshold_g)) * Fraction(lsb_per_g)
+    limit = Fraction(str(threshold_g or 0)) * Fraction(lsb_per_g)
     variance = None if deviation_g is None else (Fraction(str(deviation_g)) * Fraction(lsb_per_g)) ** 2
-    return StillRule(axes, -(-limit.numerator // limit.denominator), variance)
+    looked_at = () if threshold_g is None else axes
+    return StillRule(looked_at, -(-limit.numerator // limit.denominator), variance)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.recording import Chunk, Counts, Validity
 from accelcal_cli.core.windows import WindowCounts, Windows
 from accelcal_cli.segment._exact import sums as exact_sums
-from accelcal_cli.segment.rules import StillRule
+from accelcal_cli.segment.blocks import Blocks, Rule
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +28,7 @@ class Rows:
     counts: Counts
     temperature_mc: NDArray[np.int32] | None
     validity: NDArray[np.uint8] | None
+    rotation: Counts | None = None
 
     def __len__(self) -> int:
         return len(self.counts)
@@ -35,29 +37,43 @@ class Rows:
         """Rows start..stop-1, as views."""
         warm = None if self.temperature_mc is None else self.temperature_mc[start:stop]
         valid = None if self.validity is None else self.validity[start:stop]
-        return Rows(self.first_sample + start, self.counts[start:stop], warm, valid)
+        turn = None if self.rotation is None else self.rotation[start:stop]
+        return Rows(self.first_sample + start, self.counts[start:stop], warm, valid, turn)
 
 
 class Segmenter:
-    """Feed it chunks; it yields the still windows that are complete so far."""
+    """Feed it chunks; it yields the still windows that are decided so far, the last from `finish`."""
 
-    def __init__(self, length: int, rule: StillRule) -> None:
+    def __init__(self, length: int, rule: Rule) -> None:
         self.length = length
         self.rule = rule
         self.counts = WindowCounts()
+        self._run_number = 0
         self._pending: Rows | None = None
 
     def feed(self, chunk: Chunk) -> Iterator[Windows]:
-        """Still windows that end in this chunk, a batch for each run between breaks."""
+        """Still windows that are decided in this chunk, in batches."""
         edges = [0, *(int(row) for row in chunk.breaks if row > 0), len(chunk)]
-        whole = Rows(chunk.first_sample, chunk.counts, chunk.temperature_mc, chunk.validity)
+        whole = Rows(
+            chunk.first_sample, chunk.counts, chunk.temperature_mc, chunk.validity, chunk.gyro_counts
+        )
         if len(chunk.breaks) and chunk.breaks[0] == 0:
-            self._pending = None
+            self._break()
         for index, (start, stop) in enumerate(pairwise(edges)):
             if index:
-                self._pending = None
+                self._break()
             if stop > start:
                 yield from self._run(whole.part(start, stop))
+
+    def finish(self) -> Iterator[Windows]:
+        """Still windows that the rule held back; call once, after the last chunk."""
+        for windows in self.rule.rest():
+            self._count_still(windows)
+            yield windows
+
+    def _break(self) -> None:
+        self._run_number += 1
+        self._pending = None
 
     def _run(self, rows: Rows) -> Iterator[Windows]:
         if self._pending is not None:
@@ -66,30 +82,44 @@ class Segmenter:
             if len(joined) < self.length:
                 self._pending = joined
                 return
-            yield self._windows(joined)
+            yield from self._windows(joined)
             rows = rows.part(need, len(rows))
         whole = len(rows) // self.length * self.length
         if whole:
-            yield self._windows(rows.part(0, whole))
+            yield from self._windows(rows.part(0, whole))
         rest = rows.part(whole, len(rows))
         self._pending = _copy(rest) if len(rest) else None
 
-    def _windows(self, rows: Rows) -> Windows:
+    def _windows(self, rows: Rows) -> Iterator[Windows]:
+        blocks = self._blocks(rows)
+        self.counts += WindowCounts(complete=len(blocks), moving=int(blocks.usable.sum()))
+        for windows in self.rule.take(blocks):
+            self._count_still(windows)
+            yield windows
+
+    def _count_still(self, windows: Windows) -> None:
+        """Until they are found still, windows count as moving."""
+        number = int(windows.samples.sum()) // self.length
+        still = len(windows)
+        self.counts += WindowCounts(moving=-number, still=still, joined=number - still)
+
+    def _blocks(self, rows: Rows) -> Blocks:
         number = len(rows) // self.length
-        usable = self._usable(rows, number)
         columns = np.ascontiguousarray(rows.counts.T).reshape(3, number, self.length)
-        spread = columns.max(axis=2).astype(np.int64) - columns.min(axis=2)
-        sums = exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1))
-        still = self.rule.still(columns, spread, sums)
-        self.counts += WindowCounts(complete=number, moving=int(np.sum(usable & ~still)))
-        still &= usable
-        self.counts += WindowCounts(still=int(still.sum()))
-        first = rows.first_sample + self.length * np.arange(number, dtype=np.int64)
         warm = None
         if rows.temperature_mc is not None:
             warm = rows.temperature_mc.reshape(number, self.length).sum(axis=1, dtype=np.int64)
-        samples = np.full(number, self.length, np.int64)
-        return Windows(samples, first, sums.T, spread.T, warm).select(still)
+        return Blocks(
+            self._run_number,
+            rows.first_sample,
+            columns,
+            columns.min(axis=2).astype(np.int64),
+            columns.max(axis=2).astype(np.int64),
+            exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1)),
+            self._usable(rows, number),
+            warm,
+            rows.rotation,
+        )
 
     def _usable(self, rows: Rows, number: int) -> NDArray[np.bool_]:
         """Windows that the device measured throughout; the others are counted by their worst row."""
@@ -108,10 +138,14 @@ class Segmenter:
 def join(first: Rows, second: Rows) -> Rows:
     """Two stretches of rows, one after the other."""
     counts: Counts = np.concatenate([first.counts, second.counts])
-    warm = None
-    if first.temperature_mc is not None and second.temperature_mc is not None:
-        warm = np.concatenate([first.temperature_mc, second.temperature_mc])
-    return Rows(first.first_sample, counts, warm, _joined_validity(first, second))
+    warm = _joined(first.temperature_mc, second.temperature_mc)
+    turn = _joined(first.rotation, second.rotation)
+    return Rows(first.first_sample, counts, warm, _joined_validity(first, second), turn)
+
+
+def _joined(first: NDArray[Any] | None, second: NDArray[Any] | None) -> NDArray[Any] | None:
+    """Values of both stretches; None where one has none."""
+    return None if first is None or second is None else np.concatenate([first, second])
 
 
 def _joined_validity(first: Rows, second: Rows) -> NDArray[np.uint8] | None:
@@ -125,4 +159,5 @@ def _copy(rows: Rows) -> Rows:
     """Own memory, so that a few pending rows do not keep a whole chunk alive."""
     warm = None if rows.temperature_mc is None else rows.temperature_mc.copy()
     valid = None if rows.validity is None else rows.validity.copy()
-    return Rows(rows.first_sample, rows.counts.copy(), warm, valid)
+    turn = None if rows.rotation is None else rows.rotation.copy()
+    return Rows(rows.first_sample, rows.counts.copy(), warm, valid, turn)

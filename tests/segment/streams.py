@@ -12,6 +12,7 @@ import numpy as np
 from accelcal_cli.core.clock import UniformClock
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.core.windows import WindowCounts, Windows
+from accelcal_cli.segment.blocks import Rule
 from accelcal_cli.segment.rules import StillRule
 from accelcal_cli.segment.segmenter import Segmenter
 
@@ -27,6 +28,7 @@ class Stream:
     breaks: tuple[int, ...] = ()
     temperature_mc: np.ndarray | None = None
     validity: np.ndarray | None = None
+    gyro: np.ndarray | None = None
 
     def chunks(self, cuts: Iterable[int] = ()) -> Iterator[Chunk]:
         """The recording cut at the given rows; a row named twice gives an empty chunk."""
@@ -46,6 +48,7 @@ class Stream:
             0,
             breaks=np.array(breaks, np.int64),
             temperature_mc=warm,
+            gyro_counts=None if self.gyro is None else self.gyro[low:high],
             validity=valid,
         )
 
@@ -54,11 +57,17 @@ def segmented(
     stream: Stream, length: int, rule: StillRule, cuts: Iterable[int] = ()
 ) -> tuple[list[Row], WindowCounts]:
     """What the segmenter makes of a stream cut into chunks."""
+    batches, counts = batched(stream, length, rule, cuts)
+    return [row for windows in batches for row in rows(windows)], counts
+
+
+def batched(
+    stream: Stream, length: int, rule: Rule, cuts: Iterable[int] = ()
+) -> tuple[list[Windows], WindowCounts]:
+    """All that the segmenter yields for a stream cut into chunks."""
     segmenter = Segmenter(length, rule)
-    found: list[Row] = []
-    for chunk in stream.chunks(cuts):
-        for windows in segmenter.feed(chunk):
-            found += rows(windows)
+    found = [windows for chunk in stream.chunks(cuts) for windows in segmenter.feed(chunk)]
+    found += segmenter.finish()
     return found, segmenter.counts
 
 

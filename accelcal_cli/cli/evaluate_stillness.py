@@ -1,0 +1,138 @@
+"""`accelcal evaluate stillness`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.options import fitting_options, fitting_settings, read_options, reading_options
+from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.cli.tables import aligned, comma_separated
+from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.core.names import printable
+from accelcal_cli.core.settings import STILLNESS
+from accelcal_cli.evaluate.stillness import RAW, Comparison, Found, compare
+from accelcal_cli.evaluate.truth import true_errors
+from accelcal_cli.pipeline.request import ProgressMaker
+
+Row = dict[str, Any]
+FIGURES = {
+    "windows": "d",
+    "still_h": ".2f",
+    "points": "d",
+    "postures": "d",
+    "outcome": "",
+    "model": "",
+    "before_mg": ".2f",
+    "after_mg": ".3f",
+    "gain_error": ".1e",
+    "offset_error_mg": ".3f",
+}
+"""Columns of the first table and how their values are shown."""
+
+
+@click.command("stillness")
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print one table of comma-separated values.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@reading_options
+@fitting_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Calibrate each RECORDING by every rule of stillness and compare the results.
+
+    Shows for each rule what it found and the held-out error on its own points; then the mean error
+    that each calibration leaves on the points of every rule. Where STEM.truth.json of a simulated
+    recording lies beside it, also the largest error of a gain term and of an offset.
+    """
+    if values["as_json"] and values["as_csv"]:
+        raise UsageError("--json and --csv exclude each other", hint="give one of them")
+    made: dict[str, list[Row]] = {}
+    failed = 0
+    for path in recordings:
+        try:
+            with progress_bars(path.name, quiet=values["quiet"]) as bars:
+                made[printable(path)] = _one(path, values, bars)
+        except AccelcalError as error:
+            exits.say(str(error))
+            failed = error.exit_code
+    if made:
+        click.echo(_shown(made, values))
+    return exits.SOME_FAILED if failed and len(recordings) > 1 else failed
+
+
+def _one(path: Path, values: dict[str, Any], bars: ProgressMaker) -> list[Row]:
+    chosen, chunk_samples = fitting_settings(values), values["chunk_samples"]
+    return rows(compare(path, read_options(values), chosen, chunk_samples, bars))
+
+
+def _shown(made: dict[str, list[Row]], values: dict[str, Any]) -> str:
+    if values["as_json"]:
+        return "\n".join(json.dumps({"recording": path, "rules": held}) for path, held in made.items())
+    if values["as_csv"]:
+        head = ["recording", "rule", *FIGURES, *(f"on_{rule}_mg" for rule in STILLNESS)]
+        return comma_separated(head, [_cells(path, row) for path, held in made.items() for row in held])
+    return "\n\n".join(f"{path}\n{text(held)}" for path, held in made.items())
+
+
+def _cells(path: str, row: Row) -> list[Any]:
+    return [path, row["rule"], *(row.get(name) for name in FIGURES), *row["on_points_of_mg"].values()]
+
+
+def rows(made: Comparison) -> list[Row]:
+    """A row for raw data and for each rule; None where there is nothing to say."""
+    on = {
+        rule: {name: _rounded(error) for name, error in errors.items()}
+        for rule, errors in made.errors_mg().items()
+    }
+    found = [_row(item, made) | {"on_points_of_mg": on[item.rule]} for item in made.found]
+    return [{"rule": RAW, "on_points_of_mg": on[RAW]}, *found]
+
+
+def _row(found: Found, made: Comparison) -> Row:
+    held, calibration = found.judgement.holdout, found.judgement.calibration
+    known = None
+    if calibration is not None and made.truth is not None:
+        known = true_errors(calibration, made.truth)
+    return {
+        "rule": found.rule,
+        "windows": found.windows,
+        "still_h": round(found.still_s / 3600, 4),
+        "points": len(found.points),
+        "postures": found.postures,
+        "outcome": str(found.judgement.outcome),
+        "model": None if calibration is None else calibration.model,
+        "before_mg": None if held is None else _rounded(held.before.mean),
+        "after_mg": None if held is None else _rounded(held.after.mean),
+        "gain_error": None if known is None else round(known.gain, 8),
+        "offset_error_mg": None if known is None else _rounded(known.offset_mg),
+    }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
+def text(shown: list[Row]) -> str:
+    """The two tables for people."""
+    known = any(row.get("gain_error") is not None for row in shown)
+    columns = [name for name in FIGURES if known or name not in ("gain_error", "offset_error_mg")]
+    first = [
+        [row["rule"], *(_shown_as(row[name], FIGURES[name]) for name in columns)]
+        for row in shown
+        if row["rule"] != RAW
+    ]
+    cross = [
+        [row["rule"], *(_shown_as(error, ".3f") for error in row["on_points_of_mg"].values())]
+        for row in shown
+    ]
+    head = ["rule", *(name.replace("_", " ") for name in columns)]
+    return f"{aligned(head, first)}\n\n{aligned(['mg on the points of', *STILLNESS], cross)}"
+
+
+def _shown_as(value: Any, form: str) -> str:
+    return "-" if value is None else format(value, form)

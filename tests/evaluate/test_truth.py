@@ -1,0 +1,68 @@
+"""Truth files of both kinds, and the distance of a calibration from them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import Calibration, TemperatureScale
+from accelcal_cli.evaluate.truth import Truth, true_errors, truth_beside
+
+GAIN = [[1.5, 0.0, 0.0], [0.25, 1.0, 0.0], [0.0, -0.125, 0.75]]
+
+
+def write(folder: Path, known: object) -> Path:
+    (folder / "week.truth.json").write_text(json.dumps(known))
+    return folder / "week.csv.gz"
+
+
+def test_there_may_be_none(tmp_path: Path) -> None:
+    assert truth_beside(tmp_path / "week.csv") is None
+
+
+def test_as_simulate_writes_it(tmp_path: Path) -> None:
+    sensor = {"gain": GAIN, "offset_g": [0.5, -0.25, 0.125], "reference_c": 30.0}
+    found = truth_beside(write(tmp_path, {"sensor": sensor}))
+    assert found is not None
+    assert (found.gain.tolist(), found.offset_g.tolist(), found.reference_c) == (
+        GAIN,
+        [0.5, -0.25, 0.125],
+        30,
+    )
+
+
+def test_the_other_kind_has_the_offset_with_the_other_sign(tmp_path: Path) -> None:
+    found = truth_beside(write(tmp_path, {"K": GAIN, "b": [0.5, -0.25, 0.125], "temp_ref_c": 25.0}))
+    assert found is not None
+    assert (found.gain.tolist(), found.offset_g.tolist(), found.reference_c) == (
+        GAIN,
+        [-0.5, 0.25, -0.125],
+        25,
+    )
+
+
+@pytest.mark.parametrize("known", [{}, [], {"K": [1], "b": [0, 0, 0]}, {"K": GAIN, "b": ["x", 0, 0]}, 3])
+def test_anything_else_is_said(tmp_path: Path, known: object) -> None:
+    with pytest.raises(UnreadableError, match=r"week\.truth\.json"):
+        truth_beside(write(tmp_path, known))
+
+
+def test_text_that_is_no_json_is_said(tmp_path: Path) -> None:
+    (tmp_path / "week.truth.json").write_bytes(b"\xff{")
+    with pytest.raises(UnreadableError):
+        truth_beside(tmp_path / "week.cwa")
+
+
+def test_offsets_are_compared_at_the_reference_temperature_of_the_truth() -> None:
+    """o = 0.25 g at 20 C and 1/64 g per degree: 0.25 + 10 / 64 at 30 C."""
+    slope = ONE // 64 * 8
+    parameters = (ONE + ONE // 2, ONE, ONE, 0, 0, 0, ONE // 4, 0, 0, slope, 0, 0)
+    calibration = Calibration("9T", parameters, TemperatureScale(20_000, 8.0))
+    found = true_errors(calibration, Truth(np.eye(3), np.array([0.25, 0.0625, 0.0]), 30.0))
+    assert found.gain == 0.5
+    assert found.offset_mg == pytest.approx(10_000 / 64, rel=1e-12)
