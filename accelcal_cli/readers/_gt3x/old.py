@@ -22,6 +22,7 @@ from accelcal_cli.readers._gt3x.packed import PAIR_BYTES, YXZ, packed_bytes, pac
 from accelcal_cli.readers._gt3x.repeats import Repeats
 
 PIECE_BYTES = PAIR_BYTES << 16
+ASLEEP = "samples that repeat the one before for a second or longer, taken for idle sleep of the device"
 CUT_SAMPLE = "bytes of an incomplete sample at the end of activity.bin, left out"
 
 
@@ -54,13 +55,15 @@ class OldFile:
                 checksums of their own, any of the values may be wrong.
         """
         repeats, rows, problems, last = Repeats(self.rate), 0, self.problems, False
+        asleep: list[int] = []
         with MemberStream(self.archive, self.member) as source:
             while not last:
                 data = source.read(PIECE_BYTES)
                 last = len(data) < PIECE_BYTES
                 counts, filled = repeats.feed(samples_of(data), last=last)
+                asleep += [rows + int(np.argmax(filled)), int(filled.sum())] if filled.any() else []
                 if last:
-                    problems += self._ending(source, rows + len(counts))
+                    problems += slept(asleep) + self._ending(source, rows + len(counts))
                 for start in range(0, len(counts) or bool(problems), chunk_samples):
                     part = slice(start, start + chunk_samples)
                     yield self._chunk(
@@ -99,6 +102,15 @@ class OldFile:
         left = source.size - int(packed_bytes(packed_samples(np.array(source.size))))
         cut = Problem("truncated", f"{CUT_SAMPLE}: {left}", source.size - left, rows, left)
         return (*((cut,) if left else ()), *((fault,) if fault else ()))
+
+
+def slept(asleep: list[int]) -> tuple[Problem, ...]:
+    """A record of all samples that the device filled, from pairs of a first one and how many."""
+    if not asleep:
+        return ()
+    first, count = asleep[0], sum(asleep[1::2])
+    place = int(packed_bytes(np.array(first)))
+    return (Problem("idle_sleep", f"{ASLEEP}: {count}", place, first, count),)
 
 
 def samples_of(data: bytes) -> NDArray[np.int16]:
