@@ -135,6 +135,30 @@ def test_what_lies_right_before_lost_bytes_is_marked_unless_its_end_is_sure(tmp_
     assert (not padded.validity.any(), padded.found) == (True, [])
 
 
+def test_a_record_among_foreign_bytes_is_believed_if_its_time_is_the_recordings(tmp_path: Path) -> None:
+    noise, records, bytes_lost = b"\xaa" * 40, log(), [("bad_bytes", HEAD + 7 * LENGTH, 7 * RATE)]
+    for second, lost in ((START_S + 7, [40, 40]), (START_S + 400 * 86_400, [91]), (7, [91])):
+        middle = noise + battery(second) + noise
+        found = read(tmp_path, b"".join([*records[:8], middle, *records[8:]]))
+        assert [count for *_, count in found.found] == lost
+        assert [tuple(item[:3]) for item in found.found][:1] == bytes_lost
+        assert (found.counts == VALUES).all()
+
+
+@pytest.mark.parametrize("piece", [500, 997, 1009, 2000, 3001])
+def test_the_pieces_in_which_it_is_read_change_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
+) -> None:
+    records = log()
+    records[3] = spoiled(records[3])
+    records[5:5] = [b"\xaa" * 99]
+    path = written(tmp_path / "a.gt3x", [b"".join(records) + records[4][:50]], info(RATE))
+    expected = whole(path)
+    for size in range(piece, piece + 150):
+        monkeypatch.setattr("accelcal_cli.readers._gt3x.stream.PIECE_BYTES", size)
+        assert whole(path).same(expected)
+
+
 def test_repeated_and_exchanged_blocks_step_back_in_time(tmp_path: Path) -> None:
     records = log()
     found = read(tmp_path, b"".join(records[:11] + records[6:]))

@@ -127,6 +127,14 @@ def test_without_an_imu_there_is_no_such_sensor(tmp_path: Path) -> None:
         opened(path, sensor="wrist")
 
 
+@pytest.mark.parametrize("zero_c", [21.0, -12.5, 0.25])
+def test_the_parameters_tell_the_temperature_at_zero(tmp_path: Path, zero_c: float) -> None:
+    records = [parameters({(0, 58): encoded(zero_c)}), schema(), data(START_S, VALUES[:100])]
+    found = whole(written(tmp_path / "a.gt3x", records, info(30)), sensor="imu")
+    warm = np.concatenate([chunk.temperature_mc for chunk in found.chunks])
+    np.testing.assert_allclose(warm, 1000 * (VALUES[:100, 3] / 333.87 + zero_c), atol=0.6)
+
+
 def test_only_what_the_schema_names(tmp_path: Path) -> None:
     plain = [schema(3, 50), record(SENSOR_DATA, START_S, struct.pack("<H", 1) + b"\0\1\0\2\0\3\7" * 50)]
     other = data(START_S + 1, VALUES[:100], number=2)

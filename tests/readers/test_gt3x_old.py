@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import struct
 import zipfile
 from pathlib import Path
 
@@ -112,8 +114,12 @@ def test_damage_within_is_refused_as_nothing_tells_which_values_are_wrong(tmp_pa
         data[:place] + bytes(9) + data[place:],
     ]
     tight = zipped({"info.txt": old_info(), "activity.bin": packed(VALUES)})
+    size = zipfile.ZipFile(io.BytesIO(tight)).getinfo("activity.bin").compress_size
     place = tight.index(b"activity.bin") + 1500
     mutants.append(tight[:place] + bytes([tight[place] ^ 1]) + tight[place + 1 :])
+    short = tight.replace(*(struct.pack("<I", size - lost) for lost in (0, 10)))
+    assert short != tight
+    mutants.append(short)
     for mutant in mutants:
         path = tmp_path / "a.gt3x"
         path.write_bytes(mutant)
