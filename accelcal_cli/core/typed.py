@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from math import isfinite
 from pathlib import Path
 from types import NoneType, UnionType
@@ -46,7 +46,7 @@ def restored(kind: type[T], values: Mapping[str, Any]) -> Restored[T]:
 
 
 def converted(value: Any, hint: Any) -> Any:
-    """A JSON value as a type: str, int, float, bool, None, Path, tuples and unions of these.
+    """A JSON value as a type: str, int, float, bool, None, Path, records, tuples and unions of these.
 
     Raises:
         TypeError: it is of another type, or not finite.
@@ -56,6 +56,8 @@ def converted(value: Any, hint: Any) -> Any:
         return _of_union(value, get_args(hint))
     if origin is tuple:
         return _of_tuple(value, get_args(hint))
+    if is_dataclass(hint):
+        return _record(value, hint)
     if hint is Path and isinstance(value, str):
         return Path(value)
     if hint is float and type(value) is int:
@@ -63,6 +65,16 @@ def converted(value: Any, hint: Any) -> Any:
     if type(value) is not hint or (hint is float and not isfinite(value)):
         raise TypeError
     return value
+
+
+def _record(value: Any, kind: Any) -> Any:
+    """A record within a record: all of its fields, and no others."""
+    if not isinstance(value, dict) or set(value) != {field.name for field in fields(kind)}:
+        raise TypeError
+    try:
+        return restored(kind, value).record
+    except ValueError as error:
+        raise TypeError from error
 
 
 def _of_union(value: Any, options: tuple[Any, ...]) -> Any:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import PROFILES, Settings
+from accelcal_cli.core.settings import PROFILES, STILLNESS, Settings
 from accelcal_cli.core.typed import Restored, restored
 from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.optimize import named_optimizer
@@ -39,6 +39,7 @@ LIMITS: dict[str, tuple[float, float]] = {
 
 CHOICES = {
     "profile": tuple(PROFILES),
+    "stillness": tuple(STILLNESS),
     "model": ("auto", "9", "6", "3"),
     "unit": ("g", "mg", "m/s2", "counts"),
     "date_format": ("dmy", "mdy", "ymd"),
@@ -129,16 +130,29 @@ def _check(record: Settings | ReadOptions) -> None:
         value = getattr(record, name)
         low, high = LIMITS.get(name, (float("-inf"), float("inf")))
         numbers = value if isinstance(value, tuple) else (value,)
-        if name in LIMITS and value is not None and not (numbers and all(low <= v <= high for v in numbers)):
+        if name in LIMITS and value is not None and not all(low <= v <= high for v in numbers):
             raise ValueError(f"{name} cannot be {value}")
         if name in CHOICES and value is not None and value not in CHOICES[name]:
             raise ValueError(f"{name} cannot be {value!r}")
     if isinstance(record, Settings):
         named_optimizer(record.optimizer)
+        _check_rule(record)
     else:
         utc_offset_s(record.timezone, 0)
         if record.format is not None:
             named_format(record.format)
+
+
+def _check_rule(record: Settings) -> None:
+    """Raise ValueError for numbers of a rule of stillness that cannot be, or that belong to another."""
+    rule = STILLNESS[record.stillness]
+    for name in ("stillness_axes", "stillness_threshold_g", "stillness_deviation_g"):
+        value = getattr(record, name)
+        if bool(value) != bool(rule[name]):
+            raise ValueError(f"{name} cannot be {value}")
+    numbers = () if record.adaptive is None else astuple(record.adaptive)
+    if bool(numbers) != (record.stillness == "adaptive") or not all(1 <= v <= 1 << 24 for v in numbers):
+        raise ValueError(f"adaptive cannot be {record.adaptive}")
 
 
 def _typed(values: Mapping[str, Any], name: str, kind: type, *, default: Any) -> Any:

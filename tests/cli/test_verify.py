@@ -24,6 +24,8 @@ Capture = pytest.CaptureFixture[str]
         ("--model", "6", "--segment-seconds", 4, "--stillness-threshold-g", 0.2),
         ("--optimizer", "gauss-newton"),
         ("--profile", "paper"),
+        ("--stillness", "deviation"),
+        ("--stillness", "adaptive"),
         ("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"),
         ("--report-only", "--lsb-per-g", 250.0, "--no-temperature"),
     ],
