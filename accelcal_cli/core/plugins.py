@@ -25,6 +25,15 @@ def bound(package: str, folder: Iterable[str], attribute: str) -> list[Any]:
     return sorted(found, key=lambda item: str(item.name))
 
 
+def only(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
+    """`attribute` of the one module that is called like the item, `_` for hyphens; None if there is none."""
+    module = name.replace("-", "_")
+    if module.startswith("_") or module not in {info.name for info in pkgutil.iter_modules(folder)}:
+        return None
+    found = getattr(importlib.import_module(f"{package}.{module}"), attribute)
+    return found if found.name == name else None
+
+
 T = TypeVar("T", bound=Named)
 
 

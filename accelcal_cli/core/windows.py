@@ -37,6 +37,18 @@ class Windows:
         )
 
 
+def joined_windows(parts: list[Windows]) -> Windows:
+    """Windows one after another, all of them with temperatures or none."""
+    warm = [part.temperature_sums for part in parts if part.temperature_sums is not None]
+    return Windows(
+        np.concatenate([part.samples for part in parts]),
+        np.concatenate([part.first_sample for part in parts]),
+        np.concatenate([part.sums for part in parts]),
+        np.concatenate([part.spread for part in parts]),
+        np.concatenate(warm) if warm else None,
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
     """How many windows there were and why some were not used; sums over chunks by +.

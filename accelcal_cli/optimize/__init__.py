@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from accelcal_cli.core.plugins import bound, named
+from accelcal_cli.core.plugins import bound, named, only
 from accelcal_cli.core.points import Optimizer
 
 
@@ -15,5 +15,6 @@ def all_optimizers() -> tuple[Optimizer, ...]:
 
 
 def named_optimizer(name: str) -> Optimizer:
-    """Look one up by name; raises UsageError where there is none."""
-    return named(name, all_optimizers(), "optimizer")
+    """Look one up by name, importing no other; raises UsageError where there is none."""
+    found = only(__name__, __path__, "OPTIMIZER", name)
+    return found or named(name, all_optimizers(), "optimizer")

@@ -13,8 +13,11 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.output.parquet import ParquetSink
+from accelcal_cli.pipeline.ahead import ahead
 from accelcal_cli.pipeline.request import Progress
 from accelcal_cli.pipeline.survey import with_clipping
+
+BLOCK_ROWS = 1 << 14
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,25 +32,43 @@ class Applier:
 
     def apply(self, chunk: Chunk) -> list[NDArray[np.float32]]:
         """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
-        shifted = [self._shifted(chunk, axis) for axis in range(3)]
-        calibrated = []
+        made = [np.empty(len(chunk), np.float32) for _ in range(3)]
+        room = np.empty((5, BLOCK_ROWS))
+        for start in range(0, len(chunk), BLOCK_ROWS):
+            part = slice(start, min(start + BLOCK_ROWS, len(chunk)))
+            self._block(chunk, part, room[:, : part.stop - start], made)
+        return made
+
+    def _block(
+        self, chunk: Chunk, part: slice, room: NDArray[np.float64], made: list[NDArray[np.float32]]
+    ) -> None:
+        """Rows that the processor's cache holds, in memory that is used again."""
+        shifted, total, product = room[:3], room[3], room[4]
+        for axis in range(3):
+            self._shift(chunk, part, axis, (shifted[axis], product))
         for row in range(3):
-            total = shifted[row] * self.gain[row, row]
+            np.multiply(shifted[row], self.gain[row, row], out=total)
             for column in self._others(row):
-                total += shifted[column] * self.gain[row, column]
-            calibrated.append(total.astype(np.float32))
-        return calibrated
+                np.multiply(shifted[column], self.gain[row, column], out=product)
+                total += product
+            made[row][part] = total
 
     def _others(self, row: int) -> list[int]:
         """Columns besides the diagonal; above it only where K is not lower triangular."""
         return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
-    def _shifted(self, chunk: Chunk, axis: int) -> NDArray[np.float64]:
-        values = chunk.counts[:, axis] / self.lsb_per_g
+    def _shift(
+        self, chunk: Chunk, part: slice, axis: int, room: tuple[NDArray[np.float64], NDArray[np.float64]]
+    ) -> None:
+        """v + o + s (T - Tref) of one axis."""
+        values, warmth = room
+        np.divide(chunk.counts[part, axis], self.lsb_per_g, out=values)
         values += self.offset_g[axis]
         if self.slope_g_per_c[axis] and chunk.temperature_mc is not None:
-            values += self.slope_g_per_c[axis] * (chunk.temperature_mc / 1000.0 - self.reference_c)
-        return np.asarray(values, np.float64)
+            np.divide(chunk.temperature_mc[part], 1000.0, out=warmth)
+            warmth -= self.reference_c
+            warmth *= self.slope_g_per_c[axis]
+            values += warmth
 
 
 def applier(calibration: Calibration, lsb_per_g: float) -> Applier:
@@ -97,7 +118,7 @@ def write_calibrated(
         OutputError: the output cannot be written.
     """
     total, names = 0, target.sink.schema.names
-    for chunk, xyz in calibrated(recording, chunks, target.apply, progress):
+    for chunk, xyz in ahead(calibrated(recording, chunks, target.apply, progress)):
         total += beyond(xyz, recording.range_g)
         target.sink.write(rows(chunk, xyz, recording, names, target.offset_s))
     return total

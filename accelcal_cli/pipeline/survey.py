@@ -12,6 +12,8 @@ from accelcal_cli.core.facts import Facts, Gap
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.windows import Windows
 from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.pipeline.ahead import ahead
+from accelcal_cli.pipeline.batches import Batches
 from accelcal_cli.pipeline.profiles import Method
 from accelcal_cli.pipeline.request import Progress
 
@@ -153,15 +155,14 @@ def survey(
     """
     observer = Observer(recording, method.rest_lsb)
 
-    def use(found: Iterable[Windows]) -> None:
-        for windows in found:
-            observer.see_still(windows)
-            method.procedure.add(windows)
+    def use(windows: Windows) -> None:
+        observer.see_still(windows)
+        method.procedure.add(windows)
 
-    for raw in chunks:
-        chunk = with_clipping(raw, recording)
-        observer.see(chunk)
-        use(method.segmenter.feed(chunk))
-        progress(chunk.end_byte)
-    use(method.segmenter.finish())
+    with Batches(use) as batches:
+        for chunk in ahead(with_clipping(raw, recording) for raw in chunks):
+            observer.see(chunk)
+            batches.take(method.segmenter.feed(chunk))
+            progress(chunk.end_byte)
+        batches.take(method.segmenter.finish())
     return observer.facts()

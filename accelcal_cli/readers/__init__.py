@@ -8,7 +8,7 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
-from accelcal_cli.core.plugins import bound, named
+from accelcal_cli.core.plugins import bound, named, only
 from accelcal_cli.core.recording import Reader
 
 
@@ -42,7 +42,8 @@ def find_format(path: Path, options: ReadOptions) -> Format:
 
 def named_format(name: str) -> Format:
     """Look a format up by name; raises UsageError where there is none."""
-    return named(name, all_formats(), "format")
+    found = only(__name__, __path__, "FORMAT", name)
+    return found or named(name, all_formats(), "format")
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
