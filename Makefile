@@ -15,6 +15,8 @@ $(READY): pyproject.toml
 	  || { echo "accelcal needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[oracles]' \
+	  || echo "The other readers that some tests compare with do not install here; those tests are skipped."
 	touch $(READY)
 
 demo: $(READY)
