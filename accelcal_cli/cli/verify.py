@@ -13,8 +13,9 @@ from accelcal_cli.cli import exits
 from accelcal_cli.cli.options import chunk_option
 from accelcal_cli.cli.progress import progress_bars
 from accelcal_cli.core.names import printable
+from accelcal_cli.pipeline.remake import Wanted
 from accelcal_cli.pipeline.values import ParquetCheck
-from accelcal_cli.pipeline.verify import Verified, Wanted, verify
+from accelcal_cli.pipeline.verify import Verified, verify
 
 DIFFERS = 1
 SHOWN_KEYS = 5
@@ -28,6 +29,11 @@ SHOWN_KEYS = 5
     "--layout",
     type=click.Path(path_type=Path, readable=False),
     help="Layout file of a raw dump, where it is not beside it.",
+)
+@click.option(
+    "--poses",
+    type=click.Path(path_type=Path, readable=False),
+    help="List of poses of a session, where it is not beside it.",
 )
 @click.option(
     "--coefficients",
@@ -45,7 +51,8 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     wrote the report, this version, and the keys that differ, separated by tabs. Exits with 1 where
     anything differs.
     """
-    wanted = Wanted(values["layout"], values["coefficients"], values["values"], values["chunk_samples"])
+    names = ("layout", "poses", "coefficients", "values", "chunk_samples")
+    wanted = Wanted(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
         found = verify(report, recording, wanted, bars)
     click.echo(json.dumps(as_object(report, recording, found)) if values["as_json"] else line(report, found))

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.output.coefficients import FULL_GAIN, Coefficients, read_coefficients
+from accelcal_cli.output.coefficients import Coefficients, read_coefficients
 from accelcal_cli.output.document import Document, check_sections
 from accelcal_cli.pipeline.identity import sha256
-from accelcal_cli.pipeline.rebuild import Rebuilt
+from accelcal_cli.pipeline.rebuild import NamedFile, Rebuilt
 
 
 def donor_of(document: Document, named: Path | None) -> Coefficients | None:
@@ -41,15 +41,13 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
 
 
 def refuse_kind(document: Document) -> None:
-    """Raise UsageError for a report that was made of something else than one recording's stillness."""
-    report = document.report
-    found, used = report.get("calibration"), report.get("settings")
-    full = isinstance(found, dict) and found.get("model") == FULL_GAIN and "coefficients" not in report
-    if full or (isinstance(used, dict) and "input" not in used):
+    """Raise UsageError for a report that does not say how its recording was read."""
+    used = document.report.get("settings")
+    if isinstance(used, dict) and "input" not in used:
         raise UsageError(
-            "was not made of the stillness of a recording",
+            "does not say how its recording was read, and cannot be made again",
             path=document.path,
-            hint="only reports of calibrate, apply and fit can be verified",
+            hint="name a report of calibrate, apply, fit or six-pose",
         )
 
 
@@ -65,13 +63,21 @@ def refuse_other(document: Document, recording: Path) -> None:
 
 def layout_of(held: Rebuilt, recording: Path, named: Path | None) -> Path | None:
     """The layout file that the report was made with; raises UsageError where it is not there."""
-    if held.layout is None:
-        return named
-    path = named or recording.with_name(held.layout)
-    if not path.is_file() or sha256(path) != held.layout_sha256:
+    return named if held.layout is None else _unchanged(held.layout, recording, named, "layout")
+
+
+def poses_of(held: Rebuilt, recording: Path, named: Path | None) -> Path | None:
+    """The list of poses that the report was made with; raises UsageError where it is not there."""
+    return None if held.poses is None else _unchanged(held.poses, recording, named, "poses")
+
+
+def _unchanged(then: NamedFile, recording: Path, named: Path | None, what: str) -> Path:
+    """A file that lies beside the recording, or where the user says."""
+    path = named or recording.with_name(then.name)
+    if not path.is_file() or sha256(path) != then.sha256:
         raise UsageError(
-            f"is not the layout {held.layout} that the report was made with",
+            f"is not the {what} {then.name} that the report was made with",
             path=path,
-            hint="name it with --layout",
+            hint=f"name it with --{what}",
         )
     return path

@@ -120,8 +120,9 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
         UnreadableError: the donor's report has settings that cannot be.
     """
     held = donor.document.report.get("settings")
-    known = isinstance(held, dict) and "input" in held and held.get("profile") != SIX_POSE
-    base = rebuild(donor.document).settings if known else DEFAULT
+    known = isinstance(held, dict) and held.get("profile") != SIX_POSE
+    rebuilt = rebuild(donor.document).settings if known else DEFAULT
+    base = rebuilt if isinstance(rebuilt, Settings) else DEFAULT
     if found is Link.OWN:
         return base
     base = base if base.profile == DEFAULT.profile else DEFAULT

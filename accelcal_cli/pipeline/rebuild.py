@@ -8,7 +8,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import PROFILES, STILLNESS, Settings
+from accelcal_cli.core.settings import PROFILES, SIX_POSE, STILLNESS, PoseSettings, Settings
 from accelcal_cli.core.typed import Restored, restored
 from accelcal_cli.core.zones import utc_offset_s
 from accelcal_cli.optimize import named_optimizer
@@ -30,6 +30,11 @@ LIMITS: dict[str, tuple[float, float]] = {
     "max_error_mg": (0, 1e6),
     "min_temperature_range_c": (0, 1e3),
     "temperature_block_c": (1e-3, 1e3),
+    "face_degrees": (0.1, 90),
+    "state_degrees": (1e-3, 180),
+    "min_state_seconds": (0, 3600),
+    "max_condition": (1, 1e9),
+    "max_vector_error_mg": (0, 1e6),
     "latitude": (-90, 90),
     "altitude_m": (-500, 9000),
     "rate_hz": (1e-3, 1e5),
@@ -49,7 +54,19 @@ POINTS = "points"
 """What `fit` calls the format of its tables."""
 
 NOT_SETTINGS = ("report_only", "input")
+FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
+"""What a report of a session says of its method, and no user can change."""
+
+NOT_POSE_SETTINGS = (*NOT_SETTINGS, *FIXED, "poses", "poses_sha256")
 NOT_OPTIONS = ("layout", "layout_sha256")
+
+
+@dataclass(frozen=True, slots=True)
+class NamedFile:
+    """A file of which a report holds the name and the hash."""
+
+    name: str
+    sha256: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +74,19 @@ class Rebuilt:
     """What a report was made with.
 
     Attributes:
-        options: without the layout, of which a report holds only the name.
-        layout, layout_sha256: the layout file's name and hash, None without one.
+        settings: those of `six-pose` in a report of that command.
+        options: without the layout.
+        layout: the layout file of a raw dump, None without one.
+        poses: the list of poses of a session, None without one.
         missing: settings that the report does not name; this version's defaults stand for them.
         unknown: settings that it names and this version does not have; they are not used.
     """
 
-    settings: Settings
+    settings: Settings | PoseSettings
     options: ReadOptions
     report_only: bool
-    layout: str | None
-    layout_sha256: str | None
+    layout: NamedFile | None
+    poses: NamedFile | None
     missing: tuple[str, ...]
     unknown: tuple[str, ...]
 
@@ -82,21 +101,35 @@ def rebuild(document: Document) -> Rebuilt:
     if not isinstance(held, dict) or not isinstance(held.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        settings = restored(Settings, _without(held, NOT_SETTINGS))
-        options = _options(held["input"])
-        _check(settings.record)
-        _check(options.record)
-        report_only = _typed(held, "report_only", bool, default=False)
-        layout = _typed(held["input"], "layout", str, default=None)
-        digest = _typed(held["input"], "layout_sha256", str, default=None)
+        return _rebuilt(held)
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:
         raise UnreadableError(
             f"settings: {error.message}", path=document.path, hint="this version does not know it"
         ) from error
+
+
+def _rebuilt(held: dict[str, Any]) -> Rebuilt:
+    settings, options = _settings(held), _options(held["input"])
+    _check(settings.record)
+    _check(options.record)
     missing, unknown = _odd(held, settings, options)
-    return Rebuilt(settings.record, options.record, report_only, layout, digest, missing, unknown)
+    return Rebuilt(
+        settings=settings.record,
+        options=options.record,
+        report_only=_typed(held, "report_only", bool, default=False),
+        layout=_file(held["input"], "layout"),
+        poses=_file(held, "poses"),
+        missing=missing,
+        unknown=unknown,
+    )
+
+
+def _settings(held: Mapping[str, Any]) -> Restored[Any]:
+    if held.get("profile") == SIX_POSE:
+        return restored(PoseSettings, _without(held, NOT_POSE_SETTINGS))
+    return restored(Settings, _without(held, NOT_SETTINGS))
 
 
 def _options(held: Mapping[str, Any]) -> Restored[ReadOptions]:
@@ -111,7 +144,7 @@ def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any
 
 
 def _odd(
-    held: Mapping[str, Any], settings: Restored[Settings], options: Restored[ReadOptions]
+    held: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Missing and unknown keys, by their places in `settings`."""
     outer = [name for name in NOT_SETTINGS if name not in held]
@@ -124,7 +157,7 @@ def _odd(
     )
 
 
-def _check(record: Settings | ReadOptions) -> None:
+def _check(record: Settings | PoseSettings | ReadOptions) -> None:
     """Raise ValueError for a number out of its limits, AccelcalError for a name this version lacks."""
     for name in record.__dataclass_fields__:
         value = getattr(record, name)
@@ -137,7 +170,7 @@ def _check(record: Settings | ReadOptions) -> None:
     if isinstance(record, Settings):
         named_optimizer(record.optimizer)
         _check_rule(record)
-    else:
+    elif isinstance(record, ReadOptions):
         utc_offset_s(record.timezone, 0)
         if record.format is not None:
             named_format(record.format)
@@ -153,6 +186,12 @@ def _check_rule(record: Settings) -> None:
     numbers = () if record.adaptive is None else astuple(record.adaptive)
     if bool(numbers) != (record.stillness == "adaptive") or not all(1 <= v <= 1 << 24 for v in numbers):
         raise ValueError(f"adaptive cannot be {record.adaptive}")
+
+
+def _file(values: Mapping[str, Any], name: str) -> NamedFile | None:
+    told = _typed(values, name, str, default=None)
+    digest = _typed(values, f"{name}_sha256", str, default=None)
+    return None if told is None else NamedFile(told, digest)
 
 
 def _typed(values: Mapping[str, Any], name: str, kind: type, *, default: Any) -> Any:

@@ -90,50 +90,71 @@ def six_pose(
         DivergedError: the poses do not determine the parameters; nothing is written.
         AccelcalError: it cannot be read, or its report cannot be written.
     """
-    path = source or job.source
-    listed = () if request.poses is None else read_list(request.poses)
+    path, listed = source or job.source, _listed(request)
     with open_recording(path, request.options) as reader:
         prepare(job, force=request.force)
         if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
             return held
-        with hashing(path) as digest:
-            shown = progress("reading", reader.recording.total_bytes)
-            seen = timed_pass(reader, request.chunk_samples, request.settings, shown)
-            return _Run(job, request, reader, seen).run(listed, digest)
+        data, more = _Session(job.source, request, progress, reader).judged(path, listed)
+    return _write(job, request, data, more)
+
+
+def session_report(path: Path, request: PoseRequest, progress: ProgressMaker = no_progress) -> dict[str, Any]:
+    """The report of a session without `provenance`; nothing is written.
+
+    Raises:
+        AccelcalError: see `six_pose`.
+    """
+    listed = _listed(request)
+    with open_recording(path, request.options) as reader:
+        data, more = _Session(path, request, progress, reader).judged(path, listed)
+    return {**reports.build(data), **more}
+
+
+def _listed(request: PoseRequest) -> Sequence[Listed]:
+    return () if request.poses is None else read_list(request.poses)
 
 
 @dataclass(frozen=True, slots=True)
-class _Run:
-    """One calibration of one session that has been read."""
+class _Session:
+    """One open session; `shown` is the path that the report names."""
 
-    job: Job
+    shown: Path
     request: PoseRequest
+    progress: ProgressMaker
     reader: Reader
-    seen: Pass
 
-    def run(self, listed: Sequence[Listed], digest: Future[str]) -> Result:
-        """Find the poses, fit, judge, write."""
+    def judged(self, path: Path, listed: Sequence[Listed]) -> tuple[reports.ReportInput, dict[str, Any]]:
+        """Read, find the poses, fit, judge: all that the report says; `path` is where the bytes are."""
+        with hashing(path) as digest:
+            shown = self.progress("reading", self.reader.recording.total_bytes)
+            seen = timed_pass(self.reader, self.request.chunk_samples, self.request.settings, shown)
+            return self._judged(seen, listed, digest)
+
+    def _judged(
+        self, seen: Pass, listed: Sequence[Listed], digest: Future[str]
+    ) -> tuple[reports.ReportInput, dict[str, Any]]:
         settings = self.request.settings
         try:
-            session = find_poses(self.seen, self.reader.recording.lsb_per_g, listed, settings)
+            session = find_poses(seen, self.reader.recording.lsb_per_g, listed, settings)
             fit = known_fit(session, settings)
             judgement, vectors = judge_known(session, fit, settings)
             if judgement.calibration is not None:
                 check_range(judgement.calibration)
         except DivergedError as error:
-            error.path = error.path or self.job.source
+            error.path = error.path or self.shown
             raise
-        data = self._input(session, digest.result(), judgement)
         known = known_json(session, fit, judgement.outcome, vectors)
-        return self._write(data, {"poses": poses_json(session, fit), "known_orientations": known})
+        data = self._input(seen, session, digest.result(), judgement)
+        return data, {"poses": poses_json(session, fit), "known_orientations": known}
 
-    def _input(self, session: Session, sha256: str, judgement: Judgement) -> reports.ReportInput:
-        recording, seen = self.reader.recording, self.seen
+    def _input(self, seen: Pass, session: Session, sha256: str, judgement: Judgement) -> reports.ReportInput:
+        recording = self.reader.recording
         constant = 0 if seen.cells.constant_used else seen.cells.constant
         use = window_use(seen.counts, seen.cells.implausible, constant)
         used = sum(pose.state.windows for pose in session.poses)
         return reports.ReportInput(
-            recording=replace(recording, path=self.job.source),
+            recording=replace(recording, path=self.shown),
             sha256=sha256,
             facts=seen.facts,
             settings=self.request.effective_settings(recording.companion),
@@ -143,13 +164,14 @@ class _Run:
             clipped_after=None,
         )
 
-    def _write(self, data: reports.ReportInput, more: dict[str, Any]) -> Result:
-        """The report, after what an earlier command of ours left for this recording is gone."""
-        remove_stale_parquet(self.job.parquet, reports.parquet_metadata(data))
-        remove(self.job.integers)
-        report = with_provenance({**reports.build(data), **more}, self.request.command)
-        save_report(self.job.report, report)
-        return Result(self.job, report)
+
+def _write(job: Job, request: PoseRequest, data: reports.ReportInput, more: dict[str, Any]) -> Result:
+    """The report, after what an earlier command of ours left for this recording is gone."""
+    remove_stale_parquet(job.parquet, reports.parquet_metadata(data))
+    remove(job.integers)
+    report = with_provenance({**reports.build(data), **more}, request.command)
+    save_report(job.report, report)
+    return Result(job, report)
 
 
 def find_poses(seen: Pass, lsb_per_g: float, listed: Sequence[Listed], settings: PoseSettings) -> Session:

@@ -2,47 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli.judge.borrowed import difference_mg
 from accelcal_cli.judge.uncertainty import directions
-from accelcal_cli.output.coefficients import Coefficients, calibration_of
+from accelcal_cli.output.coefficients import calibration_of
 from accelcal_cli.output.document import Document, check_sections, read_document
-from accelcal_cli.output.report import ReportInput, build
 from accelcal_cli.output.sections import significant
-from accelcal_cli.pipeline import apply, calibrate
-from accelcal_cli.pipeline.again import donor_of, layout_of, refuse_kind, refuse_other
+from accelcal_cli.pipeline.again import refuse_kind, refuse_other
 from accelcal_cli.pipeline.compare import differing
-from accelcal_cli.pipeline.donor import relation
 from accelcal_cli.pipeline.existing import as_stored
-from accelcal_cli.pipeline.fit import fit_points
-from accelcal_cli.pipeline.passes import Passes, writes_parquet
-from accelcal_cli.pipeline.plan import Job
-from accelcal_cli.pipeline.rebuild import POINTS, Rebuilt, rebuild
-from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES, ProgressMaker, Request, no_progress
-from accelcal_cli.pipeline.values import ParquetCheck, check_parquet
-from accelcal_cli.readers import open_recording
+from accelcal_cli.pipeline.rebuild import Rebuilt, rebuild
+from accelcal_cli.pipeline.remake import Wanted, remade
+from accelcal_cli.pipeline.request import ProgressMaker, no_progress
+from accelcal_cli.pipeline.values import ParquetCheck
 
 NOT_COMPARED = ("provenance", "accelcal_version")
 """The report's provenance differs from run to run; the versions are named beside the result."""
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """What to verify by.
-
-    Attributes:
-        layout: layout file, where it does not lie beside the recording.
-        coefficients: coefficient file of a report of `apply`, where it is not where it was.
-        values: also compare every value of the Parquet file.
-    """
-
-    layout: Path | None = None
-    coefficients: Path | None = None
-    values: bool = False
-    chunk_samples: int = DEFAULT_CHUNK_SAMPLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,39 +68,8 @@ def verify(report: Path, recording: Path, wanted: Wanted, progress: ProgressMake
     refuse_kind(document)
     refuse_other(document, recording)
     held = rebuild(document)
-    if document.report["recording"].get("format") == POINTS:
-        check_parquet(None, document, values=wanted.values)
-        return _verified(document, held, fit_points(recording, held.settings), None)
-    data, parquet = _of_recording(document, held, recording, wanted, progress)
-    return _verified(document, held, build(data), parquet)
-
-
-def _of_recording(
-    document: Document, held: Rebuilt, recording: Path, wanted: Wanted, progress: ProgressMaker
-) -> tuple[ReportInput, ParquetCheck | None]:
-    """All that the report is made of, made again; and the Parquet file beside it."""
-    donor = donor_of(document, wanted.coefficients)
-    options = replace(held.options, layout=layout_of(held, recording, wanted.layout))
-    request = Request(
-        options=options,
-        settings=held.settings,
-        chunk_samples=wanted.chunk_samples,
-        report_only=held.report_only,
-        coefficients=donor,
-        any_device=True,
-    )
-    with open_recording(recording, options) as reader:
-        passes = Passes(Job(recording, recording, document.path), request, progress, reader, recording)
-        data = passes.count_beyond(_again(passes, donor))
-        made = (passes, data) if writes_parquet(data) else None
-        return data, check_parquet(made, document, values=wanted.values)
-
-
-def _again(passes: Passes, donor: Coefficients | None) -> ReportInput:
-    if donor is None:
-        return calibrate.judged(passes)[0]
-    found = relation(donor, passes.reader.recording, passes.bytes_at, passes.request)
-    return apply.judged(passes, donor, found)
+    made, parquet = remade(document, held, recording, wanted, progress)
+    return _verified(document, held, made, parquet)
 
 
 def _verified(
@@ -145,8 +92,10 @@ def _keep_places(now: dict[str, Any], said: dict[str, Any]) -> None:
     for section in ("recording", "coefficients"):
         if section in now and section in said:
             now[section]["path"] = said[section]["path"]
-    if now["settings"]["input"].get("layout") is not None and "layout" in said["settings"]["input"]:
-        now["settings"]["input"]["layout"] = said["settings"]["input"]["layout"]
+    pairs = ((now["settings"]["input"], said["settings"]["input"], "layout"),)
+    for made, told, name in (*pairs, (now["settings"], said["settings"], "poses")):
+        if made.get(name) is not None and name in told:
+            made[name] = told[name]
 
 
 def _compared(report: dict[str, Any]) -> dict[str, Any]:

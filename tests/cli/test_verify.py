@@ -184,7 +184,7 @@ def test_what_is_no_report_of_a_recording(tmp_path: Path, capsys: Capture) -> No
     whole = report.read_text()
     for change, code in (
         (lambda held: held["settings"].pop("input"), 2),
-        (lambda held: held["calibration"].update(model="12"), 2),
+        (lambda held: held["settings"].update(profile="six-pose"), 4),
         (lambda held: held.pop("settings"), 3),
         (lambda held: held.pop("recording"), 3),
         (lambda held: held.update(schema_version=7), 3),

@@ -11,10 +11,11 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
+from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings, Settings
 from accelcal_cli.output.document import Document
 from accelcal_cli.pipeline.rebuild import LIMITS, Rebuilt, rebuild
 from accelcal_cli.pipeline.request import Request
+from accelcal_cli.pipeline.six_pose import PoseRequest
 
 
 def stored(request: Request) -> dict[str, Any]:
@@ -32,6 +33,12 @@ def test_everything_comes_back(settings: Settings) -> None:
     assert made == Rebuilt(settings, options, True, None, None, (), ())
 
 
+def test_settings_of_a_session_come_back() -> None:
+    settings = PoseSettings(face_degrees=20.0, latitude=10.0)
+    made = rebuilt(json.loads(json.dumps(PoseRequest(settings=settings).effective_settings(None))))
+    assert made == Rebuilt(settings, ReadOptions(), True, None, None, (), ())
+
+
 def test_missing_and_unknown_settings_are_told() -> None:
     held = stored(Request())
     del held["cells_per_g"], held["report_only"], held["input"]["sensor"], held["input"]["layout_sha256"]
@@ -44,7 +51,7 @@ def test_missing_and_unknown_settings_are_told() -> None:
 
 def test_every_number_has_its_limits() -> None:
     """A setting without limits could bring a report that makes nonsense of them to a bug."""
-    for record in (DEFAULT, ReadOptions()):
+    for record in (DEFAULT, PoseSettings(), ReadOptions()):
         for name, field in record.__dataclass_fields__.items():
             assert name in LIMITS or not any(kind in str(field.type) for kind in ("int", "float")), name
 
@@ -53,6 +60,8 @@ def test_every_number_has_its_limits() -> None:
 @pytest.mark.parametrize("value", [-1e12, 1e12, "x", True, {}, [], [1e12]])
 def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
     held = stored(Request())
+    if name not in {**held, **held["input"]}:
+        held = json.loads(json.dumps(PoseRequest().effective_settings(None)))
     inside = held if name in held else held["input"]
     inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
     with pytest.raises(UnreadableError, match=rf"a\.json: .*{name} cannot be"):
