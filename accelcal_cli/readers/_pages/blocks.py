@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +36,35 @@ class RawBlock:
     tail: bytes
     broken: bool
     last: bool
+
+    @property
+    def next_position(self) -> int:
+        """Number of the page after these."""
+        return self.first_position + len(self.pages)
+
+
+class Block(Protocol):
+    """What is asked of consecutive pages after they are decoded; the attributes are as in RawBlock."""
+
+    @property
+    def next_position(self) -> int:
+        """Number of the page after these."""
+
+    @property
+    def end_byte(self) -> int: ...
+    @property
+    def tail(self) -> bytes: ...
+    @property
+    def broken(self) -> bool: ...
+    @property
+    def last(self) -> bool: ...
+
+
+class Places(Protocol):
+    """Knows where pages lie."""
+
+    def offset(self, position: int) -> int:
+        """Where page `position` begins, bytes from the start of the (uncompressed) file."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from accelcal_cli.readers._pages.blocks import PagedFile, RawBlock, is_erased
+from accelcal_cli.readers._pages.blocks import Block, Places, is_erased
 from accelcal_cli.readers._pages.pages import (
     BAD_KINDS,
     ERASED,
@@ -41,7 +41,7 @@ class EventMaker:
         warm: the recording has a temperature at all.
     """
 
-    def __init__(self, file: PagedFile, *, warm: bool) -> None:
+    def __init__(self, file: Places, *, warm: bool) -> None:
         self._file = file
         self._warm = warm
         self._erased: BadRun | None = None
@@ -96,12 +96,12 @@ class EventMaker:
             if behind:
                 yield replace(self._event(place, "clock_back", CLOCK_BACK, sample), amount_us=behind)
 
-    def ending(self, raw: RawBlock, decoded: Decoded, rows_in: int) -> Iterator[Event]:
+    def ending(self, raw: Block, decoded: Decoded, rows_in: int) -> Iterator[Event]:
         """An incomplete page or frame at the end, unless it is erased flash."""
         blank = len(decoded.leftover) >= BLANK_BYTES or self._erased is not None or decoded.unused_end
         if not raw.broken and is_erased(decoded.leftover) and (blank or not decoded.leftover):
             return
-        position = raw.first_position + len(raw.pages)
+        position = raw.next_position
         offset = self._file.offset(position) + len(raw.tail) - len(decoded.leftover)
         text = BROKEN_OFF if raw.broken else CUT_OFF
         yield Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))

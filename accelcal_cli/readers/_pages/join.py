@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Chunk, Problem
-from accelcal_cli.readers._pages.blocks import PagedFile, RawBlock
+from accelcal_cli.readers._pages.blocks import Block, Places
 from accelcal_cli.readers._pages.events import EventMaker
 from accelcal_cli.readers._pages.pages import NO_TEMPERATURE, Decoded, PageBlock, joined, page_rows, split
 from accelcal_cli.readers._pages.problems import Event, ProblemLog
@@ -60,7 +60,7 @@ class PageJoiner:
     The last page is held back until the next one tells how long it lasted.
     """
 
-    def __init__(self, file: PagedFile, spacing: Spacing, timeline: Timeline, start: Start) -> None:
+    def __init__(self, file: Places, spacing: Spacing, timeline: Timeline, start: Start) -> None:
         self._spacing = spacing
         self._timeline = timeline
         self._events = EventMaker(file, warm=start.temperature_mc != NO_TEMPERATURE)
@@ -71,7 +71,7 @@ class PageJoiner:
         self._rows_in = start.sample
         self._rows_out = start.sample
 
-    def feed(self, raw: RawBlock, decoded: Decoded) -> Chunk:
+    def feed(self, raw: Block, decoded: Decoded) -> Chunk:
         """Add a block; the last one releases the held page too."""
         block = decoded.block
         events = [*self._events.bad_pages(block, decoded.bad, self._rows_in)]
@@ -84,7 +84,7 @@ class PageJoiner:
             stretch, self._held = stretch.cut(len(stretch.block) - 1)
         for event in sorted(events, key=lambda event: event.position):
             self._log.add(event)
-        scanned = None if raw.last else raw.first_position + len(raw.pages)
+        scanned = None if raw.last else raw.next_position
         return self._chunk(stretch, raw.end_byte, self._log.take(scanned))
 
     def _settled(self, block: PageBlock, events: list[Event]) -> Stretch:

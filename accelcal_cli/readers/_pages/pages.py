@@ -13,12 +13,18 @@ from accelcal_cli.core.recording import Counts
 NO_TEMPERATURE = int(np.iinfo(np.int32).min)
 """Marks a sample whose temperature was not measured, until the last known one replaces it."""
 
-GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN = range(5)
+GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
 BAD_KINDS = {
     ERASED: ("bad_page", "erased pages between pages with data, left out"),
     CHECKSUM: ("checksum", "pages with a wrong checksum, left out"),
     NONSENSE: ("bad_page", "pages without sensible content, left out"),
     FOREIGN: ("bad_page", "pages of another recording, left out"),
+    RATE: ("rate_change", "pages recorded at another rate than the others, left out"),
+    REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
+    TEXT: ("bad_page", "pages whose own text is damaged, left out"),
+    LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
+    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
+    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
 }
 
 
