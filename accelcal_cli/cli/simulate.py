@@ -21,7 +21,7 @@ from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
 @click.command("simulate")
 @click.argument("out", type=click.Path(path_type=Path, readable=False))
 @click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
-              help="flash, raw (with its layout file), csv or hdf5.")  # fmt: skip
+              help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
 @click.option("--days", type=Positive(), default=1.0, show_default=True)
 @click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True)
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of movement and noise.")
@@ -74,7 +74,4 @@ def _plan(values: dict[str, Any]) -> Plan:
         lsb_per_g=values["lsb_per_g"],
         range_g=values["range_g"],
     )
-    plan = Plan(values["days"], values["rate_hz"], values["seed"], sensor, not values["no_temperature"])
-    if plan.samples < 1:
-        raise UsageError("nothing to simulate", hint="raise --days")
-    return plan
+    return Plan(values["days"], values["rate_hz"], values["seed"], sensor, not values["no_temperature"])

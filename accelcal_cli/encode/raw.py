@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.encoding import Companion, Encoder
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.encode._files import new_file
 
 SUFFIX = ".raw"
 LAYOUT_SUFFIX = ".layout.toml"
@@ -47,16 +48,11 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
         OutputError: the recording has a gap, a value does not fit, or the disk fails.
     """
     record = frame_type(recording)
-    try:
-        with path.open("wb") as file:
-            for chunk in chunks:
-                if len(chunk.breaks):
-                    raise OutputError("the recording has a gap", path=path, hint=OTHER_FORMAT)
-                file.write(frames(path, chunk, record).data)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror or error})", path=path, hint="check the disk"
-        ) from error
+    with new_file(path) as file:
+        for chunk in chunks:
+            if len(chunk.breaks):
+                raise OutputError("the recording has a gap", path=path, hint=OTHER_FORMAT)
+            file.write(frames(path, chunk, record).data)
 
 
 def frames(path: Path, chunk: Chunk, record: np.dtype[np.void]) -> NDArray[np.void]:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli import __version__
-from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.encoding import Sampling
+from accelcal_cli.core.errors import OutputError, UsageError
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.encode import named_encoder
 from accelcal_cli.output.atomic import replacing, write_text
@@ -25,10 +27,11 @@ def simulate(
         the recording's path and the truth.
 
     Raises:
-        UsageError: the format has no writer.
+        UsageError: the format has no writer, or none for such a rate, scale or length.
         OutputError: a file exists already and `force` is not given, or cannot be written.
     """
     encoder = named_encoder(format_name)
+    plan = _as_sampled(plan, encoder.sampling(describe(plan, out, format_name)))
     base = out.with_name(out.name.removesuffix(encoder.suffix))
     path = base.with_name(base.name + encoder.suffix)
     truth_path = base.with_name(base.name + ".truth.json")
@@ -43,6 +46,13 @@ def simulate(
     known = _truth_json(plan, truth, format_name)
     write_text(truth_path, json.dumps(known, indent=2) + "\n")
     return path, known
+
+
+def _as_sampled(plan: Plan, sampling: Sampling) -> Plan:
+    plan = replace(plan, rate_hz=sampling.rate_hz, unit_samples=sampling.unit_samples)
+    if plan.samples < 1:
+        raise UsageError("nothing to simulate", hint="raise --days")
+    return plan
 
 
 def _counted(chunks: Iterator[Chunk], progress: Progress) -> Iterator[Chunk]:

@@ -23,18 +23,24 @@ STILL_SECONDS = 10
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What to simulate."""
+    """What to simulate.
+
+    Attributes:
+        unit_samples: the number of samples is cut to a multiple of this.
+    """
 
     days: float
     rate_hz: float
     seed: int
     sensor: Sensor
     temperature: bool = True
+    unit_samples: int = 1
 
     @property
     def samples(self) -> int:
         """Number of samples."""
-        return round(self.days * 86_400 * self.rate_hz)
+        wanted = round(self.days * 86_400 * self.rate_hz)
+        return wanted - wanted % self.unit_samples
 
 
 @dataclass(slots=True)

@@ -17,7 +17,9 @@ from tests.cli.run import assert_one_line, command, run
 
 Capture = pytest.CaptureFixture[str]
 FORMATS = [encoder.name for encoder in all_encoders()]
-SMALL = ("--days", 0.02, "--rate", 20, "--seed", 4, "-q")
+SMALL = ("--days", 0.02, "--rate", 50, "--seed", 4, "-q")
+SLOWEST = {"gt3x": 30}
+"""Rates of devices that do not record at 12.5 Hz."""
 
 
 def read_g(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -38,12 +40,12 @@ def test_all_formats_hold_the_same_samples_and_times(tmp_path: Path, capsys: Cap
     for counts, times, _ in held[1:]:
         np.testing.assert_array_equal(counts, held[0][0])
         assert np.abs(times - held[0][1]).max() <= 1
-    assert len(held[0][0]) == round(0.02 * 86_400 * 20)
+    assert len(held[0][0]) == round(0.02 * 86_400 * 50)
 
 
 @pytest.mark.parametrize("name", FORMATS)
 def test_the_truth_is_found_again(tmp_path: Path, capsys: Capture, name: str) -> None:
-    words = ("--days", 0.4, "--rate", 12.5, "--seed", 6, "--truth", 2, "-q", "--json")
+    words = ("--days", 0.4, "--rate", SLOWEST.get(name, 12.5), "--seed", 6, "--truth", 2, "-q", "--json")
     truth = json.loads(run(capsys, "simulate", tmp_path / "a", "--format", name, *words).out)
     path = next(
         p for p in tmp_path.iterdir() if p.name.startswith("a.") and p.suffix not in (".json", ".toml")
@@ -75,6 +77,42 @@ def test_impossible_wishes(tmp_path: Path, capsys: Capture) -> None:
     for words in (("--format", "nothing"), ("--lsb-per-g", 9000), ("--days", 0), ("--days", 1e-9)):
         assert run(capsys, "simulate", tmp_path / "a", *words, "-q").code == 2
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "hint"),
+    [
+        (("cwa", "--rate", 85.7), "an Axivity AX3 does not record at 85.7 Hz; use --rate 100"),
+        (("geneactiv", "--rate", 120), "a GENEActiv does not record at 120 Hz; use --rate 100"),
+        (("gt3x", "--rate", 25), "an ActiGraph does not record at 25 Hz; use --rate 30"),
+        (("gt3x", "--lsb-per-g", 341), "use --lsb-per-g 256 --range-g 8 or --lsb-per-g 341 --range-g 6"),
+        (("geneactiv", "--days", 0.00003), "nothing to simulate; raise --days"),
+    ],
+)
+def test_what_the_device_cannot_record_is_refused(
+    tmp_path: Path, capsys: Capture, words: tuple[object, ...], hint: str
+) -> None:
+    ran = run(capsys, "simulate", tmp_path / "a", "--format", *words, "-q")
+    assert ran.code == 2
+    assert_one_line(ran, hint)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "rate", "true_rate", "unit"),
+    [("geneactiv", 66.7, 200 / 3, 300), ("gt3x", 90, 90, 90), ("cwa", 100, 100, 1)],
+)
+def test_a_recording_ends_with_a_whole_page_or_second(
+    tmp_path: Path, capsys: Capture, name: str, rate: float, true_rate: float, unit: int
+) -> None:
+    words = ("--format", name, "--rate", rate, "--days", 0.001257, "-q", "--json")
+    truth = json.loads(run(capsys, "simulate", tmp_path / "a", *words).out)
+    wanted = round(0.001257 * 86_400 * true_rate)
+    assert (truth["rate_hz"], truth["samples"]) == (true_rate, wanted - wanted % unit)
+    (path,) = (path for path in tmp_path.iterdir() if path.suffix != ".json")
+    counts, times, _ = read_g(path)
+    assert len(counts) == truth["samples"]
+    assert abs((times[-1] - times[0]) / 1e6 - (len(counts) - 1) / true_rate) < 2e-5
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -663,6 +663,7 @@ def test_it_is_recognised_whatever_its_suffix(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [(b"no HDF5 at all", "not an HDF5 file"), (gzip.compress(b"\x89HDF\r\n\x1a\n"), "gunzip")],
+    ids=["another content", "packed"],
 )
 def test_other_files_are_refused(path: Path, data: bytes, message: str) -> None:
     path.write_bytes(data)
