@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
@@ -41,6 +41,16 @@ LIMITS: dict[str, tuple[float, float]] = {
     "lsb_per_g": (1e-9, 1e9),
 }
 """Between which a number can be used at all; a report with others was not written so."""
+
+ADAPTIVE_LIMITS: dict[str, tuple[int, int]] = {
+    "acceleration_factor": (1, 30),
+    "rotation_factor": (1, 30),
+    "min_samples": (1, 1_000_000),
+    "min_windows": (1, 1_000_000),
+    "max_windows": (1, 1_000_000),
+    "held_windows": (1, 1_000_000),
+}
+"""The same for the numbers of stillness rule `adaptive`: what its integers and the memory hold."""
 
 CHOICES = {
     "profile": tuple(PROFILES),
@@ -183,9 +193,11 @@ def _check_rule(record: Settings) -> None:
         value = getattr(record, name)
         if bool(value) != bool(rule[name]):
             raise ValueError(f"{name} cannot be {value}")
-    numbers = () if record.adaptive is None else astuple(record.adaptive)
-    if bool(numbers) != (record.stillness == "adaptive") or not all(1 <= v <= 1 << 24 for v in numbers):
+    if (record.adaptive is not None) != (record.stillness == "adaptive"):
         raise ValueError(f"adaptive cannot be {record.adaptive}")
+    for name, (low, high) in ADAPTIVE_LIMITS.items():
+        if record.adaptive is not None and not low <= getattr(record.adaptive, name) <= high:
+            raise ValueError(f"adaptive.{name} cannot be {getattr(record.adaptive, name)}")
 
 
 def _file(values: Mapping[str, Any], name: str) -> NamedFile | None:

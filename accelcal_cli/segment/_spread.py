@@ -14,8 +14,8 @@ from accelcal_cli.segment._exact import centred_squares
 
 MOVING = 1 << 62
 """Instead of a variance, of a window that varies too much to look at."""
-NEVER = 1 << 58
-"""Instead of a minimum, before there is one: nine times it is below MOVING."""
+NEVER = 1 << 52
+"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
 NORM_BITS = 17
 
 

@@ -11,11 +11,20 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings, Settings
+from accelcal_cli.core.settings import (
+    DEFAULT,
+    PAPER,
+    STILLNESS,
+    Adaptive,
+    PoseSettings,
+    Settings,
+    with_stillness,
+)
 from accelcal_cli.output.document import Document
-from accelcal_cli.pipeline.rebuild import LIMITS, Rebuilt, rebuild
+from accelcal_cli.pipeline.rebuild import ADAPTIVE_LIMITS, LIMITS, Rebuilt, rebuild
 from accelcal_cli.pipeline.request import Request
 from accelcal_cli.pipeline.six_pose import PoseRequest
+from accelcal_cli.segment._spread import MOVING, NEVER
 
 
 def stored(request: Request) -> dict[str, Any]:
@@ -26,7 +35,14 @@ def rebuilt(settings: Any) -> Rebuilt:
     return rebuild(Document(Path("a.json"), "", {"settings": settings}))
 
 
-@pytest.mark.parametrize("settings", [DEFAULT, PAPER, replace(DEFAULT, model="6", latitude=3.5)])
+@pytest.mark.parametrize(
+    "settings",
+    [
+        PAPER,
+        replace(DEFAULT, model="6", latitude=3.5),
+        *(with_stillness(DEFAULT, name) for name in STILLNESS),
+    ],
+)
 def test_everything_comes_back(settings: Settings) -> None:
     options = ReadOptions(format="csv", rate_hz=30.0, unit="mg", columns=("a", "b", "c"), sensor="s")
     made = rebuilt(stored(Request(options=options, settings=settings, report_only=True)))
@@ -51,9 +67,10 @@ def test_missing_and_unknown_settings_are_told() -> None:
 
 def test_every_number_has_its_limits() -> None:
     """A setting without limits could bring a report that makes nonsense of them to a bug."""
-    for record in (DEFAULT, PoseSettings(), ReadOptions()):
+    read = ((record, LIMITS) for record in (DEFAULT, PoseSettings(), ReadOptions()))
+    for record, limits in (*read, (Adaptive(), ADAPTIVE_LIMITS)):
         for name, field in record.__dataclass_fields__.items():
-            assert name in LIMITS or not any(kind in str(field.type) for kind in ("int", "float")), name
+            assert name in limits or not any(kind in str(field.type) for kind in ("int", "float")), name
 
 
 @pytest.mark.parametrize("name", sorted(LIMITS))
@@ -68,10 +85,36 @@ def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
         rebuilt(held)
 
 
+@pytest.mark.parametrize("name", sorted(ADAPTIVE_LIMITS))
+@pytest.mark.parametrize("value", [-1, 0, 10**9, 1.5, "x", None])
+def test_numbers_of_the_adaptive_rule_that_cannot_be_are_refused(name: str, value: Any) -> None:
+    held = stored(Request(settings=with_stillness(DEFAULT, "adaptive")))
+    held["adaptive"][name] = value
+    with pytest.raises(UnreadableError, match=rf"a\.json: .*({name}|adaptive) cannot be"):
+        rebuilt(held)
+
+
+def test_the_largest_factors_do_not_overflow() -> None:
+    for name in ("acceleration_factor", "rotation_factor"):
+        assert ADAPTIVE_LIMITS[name][1] ** 2 * NEVER < MOVING < 1 << 63
+
+
+def test_the_adaptive_rule_needs_its_numbers_and_no_other_has_them() -> None:
+    held = stored(Request(settings=with_stillness(DEFAULT, "adaptive")))
+    for change in ({"stillness": "both"}, {"adaptive": None}, {"adaptive": {}}, {"adaptive": 3}):
+        with pytest.raises(UnreadableError, match=r"(stillness_axes|adaptive) cannot be"):
+            rebuilt(held | change)
+    with pytest.raises(UnreadableError, match="adaptive cannot be"):
+        rebuilt(stored(Request()) | {"adaptive": held["adaptive"]})
+    with pytest.raises(UnreadableError, match="adaptive cannot be"):
+        rebuilt(held | {"adaptive": held["adaptive"] | {"later": 1}})
+
+
 @pytest.mark.parametrize(
     ("change", "part"),
     [
         ({"profile": "x"}, "profile cannot be 'x'"),
+        ({"stillness": "x"}, "stillness cannot be 'x'"),
         ({"model": "12"}, "model cannot be '12'"),
         ({"optimizer": "x"}, "unknown optimizer 'x'"),
         ({"report_only": "no"}, "report_only cannot be 'no'"),

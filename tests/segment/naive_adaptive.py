@@ -34,7 +34,7 @@ class Least:
     def now(self) -> int:
         step = min([self.widest, *self.jumps])
         rounding = self.axes * self.samples * (step * self.scale) ** 2 / 12
-        return max(1, floor(rounding), min(self.found, default=0)) if self.found else 1 << 58
+        return max(1, floor(rounding), min(self.found, default=0)) if self.found else 1 << 52
 
 
 @dataclass
