@@ -1,4 +1,4 @@
-"""Against an independent generator with known errors: one day at 100 Hz in five formats."""
+"""Against an independent generator with known errors: one day at 100 Hz in six formats."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ x = { offset = 0, type = "int16" }
 y = { offset = 2, type = "int16" }
 z = { offset = 4, type = "int16" }
 """
-SUFFIXES = ("cwa", "raw", "h5", "csv", "bin")
+SUFFIXES = ("cwa", "raw", "h5", "csv", "bin", "gt3x")
 START = np.datetime64("2024-03-04T00:00:00", "us")
 
 
@@ -66,7 +66,7 @@ def calibrated(folder: Path, suffix: str, *words: str) -> dict:
 
 
 def whole_day(real_data: Path, folder: Path, truth: int) -> Day:
-    make(real_data, folder, truth, ("--days", "1", "--raw", "--hdf5", "--csv", "--bin"))
+    make(real_data, folder, truth, ("--days", "1", "--raw", "--hdf5", "--csv", "--bin", "--gt3x"))
     reports = {suffix: calibrated(folder, suffix, "--no-temperature") for suffix in SUFFIXES}
     known = json.loads((folder / "day.truth.json").read_text())
     return Day(folder, known, np.load(folder / "day.i16.npy"), np.load(folder / "day.still.npy"), reports)
