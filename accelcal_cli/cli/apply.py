@@ -54,6 +54,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         settings=replace(
             DEFAULT,
             temperature=not values["no_temperature"],
+            precision_mg=values["precision_mg"],
             latitude=place.latitude,
             altitude_m=place.altitude_m,
         ),

@@ -85,6 +85,14 @@ class Listed(click.ParamType[tuple[Any, ...]]):
         return numbers
 
 
+_PRECISION = click.option(
+    "--precision",
+    "precision_mg",
+    type=click.FloatRange(0.001, 1000),
+    metavar="MG",
+    help="Write values in steps of at most so much: smaller files.  [default: exact]",
+)
+
 _PLACES = [
     click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False)),
     click.option(
@@ -93,6 +101,7 @@ _PLACES = [
     click.option(
         "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Name of the Parquet file."
     ),
+    _PRECISION,
 ]
 
 _SAYING = [
@@ -235,7 +244,14 @@ def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Sett
     changed = _changed(chosen, values, ("optimizer", "model"))
     place = gravity(values)
     warm = changed.temperature and not values["no_temperature"]
-    return replace(changed, latitude=place.latitude, altitude_m=place.altitude_m, temperature=warm)
+    precision = values.get("precision_mg")
+    return replace(
+        changed,
+        latitude=place.latitude,
+        altitude_m=place.altitude_m,
+        temperature=warm,
+        precision_mg=precision,
+    )
 
 
 def _changed(chosen: Settings, values: dict[str, Any], names: tuple[str, ...]) -> Settings:

@@ -64,6 +64,8 @@ class Settings:
         min_temperature_range_c: a slope needs at least this range of temperatures [degrees C].
         temperature_block_c: models are compared on postures within so many degrees C, so that what
             a slope brings shows where one posture was held at different temperatures.
+        precision_mg: calibrated values are written in steps of at most so much [mg], a power of two
+            of g, so that they compress; None: as exact as single precision is.
         latitude: where the recording was made [degrees]; None: rest measures 1 standard g.
         altitude_m: metres above the sea there.
     """
@@ -88,6 +90,7 @@ class Settings:
     max_error_mg: float = 10.0
     min_temperature_range_c: float = 2.0
     temperature_block_c: float = 2.0
+    precision_mg: float | None = None
     latitude: float | None = None
     altitude_m: float | None = None
 

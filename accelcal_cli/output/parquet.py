@@ -29,11 +29,17 @@ METADATA_KEY = b"accelcal"
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Which columns a recording has."""
+    """Which columns a recording has.
+
+    Attributes:
+        utc: times are UTC.
+        rounded: x, y, z lie on a coarse grid: their low bytes are zero and compress by themselves.
+    """
 
     temperature: bool
     gyroscope: bool
     utc: bool
+    rounded: bool = False
 
     def schema(self, metadata: dict[str, Any]) -> pa.Schema:
         """Arrow schema with units in the fields' metadata."""
@@ -71,7 +77,9 @@ class ParquetSink:
         self._rows = 0
         self._encoding: Future[None] | None = None
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
-        plain = {name: "PLAIN" for name in self.schema.names if name != "time"}
+        encodings = dict.fromkeys(self.schema.names, "PLAIN") | {"time": "DELTA_BINARY_PACKED"}
+        if columns.rounded:
+            encodings |= dict.fromkeys("xyz", "BYTE_STREAM_SPLIT")
         try:
             self._writer = pq.ParquetWriter(
                 path,
@@ -79,7 +87,7 @@ class ParquetSink:
                 compression="zstd",
                 compression_level=1,
                 use_dictionary=False,
-                column_encoding={"time": "DELTA_BINARY_PACKED", **plain},
+                column_encoding=encodings,
                 write_batch_size=WRITE_BATCH_ROWS,
                 write_statistics=["time"],
                 store_schema=True,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from math import ceil, log2
 from typing import Any
 
 import numpy as np
@@ -22,13 +23,18 @@ BLOCK_ROWS = 1 << 14
 
 @dataclass(frozen=True, slots=True)
 class Applier:
-    """a = K (v + o + s (T - Tref)) for v in counts: K / lsb_per_g on counts plus a constant."""
+    """a = K (v + o + s (T - Tref)) for v in counts: K / lsb_per_g on counts plus a constant.
+
+    Attributes:
+        steps_per_g: a power of two; calibrated values are rounded to 1 / steps_per_g. None: they are not.
+    """
 
     gain: NDArray[np.float64]
     offset_g: NDArray[np.float64]
     slope_g_per_c: NDArray[np.float64]
     reference_c: float
     lsb_per_g: float
+    steps_per_g: float | None = None
 
     def apply(self, chunk: Chunk) -> list[NDArray[np.float32]]:
         """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
@@ -51,6 +57,10 @@ class Applier:
             for column in self._others(row):
                 np.multiply(shifted[column], self.gain[row, column], out=product)
                 total += product
+            if self.steps_per_g is not None:
+                total *= self.steps_per_g
+                np.rint(total, out=total)
+                total /= self.steps_per_g
             made[row][part] = total
 
     def _others(self, row: int) -> list[int]:
@@ -71,7 +81,12 @@ class Applier:
             values += warmth
 
 
-def applier(calibration: Calibration, lsb_per_g: float) -> Applier:
+def steps_per_g(precision_mg: float | None) -> float | None:
+    """The smallest power of two whose steps are no longer than the precision."""
+    return None if precision_mg is None else 2.0 ** ceil(log2(1000 / precision_mg))
+
+
+def applier(calibration: Calibration, lsb_per_g: float, precision_mg: float | None = None) -> Applier:
     """The applier of a calibration for a recording with so many counts per g."""
     return Applier(
         calibration.gain(),
@@ -79,6 +94,7 @@ def applier(calibration: Calibration, lsb_per_g: float) -> Applier:
         calibration.slope_g_per_c(),
         calibration.reference_c(),
         lsb_per_g,
+        steps_per_g(precision_mg),
     )
 
 

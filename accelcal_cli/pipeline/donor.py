@@ -123,6 +123,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
     known = isinstance(held, dict) and held.get("profile") != SIX_POSE
     rebuilt = rebuild(donor.document).settings if known else DEFAULT
     base = rebuilt if isinstance(rebuilt, Settings) else DEFAULT
+    base = replace(base, precision_mg=wanted.precision_mg)
     if found is Link.OWN:
         return base
     base = base if base.profile == DEFAULT.profile else DEFAULT
@@ -130,6 +131,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
     return replace(
         base,
         optimizer=DEFAULT.optimizer,
+        precision_mg=wanted.precision_mg,
         model=DEFAULT.model,
         temperature=wanted.temperature and donor.calibration.temperature is not None,
         latitude=place.latitude,

@@ -80,7 +80,7 @@ class Passes:
     def _write_parquet(self, data: reports.ReportInput) -> int:
         """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
         facts, recording = data.facts, data.recording
-        columns = Columns(facts.has_temperature, facts.has_gyroscope, facts.utc_offset_s is not None)
+        columns = columns_of(data)
         shown = self.progress("writing", recording.total_bytes)
         chunks = self.reader.chunks(self.request.chunk_samples)
         with (
@@ -110,7 +110,14 @@ def writes_parquet(data: reports.ReportInput) -> bool:
     return data.judgement.calibration is not None and not data.settings["report_only"]
 
 
+def columns_of(data: reports.ReportInput) -> Columns:
+    """The columns of a result's Parquet file."""
+    facts, rounded = data.facts, data.settings["precision_mg"] is not None
+    utc = facts.utc_offset_s is not None
+    return Columns(facts.has_temperature, facts.has_gyroscope, utc, rounded=rounded)
+
+
 def applier_of(data: reports.ReportInput) -> Applier:
     """What applies a result's calibration to its recording."""
     assert data.judgement.calibration is not None
-    return applier(data.judgement.calibration, data.recording.lsb_per_g)
+    return applier(data.judgement.calibration, data.recording.lsb_per_g, data.settings["precision_mg"])

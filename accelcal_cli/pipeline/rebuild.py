@@ -35,6 +35,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "min_state_seconds": (0, 3600),
     "max_condition": (1, 1e9),
     "max_vector_error_mg": (0, 1e6),
+    "precision_mg": (1e-3, 1e3),
     "latitude": (-90, 90),
     "altitude_m": (-500, 9000),
     "rate_hz": (1e-3, 1e5),

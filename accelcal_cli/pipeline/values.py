@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.output.document import Document
-from accelcal_cli.output.parquet import Columns, metadata_of
+from accelcal_cli.output.parquet import metadata_of
 from accelcal_cli.output.parquet_source import ParquetSource
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.applying import calibrated, rows
 from accelcal_cli.pipeline.compare import differing
-from accelcal_cli.pipeline.passes import Passes, applier_of
+from accelcal_cli.pipeline.passes import Passes, applier_of, columns_of
 from accelcal_cli.pipeline.plan import PARQUET_SUFFIX, REPORT_SUFFIX
 
 
@@ -91,8 +91,7 @@ def compare_values(passes: Passes, data: ReportInput, path: Path) -> Values:
     Raises:
         UnreadableError: the Parquet file or the recording cannot be read.
     """
-    facts = data.facts
-    columns = Columns(facts.has_temperature, facts.has_gyroscope, facts.utc_offset_s is not None)
+    columns = columns_of(data)
     with ParquetSource(path) as source:
         wrong = source.other_column(columns.schema({}))
         if wrong is not None:

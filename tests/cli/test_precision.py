@@ -1,0 +1,60 @@
+"""`--precision`: the same values on a coarser grid, in a smaller file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from accelcal_cli.pipeline.applying import steps_per_g
+from tests.cli.run import run
+
+Capture = pytest.CaptureFixture[str]
+SAMPLE = Path(__file__).resolve().parent.parent.parent / "sample_data" / "recording.bin"
+
+
+@pytest.mark.parametrize(
+    ("precision_mg", "steps"),
+    [(0.25, 4096), (1.0, 1024), (1000 / 1024, 1024), (0.97, 2048), (1000, 1), (0.001, 1 << 20), (None, None)],
+)
+def test_the_step_is_the_largest_power_of_two_within_the_precision(
+    precision_mg: float | None, steps: int | None
+) -> None:
+    assert steps_per_g(precision_mg) == steps
+
+
+def values(folder: Path) -> np.ndarray:
+    return pd.read_parquet(folder / "recording.calibrated.parquet")[["x", "y", "z"]].to_numpy(np.float64)
+
+
+def test_values_are_those_of_full_precision_on_the_grid(tmp_path: Path, capsys: Capture) -> None:
+    fine, coarse = tmp_path / "fine", tmp_path / "coarse"
+    assert run(capsys, "calibrate", SAMPLE, "-d", fine).code == 0
+    assert run(capsys, "calibrate", SAMPLE, "-d", coarse, "--precision", 0.25).code == 0
+    steps = values(coarse) * 4096
+    assert (steps == np.rint(steps)).all()
+    assert np.abs(values(coarse) - values(fine)).max() <= 0.5 / 4096 + 1e-7
+    one, other = (json.loads((f / "recording.calibration.json").read_text()) for f in (fine, coarse))
+    assert one["calibration"] == other["calibration"] and one["holdout"] == other["holdout"]
+    assert other["settings"]["precision_mg"] == 0.25
+    sizes = [(f / "recording.calibrated.parquet").stat().st_size for f in (fine, coarse)]
+    assert sizes[1] < 0.6 * sizes[0]
+
+
+def test_a_result_of_another_precision_is_made_again(tmp_path: Path, capsys: Capture) -> None:
+    words = ("calibrate", SAMPLE, "-d", tmp_path)
+    assert run(capsys, *words).code == 0
+    assert "up to date" not in run(capsys, *words, "--precision", 1).err
+    assert "up to date" in run(capsys, *words, "--precision", 1).err
+    assert run(capsys, *words, "--precision", 0).code == 2
+
+
+def test_coefficients_are_applied_at_any_precision(tmp_path: Path, capsys: Capture) -> None:
+    assert run(capsys, "calibrate", SAMPLE, "-d", tmp_path, "--precision", 1).code == 0
+    report, out = tmp_path / "recording.calibration.json", tmp_path / "fine"
+    assert run(capsys, "apply", "--coefficients", report, SAMPLE, "-d", out).code == 0
+    steps = values(out) * 1024
+    assert (steps != np.rint(steps)).any()
