@@ -124,7 +124,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
     rebuilt = rebuild(donor.document).settings if known else DEFAULT
     base = rebuilt if isinstance(rebuilt, Settings) else DEFAULT
     if found is Link.OWN:
-        return base
+        return replace(base, max_damage_percent=wanted.max_damage_percent)
     base = base if base.profile == DEFAULT.profile else DEFAULT
     place = wanted.gravity if wanted.latitude is not None else donor.calibration.gravity
     return replace(
@@ -134,6 +134,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
         temperature=wanted.temperature and donor.calibration.temperature is not None,
         latitude=place.latitude,
         altitude_m=place.altitude_m,
+        max_damage_percent=wanted.max_damage_percent,
     )
 
 
