@@ -11,6 +11,7 @@ import click
 
 from accelcal_cli.cli.each import each
 from accelcal_cli.cli.options import (
+    damage_option,
     gravity,
     gravity_options,
     place_options,
@@ -38,6 +39,7 @@ from accelcal_cli.pipeline.request import Request
 @click.option("--no-temperature", is_flag=True, help="Use them as at their reference temperature.")
 @saying_options
 @reading_options
+@damage_option
 @gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
@@ -57,6 +59,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
             precision_mg=values["precision_mg"],
             latitude=place.latitude,
             altitude_m=place.altitude_m,
+            max_damage_percent=values["max_damage"],
         ),
         chunk_samples=values["chunk_samples"],
         force=values["force"],

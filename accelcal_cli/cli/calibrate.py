@@ -10,6 +10,7 @@ import click
 
 from accelcal_cli.cli.each import each
 from accelcal_cli.cli.options import (
+    damage_option,
     method_options,
     place_options,
     read_options,
@@ -30,6 +31,7 @@ from accelcal_cli.pipeline.request import Request
 )
 @saying_options
 @reading_options
+@damage_option
 @method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exits
-from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
+from accelcal_cli.cli.options import damage_option, method_options, read_options, reading_options, settings
 from accelcal_cli.core.errors import AccelcalError
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 
@@ -19,6 +19,7 @@ from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 @click.option("--full", is_flag=True, help="Read everything, not only pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object a line.")
 @reading_options
+@damage_option
 @method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and what calibrating it would probably give.
@@ -58,6 +59,8 @@ def text(seen: Inspection, shown: dict[str, Any]) -> str:
         f"  also holds   {_extras(about)}",
         f"  read         {scope}: {shown['read']['still_windows']} of {seen.windows.complete} windows still",
         f"  problems     {_problems(shown)}",
+        f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
+        f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
     ]
     return "\n".join(lines + [f"  note         {note}" for note in about["notes"]])
@@ -85,6 +88,14 @@ def _samples(samples: int | None) -> str:
 
 def _extras(about: dict[str, Any]) -> str:
     return ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
+
+
+def _clock(clock: dict[str, Any]) -> str:
+    drift, gaps = clock["drift_s_per_day"], clock["gaps"]
+    parts = ["drift unknown" if drift is None else f"drift {drift:+g} s/day"]
+    if gaps is not None:
+        parts += [f"{gaps} gaps ({clock['gap_seconds']:g} s)", f"{clock['backward']} steps back"]
+    return ", ".join(parts)
 
 
 def _problems(shown: dict[str, Any]) -> str:

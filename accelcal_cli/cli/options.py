@@ -182,6 +182,15 @@ _GRAVITY = [
     ),
 ]
 
+_DAMAGE = click.option(
+    "--max-damage",
+    type=click.FloatRange(0, 100),
+    default=DEFAULT.max_damage_percent,
+    show_default=True,
+    metavar="PERCENT",
+    help="Refuse a recording of which damage has taken more.",
+)
+
 _CHUNK = click.option(
     "--chunk-samples",
     type=click.IntRange(1),
@@ -204,6 +213,7 @@ place_options = _decorate(_PLACES)
 saying_options = _decorate(_SAYING)
 reading_options = _decorate([*_READING, _CHUNK])
 chunk_option = _decorate([_CHUNK])
+damage_option = _decorate([_DAMAGE])
 gravity_options = _decorate(_GRAVITY)
 fitting_options = _decorate([*_FITTING, *_GRAVITY])
 method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
@@ -245,12 +255,14 @@ def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Sett
     place = gravity(values)
     warm = changed.temperature and not values["no_temperature"]
     precision = values.get("precision_mg")
+    allowed = values.get("max_damage", chosen.max_damage_percent)
     return replace(
         changed,
         latitude=place.latitude,
         altitude_m=place.altitude_m,
         temperature=warm,
         precision_mg=precision,
+        max_damage_percent=allowed,
     )
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli.each import each
-from accelcal_cli.cli.options import gravity, gravity_options, read_options, reading_options
+from accelcal_cli.cli.options import damage_option, gravity, gravity_options, read_options, reading_options
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.plan import plan_report
 from accelcal_cli.pipeline.request import Result
@@ -57,6 +57,7 @@ DEFAULT = PoseSettings()
     help="How far from its axis the raw mean of a face may be.",
 )
 @reading_options
+@damage_option
 @gravity_options
 def command(recording: Path, **values: Any) -> int:
     """Calibrate from a session in which the device rested on its six faces; `-` reads standard input.
@@ -86,6 +87,7 @@ def _settings(values: dict[str, Any]) -> PoseSettings:
         face_degrees=values["face_degrees"],
         latitude=place.latitude,
         altitude_m=place.altitude_m,
+        max_damage_percent=values["max_damage"],
     )
 
 

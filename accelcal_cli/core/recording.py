@@ -84,6 +84,8 @@ class Problem:
         byte_offset: where in the file (in the uncompressed stream for .gz), None if unknown.
         sample: number of the first sample after the problem.
         count: how many units (pages, rows, bytes: as the message says) are concerned.
+        lost_bytes: how many bytes of the (uncompressed) file could not be used because they are
+            damaged; 0 for what is missing, repeated or normal.
     """
 
     code: str
@@ -91,6 +93,7 @@ class Problem:
     byte_offset: int | None
     sample: int
     count: int = 1
+    lost_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,6 +111,8 @@ class Chunk:
         gyro_counts: (n, 3) int16 or int32, or None.
         validity: (n,) uint8 of `Validity`, or None where all rows were measured.
         problems: what was found wrong while reading these rows.
+        used_bytes: how many bytes of the (uncompressed) file these rows were made of, without
+            headers and unused memory.
     """
 
     first_sample: int
@@ -119,6 +124,7 @@ class Chunk:
     gyro_counts: Counts | None = None
     validity: NDArray[np.uint8] | None = None
     problems: tuple[Problem, ...] = ()
+    used_bytes: int = 0
 
     def __len__(self) -> int:
         return len(self.counts)

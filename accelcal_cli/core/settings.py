@@ -68,6 +68,8 @@ class Settings:
             of g, so that they compress; None: as exact as single precision is.
         latitude: where the recording was made [degrees]; None: rest measures 1 standard g.
         altitude_m: metres above the sea there.
+        max_damage_percent: a recording of which damage has taken a larger share is refused [%]; what
+            is left of it may not be what was worn.
     """
 
     profile: str = "default"
@@ -93,6 +95,7 @@ class Settings:
     precision_mg: float | None = None
     latitude: float | None = None
     altitude_m: float | None = None
+    max_damage_percent: float = 50.0
 
     @property
     def gravity(self) -> Gravity:
@@ -125,7 +128,7 @@ class PoseSettings:
         max_error_mg: as in `Settings`.
         max_vector_error_mg: held-out |a - reference| that a usable calibration stays below [mg]; one
             face tilted by a degree makes 12 mg of it.
-        latitude, altitude_m: as in `Settings`.
+        latitude, altitude_m, max_damage_percent: as in `Settings`.
     """
 
     segment_seconds: float = 1.0
@@ -142,6 +145,7 @@ class PoseSettings:
     max_vector_error_mg: float = 20.0
     latitude: float | None = None
     altitude_m: float | None = None
+    max_damage_percent: float = 50.0
 
     @property
     def gravity(self) -> Gravity:

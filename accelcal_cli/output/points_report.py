@@ -64,6 +64,9 @@ def _health() -> dict[str, Any]:
         "clipped_samples_before": 0,
         "clipped_samples_after": None,
         "rate_hz_measured": None,
+        "lost_bytes": 0,
+        "lost_percent": 0.0,
+        "clock": None,
     }
 
 

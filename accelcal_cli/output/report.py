@@ -18,9 +18,12 @@ from accelcal_cli.core.zones import iso_time
 from accelcal_cli.output.schema import fault
 from accelcal_cli.output.sections import (
     calibration_json,
+    clock_json,
     coverage_json,
+    damage_json,
     fit_json,
     holdout_json,
+    notes_json,
     problem_json,
     trial_json,
 )
@@ -133,7 +136,7 @@ def recording_json(recording: Recording, sha256: str, facts: Facts) -> dict[str,
         "duration_s": duration_s(recording, facts),
         "gaps": [_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
         "gaps_omitted": facts.gaps_omitted,
-        "notes": list(recording.notes),
+        "notes": notes_json(recording, facts),
     }
 
 
@@ -160,6 +163,8 @@ def _health(data: ReportInput) -> dict[str, Any]:
         "clipped_samples_before": facts.clipped,
         "clipped_samples_after": data.clipped_after,
         "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
+        **damage_json(facts),
+        "clock": clock_json(data.recording, facts),
     }
 
 

@@ -6,13 +6,16 @@ from dataclasses import asdict
 from math import floor, log10
 from typing import Any
 
+from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.fixed import FRACTION_BITS, to_float
 from accelcal_cli.core.judgement import Coverage, ErrorSummary, Holdout, Judgement, Trial
 from accelcal_cli.core.microcontrollers import predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES, Arithmetic, Calibration, Fit
-from accelcal_cli.core.recording import Problem
+from accelcal_cli.core.recording import Problem, Recording
+from accelcal_cli.core.zones import ZoneChange, iso_time
 
 EQUATION = "a = K (v + o + s (T - Tref))"
+DAY_S = 86_400
 
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
@@ -151,6 +154,40 @@ def problem_json(problem: Problem) -> dict[str, Any]:
         "sample": problem.sample,
         "count": problem.count,
     }
+
+
+def damage_json(facts: Facts) -> dict[str, Any]:
+    """The keys of `file_health` that say how much damage has taken."""
+    return {"lost_bytes": facts.lost_bytes, "lost_percent": round(facts.lost_percent(), 4)}
+
+
+def clock_json(recording: Recording, facts: Facts, *, whole: bool = True) -> dict[str, Any]:
+    """The object `file_health.clock`; what only reading everything tells is null if not `whole`."""
+    jumps, change, rate = facts.jumps, facts.zone_change, facts.rate_hz
+    return {
+        "rate_hz_nominal": recording.rate_hz,
+        "rate_hz_measured": None if rate is None else round(rate, 6),
+        "drift_s_per_day": None if rate is None else round(DAY_S * (recording.rate_hz / rate - 1), 3),
+        "gaps": jumps.gaps if whole else None,
+        "gap_seconds": round(jumps.gap_us / 1e6, 6) if whole else None,
+        "backward": jumps.back if whole else None,
+        "dst_change": None if change is None else _zone_change(change),
+    }
+
+
+def _zone_change(change: ZoneChange) -> dict[str, Any]:
+    return {
+        "time": iso_time(change.at_us, change.before_s),
+        "utc_offset_s_before": change.before_s,
+        "utc_offset_s_after": change.after_s,
+        "note": change.note(),
+    }
+
+
+def notes_json(recording: Recording, facts: Facts) -> list[str]:
+    """The recording's notes, and the change of its zone."""
+    change = facts.zone_change
+    return [*recording.notes, *(() if change is None else (change.note(),))]
 
 
 def significant(value: float, digits: int = 4) -> float:

@@ -11,6 +11,7 @@ from accelcal_cli.core.judgement import Judgement, Outcome
 from accelcal_cli.core.names import printable
 from accelcal_cli.core.points import Calibration, PointSet
 from accelcal_cli.judge.borrowed import held_out
+from accelcal_cli.judge.damage import damage_verdict
 from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.output.coefficients import COPIED, Coefficients
 from accelcal_cli.output.document import check_sections
@@ -81,9 +82,11 @@ def judged(passes: Passes, donor: Coefficients, found: Link) -> ReportInput:
         need_temperature(calibration, passes.reader.recording, has=facts.has_temperature)
         points = method.procedure.points()
         own = found is Link.OWN
-        verdict = _own(donor, points) if own else _borrowed(passes, donor, found, points)
+        spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(points))
+        verdict = spoiled or (_own(donor, points) if own else _borrowed(passes, donor, found, points))
         data = passes.found(method, facts, verdict, digest.result())
-    return replace(data, taken=_taken(donor, calibration, own=own))
+    named = {"coefficients": _coefficients(donor)}
+    return replace(data, taken=named if spoiled else _taken(donor, calibration, own=own) | named)
 
 
 def _own(donor: Coefficients, points: PointSet) -> Judgement:
@@ -103,13 +106,12 @@ def _borrowed(passes: Passes, donor: Coefficients, found: Link, points: PointSet
 
 
 def _taken(donor: Coefficients, calibration: Calibration, *, own: bool) -> dict[str, Any]:
-    """Sections of the donor's report that hold here too, and the section that names it."""
+    """Sections of the donor's report that hold here too."""
     report = donor.document.report
     copied = {name: report[name] for name in COPIED} if own else {}
     return {
         "calibration": _calibration(report["calibration"], donor.calibration, calibration),
         **copied,
-        "coefficients": _coefficients(donor),
     }
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from accelcal_cli.core.points import PointSet
+from accelcal_cli.judge.damage import damage_verdict
+from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.output.integers import integers_json
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.existing import prepare, up_to_date
@@ -39,8 +41,11 @@ def calibrate(
 
 def judged(passes: Passes) -> tuple[ReportInput, PointSet]:
     """First pass: survey the recording, fit and judge; nothing is written."""
-    how, method = fitting(passes.request.settings), passes.method()
+    settings = passes.request.settings
+    how, method = fitting(settings), passes.method()
     with hashing(passes.bytes_at) as digest:
         facts = passes.survey(method)
-        data = passes.found(method, facts, method.procedure.judge(how), digest.result())
-    return data, method.procedure.points()
+        points = method.procedure.points()
+        verdict = damage_verdict(facts, settings.max_damage_percent, coverage(points))
+        data = passes.found(method, facts, verdict or method.procedure.judge(how), digest.result())
+    return data, points

@@ -125,7 +125,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
     base = rebuilt if isinstance(rebuilt, Settings) else DEFAULT
     base = replace(base, precision_mg=wanted.precision_mg)
     if found is Link.OWN:
-        return base
+        return replace(base, max_damage_percent=wanted.max_damage_percent)
     base = base if base.profile == DEFAULT.profile else DEFAULT
     place = wanted.gravity if wanted.latitude is not None else donor.calibration.gravity
     return replace(
@@ -136,6 +136,7 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
         temperature=wanted.temperature and donor.calibration.temperature is not None,
         latitude=place.latitude,
         altitude_m=place.altitude_m,
+        max_damage_percent=wanted.max_damage_percent,
     )
 
 

@@ -17,8 +17,10 @@ from accelcal_cli.core.names import printable
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts
-from accelcal_cli.core.zones import iso_time
-from accelcal_cli.output.sections import holdout_json, problem_json
+from accelcal_cli.core.zones import iso_time, zone_change
+from accelcal_cli.judge.damage import damage_verdict
+from accelcal_cli.judge.uncertainty import coverage
+from accelcal_cli.output.sections import clock_json, damage_json, holdout_json, notes_json, problem_json
 from accelcal_cli.pipeline.profiles import fitting, make_method
 from accelcal_cli.pipeline.survey import survey
 from accelcal_cli.readers import open_recording
@@ -55,14 +57,26 @@ def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         facts = survey(recording, pieces, method, lambda _end_byte: None)
     whole = full or facts.samples == recording.samples
-    return Inspection(recording, facts, method.segmenter.counts, method.procedure.judge(how), whole)
+    spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.points()))
+    guess = spoiled or method.procedure.judge(how)
+    return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, guess, whole)
+
+
+def _to_its_end(facts: Facts, recording: Recording) -> Facts:
+    """The facts with a change of the zone that the pieces end before."""
+    start_us, lasts_s = recording.start_us, recording.duration_s
+    if facts.zone_change is not None or start_us is None or lasts_s is None:
+        return facts
+    return replace(
+        facts, zone_change=zone_change(recording.timezone, start_us, start_us + round(1e6 * lasts_s))
+    )
 
 
 def _pieces(reader: Reader) -> Iterator[Chunk]:
     """Pieces that no window and no measured rate spans."""
     for chunk in reader.preview(PREVIEW_SAMPLES, PREVIEW_PIECES):
-        inner = chunk.breaks[chunk.breaks > 0]
-        yield replace(chunk, breaks=np.concatenate([np.zeros(1, np.int64), inner]))
+        breaks = np.union1d(chunk.breaks, np.zeros(min(1, len(chunk)), np.int64))
+        yield replace(chunk, breaks=breaks)
 
 
 def as_json(seen: Inspection) -> dict[str, Any]:
@@ -85,13 +99,15 @@ def as_json(seen: Inspection) -> dict[str, Any]:
             "temperature": recording.has_temperature,
             "gyroscope": recording.gyro_dps_per_lsb is not None,
             "gaps": len(facts.gaps) + facts.gaps_omitted if seen.whole else None,
-            "notes": list(recording.notes),
+            "notes": notes_json(recording, facts),
         },
         "file_health": {
             "problems": [problem_json(problem) for problem in facts.problems],
             "filled_samples": facts.filled,
             "clipped_samples": facts.clipped,
             "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
+            **damage_json(facts),
+            "clock": clock_json(recording, facts, whole=seen.whole),
         },
         "read": {
             "whole": seen.whole,

@@ -38,6 +38,7 @@ LIMITS: dict[str, tuple[float, float]] = {
     "precision_mg": (1e-3, 1e3),
     "latitude": (-90, 90),
     "altitude_m": (-500, 9000),
+    "max_damage_percent": (0, 100),
     "rate_hz": (1e-3, 1e5),
     "lsb_per_g": (1e-9, 1e9),
 }

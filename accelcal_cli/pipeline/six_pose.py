@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.poses import Session
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.judge.damage import too_damaged
 from accelcal_cli.judge.known import judge_known
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.known import known_json, poses_json
@@ -136,6 +138,7 @@ class _Session:
     ) -> tuple[reports.ReportInput, dict[str, Any]]:
         settings = self.request.settings
         try:
+            refuse_damage(seen.facts, settings)
             session = find_poses(seen, self.reader.recording.lsb_per_g, listed, settings)
             fit = known_fit(session, settings)
             judgement, vectors = judge_known(session, fit, settings)
@@ -172,6 +175,13 @@ def _write(job: Job, request: PoseRequest, data: reports.ReportInput, more: dict
     report = with_provenance({**reports.build(data), **more}, request.command)
     save_report(job.report, report)
     return Result(job, report)
+
+
+def refuse_damage(facts: Facts, settings: PoseSettings) -> None:
+    """Raise DivergedError for a session of which damage has taken too much."""
+    text = too_damaged(facts, settings.max_damage_percent)
+    if text is not None:
+        raise DivergedError(text)
 
 
 def find_poses(seen: Pass, lsb_per_g: float, listed: Sequence[Listed], settings: PoseSettings) -> Session:

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from accelcal_cli.collect.plausible import norms_g
-from accelcal_cli.core.facts import Facts, Gap
+from accelcal_cli.core.facts import Facts, Gap, Jumps
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.windows import Windows
-from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.core.zones import ZoneChange, utc_offset_s, zone_change
 from accelcal_cli.pipeline.ahead import ahead
 from accelcal_cli.pipeline.batches import Batches
 from accelcal_cli.pipeline.profiles import Method
@@ -34,9 +34,10 @@ class Observer:
         self.last_us: int | None = None
         self.has_temperature = self.has_gyroscope = False
         self.gaps: list[Gap] = []
-        self.gaps_omitted = 0
+        self.gaps_omitted = self._gap_us = self._back = 0
         self.problems: list[Problem] = []
         self._problems_omitted = 0
+        self._lost_bytes = self._used_bytes = 0
         self._run_start_us = self._run_first = 0
         self._run_steps = self._run_us = 0
         self._still_ng = self._still_windows = 0
@@ -44,6 +45,7 @@ class Observer:
     def see(self, chunk: Chunk) -> None:
         """Take a chunk's facts in."""
         self._note_problems(chunk.problems)
+        self._used_bytes += chunk.used_bytes
         if not len(chunk):
             return
         self.has_temperature |= chunk.temperature_mc is not None
@@ -84,12 +86,24 @@ class Observer:
             self.has_gyroscope,
             self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
             self._utc_offset_s(),
+            self._lost_bytes,
+            self._used_bytes,
+            Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
+            self._zone_change(),
         )
+
+    @property
+    def _dated(self) -> bool:
+        return all(problem.code != "no_start_time" for problem in self.problems)
 
     def _utc_offset_s(self) -> int | None:
         """Of the device's clock at the start; None for a recording without a date."""
-        dated = all(problem.code != "no_start_time" for problem in self.problems)
-        return utc_offset_s(self.recording.timezone, self.first_us or 0) if dated else None
+        return utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None
+
+    def _zone_change(self) -> ZoneChange | None:
+        zone = self.recording.timezone
+        known = self._dated and self.first_us is not None and self.last_us is not None
+        return zone_change(zone, self.first_us or 0, self.last_us or 0) if known else None
 
     def _rate_hz(self) -> float | None:
         """Steps over time within unbroken runs, the last of which is still open."""
@@ -103,6 +117,7 @@ class Observer:
         room = MAX_PROBLEMS - len(self.problems)
         self.problems += problems[:room]
         self._problems_omitted += len(problems[room:])
+        self._lost_bytes += sum(problem.lost_bytes for problem in problems)
 
     def _note_times(self, chunk: Chunk) -> None:
         if self.first_us is None:
@@ -122,6 +137,10 @@ class Observer:
         seconds = (after - before) / 1e6
         if abs(seconds) * self.recording.rate_hz <= GAP_PERIODS and seconds > 0:
             return
+        if seconds > 0:
+            self._gap_us += after - before
+        else:
+            self._back += 1
         if len(self.gaps) < MAX_GAPS:
             self.gaps.append(Gap(sample, before, seconds))
         else:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import zlib
 from pathlib import Path
 from types import TracebackType
@@ -107,6 +108,10 @@ class ByteSource:
     def disk_position(self) -> int:
         """How far the file on the disk has been read."""
         return self._file.tell()
+
+    def undecoded(self) -> int:
+        """Bytes on the disk behind the place where a damaged gzip could not be unpacked any more."""
+        return max(0, os.fstat(self._file.fileno()).st_size - self._file.tell()) if self.broken else 0
 
     def close(self) -> None:
         """Release the file."""

@@ -71,7 +71,8 @@ class CsvReader(Reader):
 
     def _assembler(self) -> Assembler:
         opened = self._opened
-        return Assembler(opened.pace, opened.sheet.time is not None, opened.start_us or 0)
+        row_bytes = max(1, round(opened.line_bytes))
+        return Assembler(opened.pace, opened.sheet.time is not None, opened.start_us or 0, row_bytes)
 
     def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
@@ -103,11 +104,11 @@ class CsvReader(Reader):
         end = block.offset + len(block.data)
         if block.broken:
             text = "the compressed data ends early or is damaged; the rows before that were read"
-            return [Problem("truncated", text, end, samples)]
+            return [Problem("truncated", text, end, samples, lost_bytes=len(block.tail))]
         if block.tail.strip():
             line = block.line + block.lines
             text = f"line {line}, the last one, has no end: it may be cut off and was left out"
-            return [Problem("truncated", text, end, samples)]
+            return [Problem("truncated", text, end, samples, lost_bytes=len(block.tail))]
         return []
 
     def _refuse_mostly_unusable(self, assembler: Assembler) -> None:

@@ -79,7 +79,7 @@ class CwaReader(Reader):
         sectors = min(self._scheme.sectors(chunk_samples), max(1, total // max(1, pieces)))
         for piece in range(min(pieces, total)):
             chunks = self._scheme.piece(piece * total // pieces, sectors)
-            yield from (chunk for chunk in chunks if len(chunk))
+            yield from (chunk for chunk in chunks if len(chunk) or chunk.problems)
 
 
 def sniff(probe: Probe) -> int:

@@ -46,3 +46,23 @@ def test_an_unreadable_recording_has_its_code_and_line(tmp_path: Path, capsys: C
     assert ran.code == 3
     assert_one_line(ran, "absent.cwa")
     assert run(capsys, "inspect", tmp_path / "absent.cwa", good_csv(tmp_path)).code == 1
+
+
+def test_the_clock_and_a_change_of_its_zone(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    lines = path.read_text().splitlines()
+    kept = [line for number, line in enumerate(lines) if number // 250 != 40]
+    moved = "\n".join(kept).replace("2024-03-04T00:", "2024-03-31T01:")
+    path.write_text(moved.replace("T01:2", "T02:2") + "\n")
+    zone = ("--timezone", "Europe/Berlin")
+    shown = json.loads(run(capsys, "inspect", "--json", "--full", path, *zone).out)
+    clock, notes = shown["file_health"]["clock"], shown["recording"]["notes"]
+    assert (clock["rate_hz_nominal"], clock["drift_s_per_day"], clock["backward"]) == (25.0, 0.0, 0)
+    assert (clock["gaps"], clock["gap_seconds"]) == (2, 3600.04 + 10.04)
+    assert clock["dst_change"]["time"] == "2024-03-31T02:00:00.000000+01:00"
+    assert clock["dst_change"]["note"] in notes
+    in_pieces = run(capsys, "inspect", path, *zone).out
+    assert "clocks in Europe/Berlin were put forward by 1 h" in in_pieces
+    assert (
+        json.loads(run(capsys, "inspect", "--json", path).out)["file_health"]["clock"]["dst_change"] is None
+    )

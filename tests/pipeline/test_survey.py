@@ -46,6 +46,26 @@ def test_a_step_back_of_the_clock_is_a_gap_too() -> None:
     assert gap.seconds == pytest.approx(-2.9)
 
 
+@pytest.mark.parametrize("cuts", [[], [40], list(range(1, 100))])
+def test_gaps_and_steps_back_are_counted_apart(cuts: list[int]) -> None:
+    times = np.arange(100, dtype=np.int64) * 100_000
+    times[30:] += 5_000_000
+    times[60:] -= 2_000_000
+    times[80:] = np.arange(20) * 100_000 + times[79]
+    jumps = observed(times, [30, 60, 80, 90], cuts).jumps
+    assert (jumps.gaps, jumps.gap_us, jumps.back) == (1, 5_100_000, 2)
+
+
+def test_lost_and_used_bytes_add_up_to_a_share() -> None:
+    observer = Observer(RECORDING, RECORDING.lsb_per_g)
+    assert observer.facts().lost_percent() == 0
+    nothing = np.zeros((0, 3), np.int16)
+    many = tuple(Problem("checksum", "x", index, 0, lost_bytes=30) for index in range(2000))
+    observer.see(Chunk(0, nothing, StampClock(nothing[:, 0]), 0, problems=many, used_bytes=40_000))
+    facts = observer.facts()
+    assert (facts.lost_bytes, facts.used_bytes, facts.lost_percent()) == (60_000, 40_000, 60.0)
+
+
 def test_a_break_without_lost_time_is_no_gap() -> None:
     assert observed(np.arange(100, dtype=np.int64) * 100_000, [50], []).gaps == ()
 

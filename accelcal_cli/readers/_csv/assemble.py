@@ -68,16 +68,18 @@ class Assembler:
         pace: how the rows follow each other.
         stamped: rows carry times; else they are counted at the pace.
         start_us: time of the first row where they are counted.
+        row_bytes: about how long a line is.
     """
 
-    def __init__(self, pace: Pace, stamped: bool, start_us: int) -> None:
+    def __init__(self, pace: Pace, stamped: bool, start_us: int, row_bytes: int) -> None:
+        self._row_bytes = row_bytes
         self._stamped = stamped
         self._start_us = start_us
         self._pace = pace
         self._rate = rate_fraction(pace.rate_hz)
         self._faults = {
-            Fault.MISSING: RunLog("missing_value", _missing),
-            Fault.OUT_OF_RANGE: RunLog("out_of_range", _out_of_range),
+            Fault.MISSING: RunLog("missing_value", _missing, row_bytes),
+            Fault.OUT_OF_RANGE: RunLog("out_of_range", _out_of_range, row_bytes),
         }
         self._asleep = RunLog("idle_sleep", _asleep)
         self._clocks = (RunLog("clock_gap", _ahead), RunLog("clock_back", _back))
@@ -108,6 +110,7 @@ class Assembler:
                 temperature_mc=None if spare is None else spare[part],
                 validity=None if validity is None else validity[part],
                 problems=problems if start == 0 else (),
+                used_bytes=(stop - start) * self._row_bytes,
             )
             self.samples += stop - start
         self.rows += len(rows)

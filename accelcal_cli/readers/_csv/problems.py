@@ -43,10 +43,15 @@ class Marks:
 
 
 class RunLog:
-    """Collects the rows with one problem over all blocks. Its records do not depend on the blocks."""
+    """Collects the rows with one problem over all blocks. Its records do not depend on the blocks.
 
-    def __init__(self, code: str, describe: Describe) -> None:
+    Args:
+        row_bytes: bytes that are lost with each row.
+    """
+
+    def __init__(self, code: str, describe: Describe, row_bytes: int = 0) -> None:
         self._code = code
+        self._row_bytes = row_bytes
         self._describe = describe
         self._seen = 0
         self._open: Run | None = None
@@ -74,7 +79,7 @@ class RunLog:
         done = [problem for _, problem in self._close(0)] if self._open else []
         if self._rest.count:
             text = f"and more of the same: {self._describe(self._rest.count, self._rest.line, 0.0)}"
-            done.append(Problem(self._code, text, None, self._rest.sample, self._rest.count))
+            done.append(self._problem(text, self._rest))
         return done
 
     def _extend(self, marks: Marks, begin: int, end: int) -> None:
@@ -90,9 +95,12 @@ class RunLog:
             return []
         if run.single:
             text = self._describe(run.count, run.line, run.size)
-            return [(row, Problem(self._code, text, None, run.sample, run.count))]
+            return [(row, self._problem(text, run))]
         self._add_rest(run.count, run.line, run.sample)
         return []
+
+    def _problem(self, text: str, run: Run) -> Problem:
+        return Problem(self._code, text, None, run.sample, run.count, run.count * self._row_bytes)
 
     def _count_on(self, marks: Marks, begin: int) -> list[tuple[int, Problem]]:
         """Only count the rows from `begin` on, which ends a run; the last may stay open."""

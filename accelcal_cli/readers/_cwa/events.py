@@ -19,6 +19,7 @@ from accelcal_cli.readers._cwa.decode import (
     SectorBlock,
 )
 from accelcal_cli.readers._cwa.links import Links
+from accelcal_cli.readers._cwa.sector import SECTOR_BYTES
 from accelcal_cli.readers._pages.blocks import PagedFile, RawBlock, is_erased
 from accelcal_cli.readers._pages.pages import BadRun, bad_runs
 from accelcal_cli.readers._pages.problems import Event
@@ -31,6 +32,9 @@ LEFT_OUT = {
     RATE: ("rate_change", "data sectors recorded at another rate than the first, left out"),
     SETTINGS: ("settings_change", "data sectors with another range, scale or axes than the first, left out"),
 }
+DAMAGED = (EMPTY, FOREIGN, CHECKSUM, NONSENSE)
+"""Kinds whose bytes are lost; a sector recorded with other settings is sound."""
+
 MISSING = ("sequence_gap", "data sectors missing by their sequence numbers")
 RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin anew")
 SESSION = ("session_change", "changes of the session number: the device was set up anew")
@@ -47,11 +51,12 @@ BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomple
 
 @dataclass(frozen=True, slots=True)
 class Size:
-    """How many units an event concerns, how many sectors it reaches over, and what time it takes."""
+    """Units that an event concerns, sectors that it reaches over, the time it takes, bytes lost."""
 
     count: int
     sectors: int = 1
     amount_us: int = 0
+    lost_bytes: int = 0
 
 
 class EventMaker:
@@ -82,7 +87,9 @@ class EventMaker:
                 self._hold(run)
             elif run.kind != OTHER:
                 after = int(samples[np.searchsorted(block.position, run.position)])
-                yield self._event(run.position, LEFT_OUT[run.kind], after, Size(run.pages, run.pages))
+                lost = run.pages * SECTOR_BYTES if run.kind in DAMAGED else 0
+                size = Size(run.pages, run.pages, lost_bytes=lost)
+                yield self._event(run.position, LEFT_OUT[run.kind], after, size)
 
     def _hold(self, run: BadRun) -> None:
         first, before = (
@@ -110,8 +117,10 @@ class EventMaker:
             return
         position = raw.first_position + len(raw.pages)
         text = BROKEN_OFF if raw.broken else CUT_OFF
-        yield self._event(position, ("truncated", text), sample, Size(len(raw.tail)))
+        size = Size(len(raw.tail), lost_bytes=len(raw.tail) + raw.undecoded)
+        yield self._event(position, ("truncated", text), sample, size)
 
     def _event(self, position: int, kind: tuple[str, str], sample: int, size: Size) -> Event:
         offset = self._file.offset(position)
-        return Event(position, size.sectors, *kind, offset, sample, size.count, size.amount_us)
+        amounts = (size.count, size.amount_us, size.lost_bytes)
+        return Event(position, size.sectors, *kind, offset, sample, *amounts)

@@ -112,7 +112,8 @@ class Assembler:
             yield self._chunk(self._waiting.popleft(), problems)
             problems = ()
         if problems:
-            nothing = _Waiting(self._nothing, np.empty(0, np.bool_), end_byte)
+            reached = self._waiting[0].end_byte if self._waiting else end_byte
+            nothing = _Waiting(self._nothing, np.empty(0, np.bool_), reached)
             yield self._chunk(nothing, problems)
 
     def _chunk(self, waiting: _Waiting, problems: tuple[Problem, ...]) -> Chunk:
@@ -130,6 +131,7 @@ class Assembler:
             temperature_mc=self._temperature(block),
             gyro_counts=block.gyro if self._scheme.settings.gyro_dps_per_lsb else None,
             problems=problems,
+            used_bytes=sectors * SECTOR_BYTES,
         )
         self._rows_out += len(chunk)
         return chunk

@@ -11,7 +11,7 @@ import numpy as np
 from accelcal_cli.core.recording import Chunk, Problem, Validity
 from accelcal_cli.readers._geneactiv.decode import Decoder, Settings
 from accelcal_cli.readers._geneactiv.first import FirstPages
-from accelcal_cli.readers._geneactiv.page import SAMPLES
+from accelcal_cli.readers._geneactiv.page import SAMPLES, USUAL_BYTES
 from accelcal_cli.readers._geneactiv.scale import Scale
 from accelcal_cli.readers._geneactiv.text import Part, TextFile
 from accelcal_cli.readers._pages.coarse import CoarseTimeline
@@ -108,6 +108,7 @@ class _Places:
     """Where the places of the part lie that is being read."""
 
     part: Part
+    page_bytes = USUAL_BYTES
 
     def offset(self, position: int) -> int:
         """Bytes from the start of the (uncompressed) file."""

@@ -21,7 +21,7 @@ class Part:
         end_byte: and on disk, for progress.
         last: nothing follows.
         broke_off: the compressed data broke off rather than ended.
-        tail, broken: none, for the joiner; a page that is cut off stands in `found`.
+        tail, broken, undecoded: none, for the joiner; a page that is cut off stands in `found`.
     """
 
     first_position: int
@@ -32,6 +32,7 @@ class Part:
     broke_off: bool = False
     tail: bytes = b""
     broken: bool = False
+    undecoded: int = 0
 
     @property
     def next_position(self) -> int:

@@ -22,9 +22,10 @@ RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, lef
 def damage_event(damage: Damage, position: int, sample: int) -> Event:
     """An event for bytes that gave no record."""
     if damage.records:
-        return Event(position, 1, *CHECKSUM, damage.start_byte, sample, damage.records)
-    kind = CUT_OFF if damage.cut_off else NO_RECORD
-    return Event(position, 1, *kind, damage.start_byte, sample, damage.size)
+        kind, count = CHECKSUM, damage.records
+    else:
+        kind, count = CUT_OFF if damage.cut_off else NO_RECORD, damage.size
+    return Event(position, 1, *kind, damage.start_byte, sample, count, lost_bytes=damage.size)
 
 
 def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
@@ -36,6 +37,7 @@ def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
         text = f"the checksum of {name} in the zip file is wrong: some of its bytes are not what was written"
         return Problem("archive_checksum", text, None, sample)
     missing = (stream.member.unpacked_bytes or 0) - stream.size
+    lost_bytes = max(0, missing) if stream.fault is Fault.DAMAGED else 0
     lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
     text = f"{name} breaks off, as {stream.fault.value}: {lost}"
-    return Problem("truncated", text, stream.size, sample, max(1, missing))
+    return Problem("truncated", text, stream.size, sample, max(1, missing), lost_bytes)

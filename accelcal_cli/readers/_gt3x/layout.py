@@ -70,6 +70,10 @@ class Records:
         """Some of them, by a mask or by numbers."""
         return Records(self.start[which], self.kind[which], self.second[which], self.size[which])
 
+    def framed_bytes(self) -> int:
+        """Bytes of all of them."""
+        return int(self.size.sum()) + FRAME_BYTES * len(self)
+
 
 def records_at(buffer: NDArray[np.uint8], start: NDArray[np.int64]) -> Records:
     """Headers of records that begin at `start` (k,); their eight bytes must lie in the buffer."""

@@ -89,6 +89,7 @@ class OldFile:
             if filled.any()
             else None,
             problems=problems,
+            used_bytes=int(np.diff(packed_bytes(np.array((first, first + len(counts)))))[0]),
         )
 
     def _ending(self, source: MemberStream, rows: int) -> tuple[Problem, ...]:
@@ -100,7 +101,7 @@ class OldFile:
             )
         fault = fault_problem(source, rows)
         left = source.size - int(packed_bytes(packed_samples(np.array(source.size))))
-        cut = Problem("truncated", f"{CUT_SAMPLE}: {left}", source.size - left, rows, left)
+        cut = Problem("truncated", f"{CUT_SAMPLE}: {left}", source.size - left, rows, left, left)
         return (*((cut,) if left else ()), *((fault,) if fault else ()))
 
 

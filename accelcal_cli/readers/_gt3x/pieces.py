@@ -40,10 +40,11 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a chunk lies: number of its first row, and how far the file has been read."""
+    """Where a chunk lies: number of its first row, how far the file has been read, bytes of its records."""
 
     first_sample: int
     end_byte: int
+    used_bytes: int = 0
 
 
 def groups(pieces: Sequence[Piece], most: int) -> Iterator[list[Piece]]:
@@ -77,6 +78,7 @@ def chunk_of(
         gyro_counts=None if samples.gyro is None else _column(samples.gyro, pieces),
         validity=_validity(pieces, rows),
         problems=problems,
+        used_bytes=place.used_bytes,
     )
 
 
@@ -130,6 +132,7 @@ def _part(chunk: Chunk, start: int, stop: int) -> Chunk:
         gyro_counts=None if chunk.gyro_counts is None else chunk.gyro_counts[start:stop],
         validity=None if chunk.validity is None else chunk.validity[start:stop],
         problems=() if start else chunk.problems,
+        used_bytes=0 if start else chunk.used_bytes,
     )
 
 

@@ -67,7 +67,7 @@ class LogFile:
                 problems = log.take(None if batch.page.last else timeline.position)
                 if batch.page.last and (fault := fault_problem(source, timeline.rows)) is not None:
                     problems += (fault,)
-                place = Place(rows, source.disk_position)
+                place = Place(rows, source.disk_position, batch.records.framed_bytes())
                 for chunk in chunks_of(pieces, samples, place, problems):
                     rows += len(chunk)
                     yield from cut(chunk, most)
@@ -76,10 +76,10 @@ class LogFile:
 def chunks_of(
     pieces: list[Piece], samples: Samples, place: Place, problems: tuple[Problem, ...]
 ) -> Iterator[Chunk]:
-    """Chunks of a batch's pieces; the problems go with the first, which may be empty."""
-    parts = list(groups(pieces, MOST_ROWS)) or ([[]] if problems else [])
-    rows = place.first_sample
+    """Chunks of a batch's pieces; problems and bytes go with the first, which may be empty."""
+    parts = list(groups(pieces, MOST_ROWS)) or ([[]] if problems or place.used_bytes else [])
+    rows, used = place.first_sample, place.used_bytes
     for part in parts:
-        chunk = chunk_of(part, samples, Place(rows, place.end_byte), problems)
-        problems, rows = (), rows + len(chunk)
+        chunk = chunk_of(part, samples, Place(rows, place.end_byte, used), problems)
+        problems, used, rows = (), 0, rows + len(chunk)
         yield chunk

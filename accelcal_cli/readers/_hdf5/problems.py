@@ -7,7 +7,7 @@ of problem is told a hundred times at most; what comes after is one more record,
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,11 +27,12 @@ def nowhere(_row: int) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A fault: its code, what is true of the rows, and how often it is told one by one."""
+    """A fault: its code, what is true of the rows, how often it is told one by one, bytes lost a row."""
 
     code: str
     what: str
     most: int = MOST_RECORDS
+    row_bytes: int = 0
 
 
 @dataclass(slots=True)
@@ -52,7 +53,8 @@ class Run:
 
     def problem(self) -> Problem:
         """For the report."""
-        return Problem(self.kind.code, f"{self.count} {self.kind.what}", self.offset, self.sample, self.count)
+        text, lost = f"{self.count} {self.kind.what}", self.count * self.kind.row_bytes
+        return Problem(self.kind.code, text, self.offset, self.sample, self.count, lost)
 
 
 class ProblemLog:
@@ -109,11 +111,16 @@ class ProblemLog:
 
 
 class Sieve:
-    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others."""
+    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others.
 
-    def __init__(self, start: int, stop: int) -> None:
+    Args:
+        row_bytes: bytes of a row in all datasets together.
+    """
+
+    def __init__(self, start: int, stop: int, row_bytes: int) -> None:
         self.start = start
         self.stop = stop
+        self.row_bytes = row_bytes
         self.keep = np.ones(stop - start, np.bool_)
         self._found: list[tuple[Kind, NDArray[np.int64], Offset]] = []
 
@@ -128,7 +135,7 @@ class Sieve:
     def leave_out(self, kind: Kind, bad: NDArray[np.bool_], offset: Offset = nowhere) -> None:
         """Drop rows; those dropped before are not told again."""
         bad = bad & self.keep
-        self.note(kind, np.flatnonzero(bad), offset)
+        self.note(replace(kind, row_bytes=self.row_bytes), np.flatnonzero(bad), offset)
         self.keep &= ~bad
 
     def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere) -> None:

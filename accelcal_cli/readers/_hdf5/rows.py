@@ -151,6 +151,11 @@ class TrackRows:
         """The dataset's path in the file."""
         return self._track.path
 
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return self._track.width * self._track.dtype.itemsize
+
     def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
         values, good = [], []

@@ -150,10 +150,12 @@ class _Stream:
         self._last_row: int | None = None
         self._last_time = 0
         self._first = plan.problems if start == 0 else ()
+        read = (*self._accel, *self._gyro, *self._stamps, *self._warm)
+        self._row_bytes = sum(source.row_bytes for source in read)
 
     def piece(self, start: int, stop: int, last: bool) -> Chunk:
         """The usable ones among rows start..stop-1 of the datasets."""
-        sieve = Sieve(start, stop)
+        sieve = Sieve(start, stop, self._row_bytes)
         counts = _counts(self._accel, self._plan.accel.scale, sieve)
         gyro = _counts(self._gyro, self._plan.gyro.scale, sieve) if self._plan.gyro else None
         times = self._times(sieve)
@@ -171,6 +173,7 @@ class _Stream:
             temperature_mc=None if temperature is None else sieve.kept(temperature),
             gyro_counts=None if gyro is None else sieve.kept(gyro),
             problems=self._first + self._log.take(stop, last) + self._end(last, len(rows)),
+            used_bytes=len(rows) * self._row_bytes,
         )
         self._first = ()
         self._sample += len(rows)

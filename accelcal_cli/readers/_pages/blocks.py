@@ -28,6 +28,7 @@ class RawBlock:
         tail: bytes of an incomplete page after these, only in the last block.
         broken: the stream broke off (damaged gzip) rather than ended; only in the last block.
         last: nothing follows.
+        undecoded: bytes on the disk that could not be unpacked after it broke off; only in the last block.
     """
 
     first_position: int
@@ -36,6 +37,7 @@ class RawBlock:
     tail: bytes
     broken: bool
     last: bool
+    undecoded: int = 0
 
     @property
     def next_position(self) -> int:
@@ -58,10 +60,15 @@ class Block(Protocol):
     def broken(self) -> bool: ...
     @property
     def last(self) -> bool: ...
+    @property
+    def undecoded(self) -> int: ...
 
 
 class Places(Protocol):
-    """Knows where pages lie."""
+    """Knows where pages lie, and about how long they are."""
+
+    @property
+    def page_bytes(self) -> int: ...
 
     def offset(self, position: int) -> int:
         """Where page `position` begins, bytes from the start of the (uncompressed) file."""
@@ -110,7 +117,15 @@ class PagedFile:
                 whole = len(data) // self.page_bytes
                 cut = whole * self.page_bytes
                 table = np.frombuffer(data, np.uint8, cut).reshape(whole, self.page_bytes)
-                yield RawBlock(first_position, table, stream.disk_position(), data[cut:], stream.broken, last)
+                yield RawBlock(
+                    first_position,
+                    table,
+                    stream.disk_position(),
+                    data[cut:],
+                    stream.broken,
+                    last,
+                    stream.undecoded(),
+                )
                 first_position += whole
 
     def _enter(self, stream: ByteSource, position: int) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from accelcal_cli.readers._pages.blocks import Block, Places, is_erased
 from accelcal_cli.readers._pages.pages import (
     BAD_KINDS,
+    DAMAGED,
     ERASED,
     NO_TEMPERATURE,
     BadRun,
@@ -38,11 +39,13 @@ class EventMaker:
     """Turns findings into events with their place in the file.
 
     Args:
+        row_bytes: bytes of a page for each of its rows.
         warm: the recording has a temperature at all.
     """
 
-    def __init__(self, file: Places, *, warm: bool) -> None:
+    def __init__(self, file: Places, row_bytes: int, *, warm: bool) -> None:
         self._file = file
+        self._row_bytes = row_bytes
         self._warm = warm
         self._erased: BadRun | None = None
 
@@ -60,7 +63,9 @@ class EventMaker:
                 continue
             code, text = BAD_KINDS[run.kind]
             sample = int(rows_before[np.searchsorted(block.position, run.position)])
-            yield replace(self._event(run.position, code, text, sample, run.pages), pages=run.pages)
+            lost = run.pages * self._file.page_bytes if run.kind in DAMAGED else 0
+            event = self._event(run.position, code, text, sample, run.pages)
+            yield replace(event, pages=run.pages, lost_bytes=lost)
 
     def _hold(self, run: BadRun) -> None:
         first, pages = (
@@ -76,9 +81,13 @@ class EventMaker:
         after = rows_in + np.cumsum(page_rows(block))
         for page in np.flatnonzero(faults + cold).tolist():
             position, sample = int(block.position[page]), int(after[page])
-            for text, count in ((FAULTY_ROWS, faults[page]), (COLD_ROWS, cold[page])):
+            for text, count, lost in (
+                (FAULTY_ROWS, faults[page], self._row_bytes),
+                (COLD_ROWS, cold[page], 0),
+            ):
                 if count:
-                    yield self._event(position, "missing_value", text, sample, int(count))
+                    event = self._event(position, "missing_value", text, sample, int(count))
+                    yield replace(event, lost_bytes=int(count) * lost)
 
     def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
         """What stands between pages."""
@@ -104,7 +113,9 @@ class EventMaker:
         position = raw.next_position
         offset = self._file.offset(position) + len(raw.tail) - len(decoded.leftover)
         text = BROKEN_OFF if raw.broken else CUT_OFF
-        yield Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
+        lost = len(decoded.leftover) + raw.undecoded
+        event = Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
+        yield replace(event, lost_bytes=lost)
 
     def _event(self, place: int, code: str, text: str, sample: int, count: int = 1) -> Event:
         return Event(place, 1, code, text, self._file.offset(place), sample, count)

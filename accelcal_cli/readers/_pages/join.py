@@ -63,7 +63,8 @@ class PageJoiner:
     def __init__(self, file: Places, spacing: Spacing, timeline: Timeline, start: Start) -> None:
         self._spacing = spacing
         self._timeline = timeline
-        self._events = EventMaker(file, warm=start.temperature_mc != NO_TEMPERATURE)
+        self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
+        self._events = EventMaker(file, self._row_bytes, warm=start.temperature_mc != NO_TEMPERATURE)
         self._log = ProblemLog(start.problems)
         self._temperature = TemperatureHold(start.temperature_mc)
         self._filter = RowFilter()
@@ -127,7 +128,12 @@ class PageJoiner:
             temperature_mc=self._temperature.fill(block.temperature_mc),
             gyro_counts=block.gyro,
             problems=problems,
+            used_bytes=self._used_bytes(block),
         )
         chunk = self._filter.apply(chunk, block.faulty)
         self._rows_out += len(chunk)
         return chunk
+
+    def _used_bytes(self, block: PageBlock) -> int:
+        faults = 0 if block.faulty is None else int(block.faulty.sum())
+        return len(block) * self._page_bytes - faults * self._row_bytes

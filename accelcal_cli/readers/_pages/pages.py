@@ -27,6 +27,9 @@ BAD_KINDS = {
     NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
 }
 
+DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
+"""Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
+
 
 @dataclass(frozen=True, slots=True)
 class BadRun:

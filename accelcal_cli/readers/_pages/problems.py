@@ -20,6 +20,7 @@ class Event:
         sample: number of the first sample after it.
         count: how many units are concerned.
         amount_us: what to sum up as seconds, 0 for nothing.
+        lost_bytes: as in a Problem.
     """
 
     position: int
@@ -30,6 +31,7 @@ class Event:
     sample: int
     count: int
     amount_us: int = 0
+    lost_bytes: int = 0
 
 
 @dataclass(slots=True)
@@ -38,6 +40,7 @@ class _Run:
     last: int
     count: int
     amount_us: int
+    lost_bytes: int = 0
     closed: bool = False
     scattered: bool = False
 
@@ -65,6 +68,7 @@ class ProblemLog:
         run.last = event.position + event.pages - 1
         run.count += event.count
         run.amount_us += event.amount_us
+        run.lost_bytes += event.lost_bytes
 
     def _begin(self, kind: tuple[str, str], event: Event, before: _Run | None) -> _Run:
         if before is not None:
@@ -93,4 +97,4 @@ def as_problem(run: _Run) -> Problem:
     seconds = f" ({run.amount_us / 1e6:.3f} s in all)" if run.amount_us else ""
     scattered = ", in several places" if run.scattered else ""
     message = f"{event.text}: {run.count}{scattered}{seconds}"
-    return Problem(event.code, message, event.byte_offset, event.sample, run.count)
+    return Problem(event.code, message, event.byte_offset, event.sample, run.count, run.lost_bytes)

@@ -136,7 +136,7 @@ class PagedReader(Reader):
         pages = min(self._pages(chunk_samples), max(1, total // max(1, pieces)))
         for piece in range(min(pieces, max(1, total))):
             chunk = self._piece(piece * total // pieces, pages)
-            if len(chunk):
+            if len(chunk) or chunk.problems:
                 yield chunk
 
     def _piece(self, position: int, pages: int) -> Chunk:

@@ -1,0 +1,84 @@
+"""`--max-damage`: a recording of which damage has taken too much is refused, with a report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+
+from accelcal_cli.output.report import report_schema
+from tests.cli.run import assert_one_line, run, verify
+from tests.readers import make_flash
+from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
+
+Capture = pytest.CaptureFixture[str]
+
+
+def dump(path: Path, spoiled: int) -> Path:
+    """A recording that can be calibrated, `spoiled` of every ten pages overwritten."""
+    made = make_flash.pages(still_counts(directions(60)), RATE_HZ)
+    pages = [bytes(512) if index // 57 % 10 < spoiled else page for index, page in enumerate(made)]
+    path.write_bytes(make_flash.header(RATE_HZ, LSB_PER_G) + b"".join(pages) + b"\xff" * 512_000)
+    return path
+
+
+def report_of(path: Path) -> dict:
+    report = json.loads(path.read_text())
+    jsonschema.validate(report, report_schema())
+    return report
+
+
+def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Capture) -> None:
+    path = dump(tmp_path / "a.bin", 6)
+    ran = run(capsys, "calibrate", path, "-q")
+    assert ran.code == 4
+    assert_one_line(ran, "lost to damage", "50 % is the limit", "--max-damage")
+    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.bin", "a.calibration.json"]
+    report = report_of(tmp_path / "a.calibration.json")
+    health = report["file_health"]
+    lost = sum(1 for index in range(563) if index // 57 % 10 < 6)
+    assert health["lost_bytes"] == lost * 512
+    assert health["lost_percent"] == pytest.approx(100 * lost / 563, abs=1e-4)
+    assert (report["outcome"], report["calibration"]) == ("refused", None)
+    assert report["settings"]["max_damage_percent"] == 50.0
+
+
+def test_the_limit_can_be_raised_and_lowered(tmp_path: Path, capsys: Capture) -> None:
+    path = dump(tmp_path / "a.bin", 6)
+    assert run(capsys, "calibrate", path, "--max-damage", 70).code == 0
+    ran, found = verify(capsys, tmp_path / "a.calibration.json", path)
+    assert (ran.code, found["result"]) == (0, "identical")
+    whole = dump(tmp_path / "b.bin", 1)
+    assert run(capsys, "calibrate", whole, "--max-damage", 5).code == 4
+    assert report_of(tmp_path / "b.calibration.json")["calibration"] is None
+    assert run(capsys, "calibrate", whole).code == 0
+    assert run(capsys, "calibrate", whole, "--max-damage", 101).code == 2
+
+
+def test_a_refusal_is_reproduced_by_verify(tmp_path: Path, capsys: Capture) -> None:
+    path = dump(tmp_path / "a.bin", 6)
+    run(capsys, "calibrate", path)
+    ran, found = verify(capsys, tmp_path / "a.calibration.json", path)
+    assert (ran.code, found["result"]) == (0, "identical")
+
+
+def test_apply_refuses_too(tmp_path: Path, capsys: Capture) -> None:
+    good, bad = dump(tmp_path / "good.bin", 0), dump(tmp_path / "bad.bin", 6)
+    assert run(capsys, "calibrate", good).code == 0
+    words = ("apply", "--coefficients", tmp_path / "good.calibration.json", bad)
+    ran = run(capsys, *words, "-q")
+    assert ran.code == 4
+    assert_one_line(ran, "lost to damage")
+    report = report_of(tmp_path / "bad.calibration.json")
+    assert (report["calibration"], report["coefficients"]["recording_path"]) == (None, str(good))
+    assert not (tmp_path / "bad.calibrated.parquet").exists()
+    assert run(capsys, *words, "--max-damage", 99).code == 0
+
+
+def test_inspect_predicts_it(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "inspect", dump(tmp_path / "a.bin", 6))
+    assert ran.code == 0
+    assert "prediction   refused" in ran.out
+    assert "--max-damage" in ran.out
