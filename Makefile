@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 DEMO   := demo
 
-.PHONY: setup demo test nightly lint bench bench-peers sample-data figure clean
+.PHONY: setup demo test nightly fuzz lint bench bench-peers sample-data figure clean
 
 setup: $(READY)
 
@@ -30,6 +30,9 @@ test: $(READY)
 nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
+
+fuzz: $(READY)
+	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-10000} $(BIN)/python -m tests.readers.fuzz
 
 lint: $(READY)
 	$(BIN)/ruff check .

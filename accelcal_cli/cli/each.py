@@ -55,7 +55,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
     try:
         with contextlib.ExitStack() as stack:
             if job.source == STDIN:
-                source = stack.enter_context(spooled(_stdin()))
+                source = stack.enter_context(spooled(stdin()))
             bars = stack.enter_context(progress_bars(job.source.name, quiet=values["quiet"]))
             result = work(job, bars, source)
     except AccelcalError as error:
@@ -70,7 +70,8 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
     return exits.REFUSED if result.outcome is Outcome.REFUSED else exits.OK
 
 
-def _stdin() -> BinaryIO:
+def stdin() -> BinaryIO:
+    """Standard input; raises UsageError where there is none."""
     if sys.stdin is None:
         raise UsageError("standard input is closed", hint="name a file")
     return sys.stdin.buffer

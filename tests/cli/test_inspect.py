@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import assert_one_line, run
+from tests.cli.run import assert_one_line, run, run_process
 from tests.recordings import directions, good_csv, still_counts, write_csv, write_raw
 
 Capture = pytest.CaptureFixture[str]
@@ -46,6 +46,37 @@ def test_an_unreadable_recording_has_its_code_and_line(tmp_path: Path, capsys: C
     assert ran.code == 3
     assert_one_line(ran, "absent.cwa")
     assert run(capsys, "inspect", tmp_path / "absent.cwa", good_csv(tmp_path)).code == 1
+
+
+def test_standard_input_is_read_like_a_file(tmp_path: Path) -> None:
+    data = good_csv(tmp_path).read_bytes()
+    ran = run_process("inspect", "--json", "-", stdin=data)
+    assert (ran.code, ran.err) == (0, "")
+    shown = json.loads(ran.out)
+    assert (shown["recording"]["path"], shown["recording"]["samples"]) == ("-", None)
+    assert shown["prediction"]["outcome"] == "calibrated"
+    layout = write_raw(tmp_path / "a.raw", still_counts(directions(60))).with_name("a.layout.toml")
+    raw = run_process("inspect", "--layout", layout, "-", stdin=(tmp_path / "a.raw").read_bytes())
+    assert "45000 samples" in raw.out
+
+
+def test_standard_input_that_cannot_be_read_has_its_name(capsys: Capture) -> None:
+    ran = run_process("inspect", "-", stdin=b"")
+    assert ran.code == 3
+    assert_one_line(ran, "accelcal: -,", "is empty")
+    assert run(capsys, "inspect", "-", "-").code == 2
+
+
+def test_a_look_at_pieces_predicts_what_the_default_optimizer_finds(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    words = ("inspect", "--json", path)
+    quick, named = (
+        json.loads(run(capsys, *words, *more).out)["prediction"] for more in ((), ("--optimizer", "fixed32"))
+    )
+    assert quick["message"] == named["message"]
+    assert quick["holdout"]["after_mg"]["mean"] == pytest.approx(
+        named["holdout"]["after_mg"]["mean"], abs=2e-3
+    )
 
 
 def test_the_clock_and_a_change_of_its_zone(tmp_path: Path, capsys: Capture) -> None:

@@ -60,7 +60,7 @@ def mutants(data: bytes, number: int, seed: int) -> Iterator[bytes]:
 
 
 def damaged(data: bytes, random: np.random.RandomState) -> bytes:
-    """Bits or bytes changed, blocks removed, repeated, swapped, moved, zeroed or erased, or the end cut off."""
+    """Bytes changed, a block removed, repeated, moved, zeroed or erased, or the end cut off."""
     if not data:
         return data
     at, other = (random.randint(len(data)) for _ in range(2))
@@ -112,7 +112,7 @@ def checked(chunks: Iterator[Chunk], total_bytes: int) -> Iterator[Chunk]:
         assert chunk.breaks.shape == (len(chunk.breaks),)
         assert (np.diff(chunk.breaks) > 0).all()
         assert not len(chunk.breaks) or 0 <= chunk.breaks[0] <= chunk.breaks[-1] < rows
-        assert not sample == 0 or 0 not in chunk.breaks, "the first row cannot be a break"
+        assert sample != 0 or 0 not in chunk.breaks, "the first row cannot be a break"
         times = chunk.clock.times(0, rows)
         assert (times.shape, times.dtype) == ((rows,), np.int64)
         for column, dtype in ((chunk.temperature_mc, np.int32), (chunk.validity, np.uint8)):

@@ -15,6 +15,7 @@ import numpy as np
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import GZIP_MAGIC, Probe
 from accelcal_cli.readers._hdf5.bytes import SoundBytes
+from accelcal_cli.readers._hdf5.memory import bounded_memory
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 FIRST_USER_BLOCK = 512
@@ -242,7 +243,8 @@ class Attributes:
 
     def _read(self, node: Any, name: str) -> str | float | None:
         try:
-            return plain_value(node.attrs[name]) if _is_plain(node, name) else None
+            with bounded_memory():
+                return plain_value(node.attrs[name]) if _is_plain(node, name) else None
         except H5PY_ERRORS:
             self.damaged.append(name)
             return None
