@@ -84,7 +84,9 @@ class PageClock:
         longest = int(rows.max())
         if (rows[:-1] == longest).all() and (self.span_rows[pages] == longest).all():
             return self._even(pages, longest)[start - int(edges[0]) : stop - int(edges[0])]
-        return self._uneven(pages, rows)[start - int(edges[0]) :]
+        skipped = start - int(edges[0])
+        rows[0] -= skipped
+        return self._uneven(pages, rows, skipped)
 
     def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
         """Times of all rows of pages that hold `rows` rows each, one page after the other."""
@@ -95,9 +97,11 @@ class PageClock:
         into += self.time_us[pages, np.newaxis]
         return into.reshape(-1)
 
-    def _uneven(self, pages: slice, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Times of the first `rows[j]` rows of each page j."""
+    def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:
+        """Times of the first `rows[j]` rows of each page j, in the first one after `skipped` others."""
         span = np.repeat(self.span_rows[pages], rows)
         first = np.repeat(np.cumsum(rows) - rows, rows)
-        into = (np.arange(len(first), dtype=np.int64) - first) * np.repeat(self.span_us[pages], rows)
+        into = np.arange(len(first), dtype=np.int64) - first
+        into[: rows[0]] += skipped
+        into *= np.repeat(self.span_us[pages], rows)
         return np.repeat(self.time_us[pages], rows) + (2 * into + span) // (2 * span)

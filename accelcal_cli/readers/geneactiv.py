@@ -59,7 +59,7 @@ class GeneactivReader(Reader):
         length = min(spread, max(1, chunk_samples // SAMPLES) * USUAL_BYTES)
         for piece in range(pieces):
             chunk = self._scheme.piece(file.start + piece * spread, length)
-            if len(chunk):
+            if len(chunk) or chunk.problems:
                 yield chunk
 
 

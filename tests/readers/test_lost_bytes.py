@@ -11,7 +11,16 @@ import numpy as np
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.readers import open_recording
-from tests.readers import make_csv, make_cwa, make_flash, make_gt3x, make_hdf5, make_opal, make_raw
+from tests.readers import (
+    make_csv,
+    make_cwa,
+    make_flash,
+    make_geneactiv,
+    make_gt3x,
+    make_hdf5,
+    make_opal,
+    make_raw,
+)
 
 OPTIONS = ReadOptions()
 
@@ -74,6 +83,20 @@ def test_cwa_sectors(tmp_path: Path) -> None:
     assert bytes_of(path) == (3 * 512 + 500, 11 * 512)
     path.write_bytes(whole + b"\xff" * 51200)
     assert bytes_of(path) == (3 * 512, 12 * 512)
+
+
+def test_geneactiv_pages(tmp_path: Path) -> None:
+    path = make_geneactiv.make(tmp_path, counts(3000), 50.0, 256.0).path
+    whole = path.read_bytes()
+    assert bytes_of(path)[0] == 0
+    third = whole.index(b"Sequence Number:2")
+    begin, end = whole.rindex(b"Recorded Data", 0, third), whole.index(b"Recorded Data", third)
+    path.write_bytes(whole[: third + 200] + b"?" + whole[third + 201 :])
+    assert bytes_of(path)[0] == end - begin
+    path.write_bytes(whole[:begin] + bytes(end - begin) + whole[end:])
+    assert bytes_of(path)[0] == end - begin
+    path.write_bytes(whole[:begin] + bytes(4 * (end - begin)) + whole[begin + 4 * (end - begin) :])
+    assert bytes_of(path)[0] > 3.9 * (end - begin)
 
 
 def test_raw_frames(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ class Found:
     Attributes:
         status: what each place is: GOOD, a page whose text and length are right, or a key of BAD_KINDS.
         offset: where each begins, bytes from the start of the (uncompressed) file.
+        length: bytes of each, up to the next page.
         heads, bodies: of the GOOD ones. A body has 3600 characters, fewer only in a page that the
             end of the file cuts off, whose whole samples these are.
         cut: where a page begins that the end of the file cuts off, None without one.
@@ -37,15 +38,21 @@ class Found:
 
     status: list[int] = field(default_factory=list)
     offset: list[int] = field(default_factory=list)
+    length: list[int] = field(default_factory=list)
     heads: list[Head] = field(default_factory=list)
     bodies: list[bytes] = field(default_factory=list)
     cut: int | None = None
     cut_samples: int = 0
 
-    def page(self, offset: int, head: Head, body: bytes) -> None:
-        """Add a GOOD one."""
-        self.status.append(GOOD)
+    def place(self, status: int, offset: int, end: int) -> None:
+        """Add one of any kind, up to byte `end`."""
+        self.status.append(status)
         self.offset.append(offset)
+        self.length.append(end - offset)
+
+    def page(self, offset: int, end: int, head: Head, body: bytes) -> None:
+        """Add a GOOD one."""
+        self.place(GOOD, offset, end)
         self.heads.append(head)
         self.bodies.append(body)
 
@@ -64,6 +71,7 @@ class Scanner:
         self._offset = offset
         self._rest = b""
         self._searching = inside
+        self._bad: tuple[int, int] | None = None
 
     def feed(self, data: bytes, *, last: bool, stop: int | None = None) -> Found:
         """The places that begin in the text so far and can be seen whole.
@@ -79,17 +87,28 @@ class Scanner:
         while at < end:
             if self._searching:
                 at = self._search(text, at, last=last)
+                if not self._searching:
+                    self._close(at, found)
                 continue
             head = match(text, at)
             begin = len(text) if head is None else head.end()
             close = text.find(b"\n", begin, begin + BODY_DIGITS + 2)
             if head is None or not _is_whole(text, begin, close):
-                at = self._last(text, at, head, found) if last else self._other(text, at, head, found)
+                at = self._last(text, at, head, found) if last else self._other(text, at, head)
                 continue
-            found.page(self._offset + at, head.groups(), text[begin : begin + BODY_DIGITS])
+            digits = text[begin : begin + BODY_DIGITS]
+            found.page(self._offset + at, self._offset + close + 1, head.groups(), digits)
             at = close + 1
+        if last:
+            self._close(at, found)
         self._rest, self._offset = text[at:], self._offset + at
         return found
+
+    def _close(self, at: int, found: Found) -> None:
+        """What was no page reaches up to here."""
+        if self._bad is not None:
+            found.place(*self._bad, self._offset + at)
+        self._bad = None
 
     def _search(self, text: bytes, at: int, *, last: bool) -> int:
         """Where the next page begins, or up to where none does."""
@@ -108,22 +127,22 @@ class Scanner:
             cut = begun and len(text) - at < SHORTEST_BYTES and text.find(MARK, at + 1) < 0
             digits = b""
         if not cut:
-            return self._other(text, at, head, found)
+            return self._other(text, at, head)
         samples = len(digits) // SAMPLE_DIGITS
         if samples < SAMPLES:
             found.cut, found.cut_samples = self._offset + at, samples
         if head is not None and samples:
-            found.page(self._offset + at, head.groups(), digits[: samples * SAMPLE_DIGITS])
+            begin, end = self._offset + at, self._offset + len(text)
+            found.page(begin, end, head.groups(), digits[: samples * SAMPLE_DIGITS])
         return len(text)
 
-    def _other(self, text: bytes, at: int, head: re.Match[bytes] | None, found: Found) -> int:
-        """Take in what is no page; gives where to go on."""
+    def _other(self, text: bytes, at: int, head: re.Match[bytes] | None) -> int:
+        """Begin with what is no page; gives where to go on."""
         blank = _BLANK.match(text, at)
         if blank:
             return blank.end()
         begun = text.startswith(MARK, at)
-        found.status.append(NO_PAGE if not begun else TEXT if head is None else LENGTH)
-        found.offset.append(self._offset + at)
+        self._bad = (NO_PAGE if not begun else TEXT if head is None else LENGTH), self._offset + at
         self._searching = True
         return at + len(MARK) if begun else at
 

@@ -114,6 +114,10 @@ class _Places:
         """Bytes from the start of the (uncompressed) file."""
         return self.part.offset(position)
 
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many places."""
+        return self.part.length(position, pages)
+
 
 def marked(chunk: Chunk, scale: Scale) -> Chunk:
     """The chunk with rows marked that lie at the end of what the sensor can tell."""

@@ -43,6 +43,11 @@ class Part:
         """Where a place of this part begins, bytes from the start of the (uncompressed) file."""
         return self.found.offset[position - self.first_position]
 
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many places of this part."""
+        first = position - self.first_position
+        return sum(self.found.length[first : first + pages])
+
 
 @dataclass(frozen=True, slots=True)
 class TextFile:

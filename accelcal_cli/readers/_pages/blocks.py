@@ -73,6 +73,9 @@ class Places(Protocol):
     def offset(self, position: int) -> int:
         """Where page `position` begins, bytes from the start of the (uncompressed) file."""
 
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many pages from `position` on."""
+
 
 @dataclass(frozen=True, slots=True)
 class PagedFile:
@@ -99,6 +102,10 @@ class PagedFile:
     def offset(self, position: int) -> int:
         """Where page `position` begins, bytes from the start of the (uncompressed) file."""
         return self.start_byte + position * self.page_bytes
+
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many pages from `position` on."""
+        return pages * self.page_bytes
 
     def blocks(self, pages: int, first_position: int = 0) -> Generator[RawBlock]:
         """Yield all pages from `first_position` on, `pages` at a time; the last block may be empty.

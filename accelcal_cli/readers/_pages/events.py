@@ -63,7 +63,7 @@ class EventMaker:
                 continue
             code, text = BAD_KINDS[run.kind]
             sample = int(rows_before[np.searchsorted(block.position, run.position)])
-            lost = run.pages * self._file.page_bytes if run.kind in DAMAGED else 0
+            lost = self._file.length(run.position, run.pages) if run.kind in DAMAGED else 0
             event = self._event(run.position, code, text, sample, run.pages)
             yield replace(event, pages=run.pages, lost_bytes=lost)
 
