@@ -13,6 +13,7 @@ from accelcal_cli import __version__
 from accelcal_cli.cli.options import Positive, gravity, gravity_options
 from accelcal_cli.cli.progress import progress_bars
 from accelcal_cli.cli.tables import aligned, figure
+from accelcal_cli.cli.within import Within
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.gravity import Residuals, run
@@ -23,7 +24,7 @@ from accelcal_cli.output.sections import significant
 
 
 @click.command("gravity")
-@click.option("--local-gravity", type=click.FloatRange(9.7, 9.9), metavar="M/S2",
+@click.option("--local-gravity", type=Within(9.7, 9.9), metavar="M/S2",
               help=f"What rest measures.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
 @gravity_options
 @click.option("--cases", type=click.IntRange(1), default=500, show_default=True, help="Sensors to simulate.")

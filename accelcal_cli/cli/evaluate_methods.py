@@ -40,6 +40,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     paper), operations are additions and multiplications where they are counted, ms is the time of
     one fit. With --profile paper: 18 points, and a second set to judge by, as in the paper.
     """
+    if values["as_json_"] and values["as_csv"]:
+        raise UsageError("--json and --csv exclude each other", hint="give one of them")
     names = _names(values["only"])
     rows: list[Row] = []
     failed = 0

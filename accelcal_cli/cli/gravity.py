@@ -6,12 +6,13 @@ import json
 
 import click
 
+from accelcal_cli.cli.within import Within
 from accelcal_cli.core.gravity import Gravity, local_gravity
 
 
 @click.command("gravity")
-@click.option("--latitude", type=click.FloatRange(-90, 90), required=True, metavar="DEGREES")
-@click.option("--altitude", type=click.FloatRange(-500, 9000), default=0.0, metavar="METRES",
+@click.option("--latitude", type=Within(-90, 90), required=True, metavar="DEGREES")
+@click.option("--altitude", type=Within(-500, 9000), default=0.0, metavar="METRES",
               show_default=True, help="Above the sea.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(latitude: float, altitude: float, as_json: bool) -> None:

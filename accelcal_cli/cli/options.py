@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import click
 
 from accelcal_cli.cli.stillness import stillness_settings
+from accelcal_cli.cli.within import Within
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
@@ -88,7 +89,7 @@ class Listed(click.ParamType[tuple[Any, ...]]):
 _PRECISION = click.option(
     "--precision",
     "precision_mg",
-    type=click.FloatRange(0.001, 1000),
+    type=Within(0.001, 1000),
     metavar="MG",
     help="Write values in steps of at most so much: smaller files.  [default: exact]",
 )
@@ -174,17 +175,15 @@ _FITTING = [
 ]
 
 _GRAVITY = [
+    click.option("--latitude", type=Within(-90, 90), metavar="DEGREES", help="Where the recording was made."),
     click.option(
-        "--latitude", type=click.FloatRange(-90, 90), metavar="DEGREES", help="Where the recording was made."
-    ),
-    click.option(
-        "--altitude", type=click.FloatRange(-500, 9000), metavar="METRES", help="Above the sea.  [default: 0]"
+        "--altitude", type=Within(-500, 9000), metavar="METRES", help="Above the sea.  [default: 0]"
     ),
 ]
 
 _DAMAGE = click.option(
     "--max-damage",
-    type=click.FloatRange(0, 100),
+    type=Within(0, 100),
     default=DEFAULT.max_damage_percent,
     show_default=True,
     metavar="PERCENT",

@@ -11,6 +11,7 @@ import numpy as np
 
 from accelcal_cli.cli.options import Positive
 from accelcal_cli.cli.progress import progress_bars
+from accelcal_cli.cli.within import Within
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.encode import all_encoders
 from accelcal_cli.pipeline.simulate import simulate
@@ -27,16 +28,24 @@ from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
 @click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of movement and noise.")
 @click.option("--truth", type=click.IntRange(0), help="Seed of the sensor's errors.  [default: --seed]")
 @click.option(
-    "--errors", type=float, default=1.0, show_default=True, help="Factor on all errors; 0: a perfect sensor."
+    "--errors",
+    type=Within(0, 100),
+    default=1.0,
+    show_default=True,
+    help="Factor on all errors; 0: a perfect sensor.",
 )
 @click.option(
-    "--misalignment", type=float, default=1.0, show_default=True, help="Factor on the misalignment."
+    "--misalignment",
+    type=Within(-100, 100),
+    default=1.0,
+    show_default=True,
+    help="Factor on the misalignment.",
 )
-@click.option("--temp-slope", type=float, nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+@click.option("--temp-slope", type=Within(-1000, 1000), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
               help="Offset per degree C, mg.")  # fmt: skip
-@click.option("--noise-mg", type=click.FloatRange(0), default=3.0, show_default=True)
-@click.option("--lsb-per-g", type=click.FloatRange(1), default=256.0, show_default=True)
-@click.option("--range-g", type=click.FloatRange(1), default=8.0, show_default=True)
+@click.option("--noise-mg", type=Within(0, 1e5), default=3.0, show_default=True)
+@click.option("--lsb-per-g", type=Within(1, 1e6), default=256.0, show_default=True)
+@click.option("--range-g", type=Within(1, 1e4), default=8.0, show_default=True)
 @click.option("--no-temperature", is_flag=True, help="Record no temperature.")
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @click.option("--json", "as_json", is_flag=True, help="Print the truth.")

@@ -10,6 +10,7 @@ import click
 
 from accelcal_cli.cli.each import each
 from accelcal_cli.cli.options import damage_option, gravity, gravity_options, read_options, reading_options
+from accelcal_cli.cli.within import Within
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.plan import plan_report
 from accelcal_cli.pipeline.request import Result
@@ -37,21 +38,21 @@ DEFAULT = PoseSettings()
 @click.option("-v", "--verbose", is_flag=True, help="Say more on stderr.")
 @click.option(
     "--segment-seconds",
-    type=click.FloatRange(0.1, 60),
+    type=Within(0.1, 60),
     default=DEFAULT.segment_seconds,
     show_default=True,
     help="Length of a window.",
 )
 @click.option(
     "--stillness-threshold-g",
-    type=click.FloatRange(0, 4, min_open=True),
+    type=Within(0, 4, min_open=True),
     default=DEFAULT.stillness_threshold_g,
     show_default=True,
     help="Largest max - min of a still window.",
 )
 @click.option(
     "--face-degrees",
-    type=click.FloatRange(1, 45),
+    type=Within(1, 45),
     default=DEFAULT.face_degrees,
     show_default=True,
     help="How far from its axis the raw mean of a face may be.",

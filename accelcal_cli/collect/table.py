@@ -104,6 +104,9 @@ def _names(path: Path, columns: list[str]) -> dict[str, str]:
         for key, names in ALIASES.items()
         if any(name in lower for name in names)
     }
+    twice = [name for name in found.values() if f"{name}.1" in columns]
+    if twice:
+        raise UnreadableError(f"has two columns {twice[0]}", path=path, line=1, hint=_HINT)
     missing = [axis for axis in "xyz" if axis not in found]
     if missing:
         raise UnreadableError(f"has no column {', '.join(missing)}", path=path, line=1, hint=_HINT)

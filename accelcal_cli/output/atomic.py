@@ -31,6 +31,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written.
     """
+    _refuse_special(path)
     temporary = _beside(path)
     try:
         yield temporary
@@ -41,6 +42,16 @@ def replacing(path: Path) -> Iterator[Path]:
         raise output_error(error, path) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _refuse_special(path: Path) -> None:
+    """Raise OutputError for a device, a pipe or a folder: a rename would replace it."""
+    try:
+        special = path.exists() and not path.is_file()
+    except OSError as error:
+        raise output_error(error, path) from error
+    if special:
+        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
 
 
 def _beside(path: Path) -> Path:

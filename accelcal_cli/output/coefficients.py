@@ -12,6 +12,7 @@ import numpy as np
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT
 from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.names import printable
 from accelcal_cli.core.points import (
     IDENTITY,
@@ -78,6 +79,8 @@ def read_coefficients(path: Path) -> Coefficients:
         why = printable(str(report.get("message")))
         raise UnreadableError(f"holds no coefficients: the recording was refused ({why})", path=path)
     check_sections(document, USED)
+    if report.get("outcome") == Outcome.REFUSED:
+        raise damaged(document, "its recording was refused, but it holds coefficients")
     try:
         calibration = calibration_of(report["calibration"])
     except ValueError as error:

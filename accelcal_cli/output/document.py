@@ -9,11 +9,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.output.report import SCHEMA_VERSION, report_schema
+from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, report_schema
 from accelcal_cli.output.schema import fault
-
-LARGEST_BYTES = 64 << 20
-"""A report has some thousand entries at most; what is longer is none."""
 
 NAME_ONE = "name a report, STEM.calibration.json"
 

@@ -77,6 +77,7 @@ class ParquetSink:
         self._rows = 0
         self._encoding: Future[None] | None = None
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
+        self._thread.submit(int).result()
         encodings = dict.fromkeys(self.schema.names, "PLAIN") | {"time": "DELTA_BINARY_PACKED"}
         if columns.rounded:
             encodings |= dict.fromkeys("xyz", "BYTE_STREAM_SPLIT")
@@ -173,6 +174,8 @@ class ParquetSink:
 def metadata_of(path: Path) -> dict[str, Any]:
     """What a Parquet file of ours says of itself; empty for any other file, or none."""
     try:
+        if not path.is_file():
+            return {}
         held = (pq.read_schema(path).metadata or {}).get(METADATA_KEY, b"{}")
         metadata = json.loads(held)
     except (OSError, ValueError, pa.ArrowException):

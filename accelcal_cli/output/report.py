@@ -29,6 +29,8 @@ from accelcal_cli.output.sections import (
 )
 
 SCHEMA_VERSION = 1
+LARGEST_BYTES = 64 << 20
+"""A report has some thousand entries at most; what is longer is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,6 +186,8 @@ def report_schema() -> dict[str, Any]:
 def load(path: Path) -> dict[str, Any] | None:
     """A JSON file that accelcal wrote, or None where the file is anything else."""
     try:
+        if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+            return None
         report = json.loads(path.read_text("utf-8"))
     except (OSError, ValueError, RecursionError):
         return None

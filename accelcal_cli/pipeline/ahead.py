@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from threading import Lock
 from typing import TypeVar, cast
 
 T = TypeVar("T")
@@ -19,21 +20,41 @@ def ahead(items: Iterator[T], depth: int = DEPTH) -> Iterator[T]:
 
     What the iterator raises is raised here, in its place. Closing this closes the iterator.
     """
+    made = _Guarded(items)
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
         waiting: deque[Future[object]] = deque()
         try:
             for _ in range(depth):
-                waiting.append(thread.submit(next, items, _END))
+                waiting.append(thread.submit(made.next))
             while (item := waiting.popleft().result()) is not _END:
-                waiting.append(thread.submit(next, items, _END))
+                waiting.append(thread.submit(made.next))
                 yield cast(T, item)
         finally:
             for future in waiting:
                 future.cancel()
-            thread.submit(_close, items).result()
+            made.close()
 
 
-def _close(items: Iterator[T]) -> None:
-    close: Callable[[], None] | None = getattr(items, "close", None)
-    if close is not None:
-        close()
+class _Guarded:
+    """An iterator that one thread at a time uses.
+
+    A signal in the moment in which a pool starts its thread leaves it with a second one.
+    """
+
+    def __init__(self, items: Iterator[object]) -> None:
+        self._items = items
+        self._lock = Lock()
+        self._closed = False
+
+    def next(self) -> object:
+        """The next item, or the end."""
+        with self._lock:
+            return _END if self._closed else next(self._items, _END)
+
+    def close(self) -> None:
+        """Close the iterator, once nobody uses it."""
+        close: Callable[[], None] | None = getattr(self._items, "close", None)
+        with self._lock:
+            self._closed = True
+            if close is not None:
+                close()

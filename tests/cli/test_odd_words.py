@@ -1,0 +1,79 @@
+"""Numbers that are none, and outputs that are no files: a plain error, and nothing replaced."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run import run
+from tests.recordings import directions
+
+Capture = pytest.CaptureFixture[str]
+SAMPLE = Path(__file__).resolve().parent.parent.parent / "sample_data" / "recording.bin"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("gravity", "--latitude", "nan"),
+        ("gravity", "--latitude", "10", "--altitude", "inf"),
+        ("calibrate", SAMPLE, "--latitude", "nan"),
+        ("calibrate", SAMPLE, "--latitude", "1", "--altitude", "nan"),
+        ("calibrate", SAMPLE, "--precision", "nan"),
+        ("calibrate", SAMPLE, "--max-damage", "nan"),
+        ("six-pose", SAMPLE, "--segment-seconds", "nan"),
+        ("six-pose", SAMPLE, "--stillness-threshold-g", "nan"),
+        ("six-pose", SAMPLE, "--face-degrees", "nan"),
+        ("evaluate", "gravity", "--local-gravity", "nan"),
+        ("simulate", "x", "--noise-mg", "nan"),
+        ("simulate", "x", "--errors", "nan"),
+        ("simulate", "x", "--misalignment", "inf"),
+        ("simulate", "x", "--temp-slope", "nan", "0", "0"),
+        ("simulate", "x", "--lsb-per-g", "nan"),
+        ("evaluate", "methods", SAMPLE, "--json", "--csv"),
+    ],
+    ids=lambda words: " ".join(str(word) for word in words if word is not SAMPLE),
+)
+def test_what_is_no_number_is_wrong_usage(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, words: tuple[object, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, *words).code == 2
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def points(tmp_path: Path) -> Path:
+    path = tmp_path / "points.csv"
+    lines = [f"{x:.9f},{y:.9f},{z:.9f}" for x, y, z in directions(60)]
+    path.write_text("\n".join(["x,y,z", *lines]) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_a_pipe_is_not_read_and_not_replaced(
+    tmp_path: Path, capsys: Capture, points: Path, force: tuple[str, ...]
+) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    ran = run(capsys, "fit", points, "-o", pipe, *force)
+    assert ran.code == 5 and ran.err.count("\n") == 1
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+    ran = run(capsys, "calibrate", SAMPLE, "-o", pipe, *force)
+    assert ran.code == 5
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_a_folder_is_not_replaced(tmp_path: Path, capsys: Capture, points: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    assert run(capsys, "fit", points, "-o", tmp_path / "folder", "--force").code == 5
+
+
+def test_a_column_that_stands_twice_is_asked_about(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("x,y,z,x\n1,0,0,0\n")
+    ran = run(capsys, "fit", path)
+    assert ran.code == 3 and "line 1: has two columns x" in ran.err
