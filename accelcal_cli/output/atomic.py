@@ -46,7 +46,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def _beside(path: Path) -> Path:
     host = platform.node() or "host"
     try:
-        _sweep(path, host)
+        sweep(path)
         prefix = f".{path.name}.{host}.{os.getpid()}."
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
     except OSError as error:
@@ -59,11 +59,11 @@ def _beside(path: Path) -> Path:
     return temporary
 
 
-def _sweep(path: Path, host: str) -> None:
-    """Remove temporaries of this file whose process on this machine was killed."""
+def sweep(path: Path) -> None:
+    """Remove temporaries of this file whose process on this machine was killed; raises OSError."""
     if os.name != "posix":
         return
-    start = f".{path.name}.{host}."
+    start = f".{path.name}.{platform.node() or 'host'}."
     for left in path.parent.iterdir():
         owner = left.name.removeprefix(start).split(".")[0]
         if (
