@@ -31,7 +31,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written.
     """
-    temporary = _beside(path)
+    temporary = beside(path)
     try:
         yield temporary
         _flush(temporary)
@@ -43,7 +43,11 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _beside(path: Path) -> Path:
+def beside(path: Path) -> Path:
+    """An empty temporary file beside `path`, named by host and process; raises OutputError.
+
+    Those that killed processes of this host left for `path` are removed.
+    """
     host = platform.node() or "host"
     try:
         sweep(path)

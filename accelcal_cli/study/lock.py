@@ -6,14 +6,13 @@ import contextlib
 import json
 import os
 import platform
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import LockedError
-from accelcal_cli.output.atomic import output_error
+from accelcal_cli.output.atomic import beside, output_error
 
 try:
     import fcntl
@@ -65,18 +64,17 @@ def _take(path: Path, me: dict[str, Any]) -> None:
 
 def _create(path: Path, me: dict[str, Any]) -> bool:
     """Make the lock with its content at once; False where there is one already."""
-    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+    temporary = beside(path)
     try:
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            json.dump(me, file)
-        return _link(name, path, me)
+        temporary.write_text(json.dumps(me), encoding="utf-8")
+        return _link(temporary, path, me)
     finally:
-        Path(name).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
 
 
-def _link(name: str, path: Path, me: dict[str, Any]) -> bool:
+def _link(temporary: Path, path: Path, me: dict[str, Any]) -> bool:
     try:
-        os.link(name, path)
+        os.link(temporary, path)
     except FileExistsError:
         return False
     except OSError:

@@ -27,6 +27,7 @@ from accelcal_cli.study.workers import Crew, Ended
 
 WRONG_USE = 2
 UNREADABLE = 3
+PRELOAD = "accelcal_cli.study.preload"
 WHOLE = Shard()
 
 
@@ -228,7 +229,11 @@ def _answers(study: Study, items: list[Item], watch: Watch) -> Iterable[tuple[It
     tasks = [Task(item, study.out, study.request, asked) for item in ordered]
     number = min(study.jobs or limits.workers(len(tasks)), max(1, len(tasks)))
     crew = Crew(
-        calibrated, number, study.timeout_s, moved=lambda task, part: watch.moved(part * task.item.size)
+        calibrated,
+        number,
+        study.timeout_s,
+        PRELOAD,
+        moved=lambda task, part: watch.moved(part * task.item.size),
     )
     with contextlib.closing(crew.run(tasks)) as ended:
         for one in ended:

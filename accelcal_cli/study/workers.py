@@ -62,12 +62,14 @@ class Crew:
         work: what is done with a task.
         number: how many work at a time.
         timeout_s: the longest a task may take; None for no end.
+        preload: a module with all that the work imports; imported once where workers are forked.
         moved: called with a task and by how much more of it is done (0 to 1).
     """
 
     work: Work
     number: int
     timeout_s: float | None = None
+    preload: str | None = None
     moved: Callable[[Any, float], None] = lambda _task, _part: None
     _idle: list[_Worker] = field(default_factory=list)
     _busy: list[_Worker] = field(default_factory=list)
@@ -84,7 +86,7 @@ class Crew:
             self._dismiss()
 
     def _give(self, task: Any) -> None:
-        worker = self._idle.pop() if self._idle else _start(self.work)
+        worker = self._idle.pop() if self._idle else _start(self.work, self.preload or self.work.__module__)
         worker.task, worker.began, worker.part = task, time.monotonic(), 0.0
         self._busy.append(worker)
         with contextlib.suppress(OSError):
@@ -156,23 +158,23 @@ def _end(workers: list[_Worker]) -> None:
         worker.pipe.close()
 
 
-def _start(work: Work) -> _Worker:
+def _start(work: Work, preload: str) -> _Worker:
     """A new process, with nothing of this one's state but the pipe."""
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     ours, theirs = multiprocessing.Pipe()
-    process = _process(theirs, work)
+    process = _process(theirs, work, preload)
     process.start()
     theirs.close()
     return _Worker(process, ours)
 
 
-def _process(pipe: Connection, work: Work) -> BaseProcess:
+def _process(pipe: Connection, work: Work, preload: str) -> BaseProcess:
     """On Linux from a server that has imported everything once, elsewhere from nothing."""
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn").Process(target=_serve, args=(pipe, work), daemon=True)
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload([work.__module__])
+    context.set_forkserver_preload([preload])
     return context.Process(target=_serve, args=(pipe, work), daemon=True)
 
 
