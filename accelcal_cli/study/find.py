@@ -50,6 +50,11 @@ def files(where: Where) -> list[Item]:
     return sorted(found, key=lambda item: item.name)
 
 
+def check(where: Where) -> None:
+    """Raise what `files` would raise of the folders."""
+    _places(where)
+
+
 def _places(where: Where) -> list[tuple[Path, str]]:
     """Each folder with its place under OUT."""
     for folder in where.folders:

@@ -46,16 +46,15 @@ class Ledger:
     def add(self, entry: Entry) -> None:
         """Keep an entry. A disk that is full costs the memory, not the work."""
         self._entries[entry.name] = [entry]
-        if self._file is not None:
-            with contextlib.suppress(OSError):
-                self._file.write(_line(entry))
-                self._file.flush()
-                os.fsync(self._file.fileno())
+        with contextlib.suppress(OSError):
+            if self._file is None:
+                self._file = self.path.open("a", encoding="utf-8")
+                self._file.write("\n")
+            self._file.write(_line(entry))
+            self._file.flush()
+            os.fsync(self._file.fileno())
 
     def __enter__(self) -> Self:
-        with contextlib.suppress(OSError):
-            self._file = self.path.open("a", encoding="utf-8")
-            self._file.write("\n")
         return self
 
     def __exit__(

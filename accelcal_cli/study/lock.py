@@ -7,7 +7,7 @@ import json
 import os
 import platform
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,12 @@ UNFINISHED_S = 60.0
 
 
 @contextlib.contextmanager
-def held(path: Path, others: tuple[Path, ...] = ()) -> Iterator[None]:
+def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[None]:
     """Hold a lock file while the block runs.
 
     Args:
-        others: locks that no living process may hold meanwhile.
+        others: tells, once ours is held, the locks that no living process may hold meanwhile. Of two that
+            are each the other's, at least one sees the other.
 
     Raises:
         LockedError: a living process holds one of them, or one on another host that cannot be asked.
@@ -40,7 +41,7 @@ def held(path: Path, others: tuple[Path, ...] = ()) -> Iterator[None]:
     except OSError as error:
         raise output_error(error, path) from error
     try:
-        for other in others:
+        for other in others():
             if other != path and (owner := _read(other)) is not None and not _stale(other, owner):
                 raise _refusal(other, owner)
         yield

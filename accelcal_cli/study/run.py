@@ -17,7 +17,7 @@ from accelcal_cli.core.names import printable
 from accelcal_cli.output.atomic import sweep
 from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study import limits, lock, row, summary
-from accelcal_cli.study.find import Where, files, is_recording, without_collisions
+from accelcal_cli.study.find import Where, check, files, is_recording, without_collisions
 from accelcal_cli.study.items import Entry, Item
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.shard import Shard
@@ -124,7 +124,7 @@ def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterat
     """The recordings among the files; which are none is remembered, too."""
     for item in files(study.where):
         entry = ledger.current(item, asked)
-        if entry is not None and (entry.row is not None or not study.where.include):
+        if entry is not None and not entry.failed and (entry.row is not None or not study.where.include):
             recording = entry.row is not None
         else:
             recording = item.refusal is not None or is_recording(
@@ -178,12 +178,13 @@ def run(study: Study, watch: Watch) -> Summary:
         LockedError: another run works in the output folder.
         OutputError: the folder or the summary cannot be written.
     """
+    check(study.where)
     try:
         study.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    with lock.held(study.out / f"{base}.lock", _other_locks(study)), _ledger(study) as ledger:
+    with lock.held(study.out / f"{base}.lock", lambda: _other_locks(study)), _ledger(study) as ledger:
         found = plan(study, ledger)
         entries = _carried_out(study, found, ledger, watch)
         result = Summary(

@@ -16,6 +16,7 @@ from tests.cli.run import command, run_process
 from tests.cli.studies import results, study_folder
 from tests.recordings import directions, still_counts, write_raw
 
+resource = pytest.importorskip("resource")
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
 NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(3))
 Found = TypeVar("Found")
@@ -116,3 +117,22 @@ def test_of_two_at_once_the_second_leaves(
     process.communicate()
     assert process.returncode == 0
     assert results(out) == undisturbed
+
+
+def test_a_disk_that_takes_no_more_costs_the_recordings_that_need_it(folder: Path, tmp_path: Path) -> None:
+    study, out = tmp_path / "in", tmp_path / "out"
+    study_folder(study, NAMES[:1])
+    write_raw(study / "long.raw", still_counts(directions(240)))
+    words, limit = command("study", study, "-d", out), 400_000
+    done = subprocess.run(
+        words,
+        capture_output=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)),
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert b"long.calibrated.parquet: cannot be written" in done.stderr
+    assert b"2 recordings: 1 calibrated, 1 failed" in done.stderr
+    assert not list(out.rglob("*.tmp"))
+    assert run_process("study", study, "-d", out).code == 0

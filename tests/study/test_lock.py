@@ -87,10 +87,10 @@ def test_of_two_that_find_it_stale_one_wins(tmp_path: Path, dead: int) -> None:
 
 def test_others_locks_count(tmp_path: Path, dead: int) -> None:
     living, gone = write(tmp_path / "a.lock"), write(tmp_path / "b.lock", pid=dead)
-    with pytest.raises(LockedError), held(tmp_path / "study.lock", (gone, living)):
+    with pytest.raises(LockedError), held(tmp_path / "study.lock", lambda: (gone, living)):
         pass
     assert not (tmp_path / "study.lock").exists()
-    with held(tmp_path / "study.lock", (gone,)):
+    with held(tmp_path / "study.lock", lambda: (gone,)):
         pass
 
 
