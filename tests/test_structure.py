@@ -22,6 +22,7 @@ FLOOR = {
     "output": 1,
     "pipeline": 2,
     "evaluate": 3,
+    "study": 3,
     "cli": 4,
     "__main__": 5,
 }

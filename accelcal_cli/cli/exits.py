@@ -73,15 +73,20 @@ def say(message: str) -> None:
 
 def report_bug() -> int:
     """Keep the traceback of the current exception in a file, and say where."""
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="accelcal-bug-", suffix=".txt", delete=False, encoding="utf-8"
-    ) as file:
-        traceback.print_exc(file=file)
     kind, value, _ = sys.exc_info()
     name = "error" if kind is None else kind.__name__
     text = " ".join(f"{name}: {value}".split())
-    say(f"a bug in accelcal ({text}); please report it with {file.name}")
+    say(f"a bug in accelcal ({text}); please report it with {keep_trace(traceback.format_exc())}")
     return BUG
+
+
+def keep_trace(text: str) -> str:
+    """Write a traceback into a temporary file; returns its name."""
+    with tempfile.NamedTemporaryFile(
+        "w", prefix="accelcal-bug-", suffix=".txt", delete=False, encoding="utf-8"
+    ) as file:
+        file.write(text)
+    return file.name
 
 
 def _watch_signals() -> None:

@@ -24,5 +24,18 @@ def line(report: dict[str, Any], source: Path, written: Path | None) -> str:
     return "\t".join(fields)
 
 
+def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
+    """The same fields from a recording's row in a study's summary."""
+    fields = [
+        printable(source),
+        row["outcome"],
+        row["model"] or "-",
+        *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("before_mg", "after_mg")),
+        _percent(row["improvement_percent"]),
+        "-" if written is None else printable(written),
+    ]
+    return "\t".join(fields)
+
+
 def _percent(value: float | None) -> str:
     return "-" if value is None else f"{value:.0f}"

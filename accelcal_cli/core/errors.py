@@ -64,6 +64,12 @@ class OutputError(AccelcalError):
     exit_code = 5
 
 
+class LockedError(AccelcalError):
+    """Another run works in the same output folder."""
+
+    exit_code = 75
+
+
 class DivergedError(AccelcalError):
     """A fit found no parameters: it diverged, or the points do not determine them."""
 

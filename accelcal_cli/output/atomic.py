@@ -32,7 +32,7 @@ def replacing(path: Path) -> Iterator[Path]:
         OutputError: the file cannot be written.
     """
     _refuse_special(path)
-    temporary = _beside(path)
+    temporary = beside(path)
     try:
         yield temporary
         _flush(temporary)
@@ -54,10 +54,14 @@ def _refuse_special(path: Path) -> None:
         raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
 
 
-def _beside(path: Path) -> Path:
+def beside(path: Path) -> Path:
+    """An empty temporary file beside `path`, named by host and process; raises OutputError.
+
+    Those that killed processes of this host left for `path` are removed.
+    """
     host = platform.node() or "host"
     try:
-        _sweep(path, host)
+        sweep(path)
         prefix = f".{path.name}.{host}.{os.getpid()}."
         handle, name = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
     except OSError as error:
@@ -70,11 +74,11 @@ def _beside(path: Path) -> Path:
     return temporary
 
 
-def _sweep(path: Path, host: str) -> None:
-    """Remove temporaries of this file whose process on this machine was killed."""
+def sweep(path: Path) -> None:
+    """Remove temporaries of this file whose process on this machine was killed; raises OSError."""
     if os.name != "posix":
         return
-    start = f".{path.name}.{host}."
+    start = f".{path.name}.{platform.node() or 'host'}."
     for left in path.parent.iterdir():
         owner = left.name.removeprefix(start).split(".")[0]
         if (

@@ -1,0 +1,124 @@
+"""`accelcal study`."""
+
+from __future__ import annotations
+
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exits
+from accelcal_cli.cli.options import (
+    Positive,
+    method_options,
+    read_options,
+    reading_options,
+    saying_options,
+    settings,
+)
+from accelcal_cli.cli.study_watch import Told, watching
+from accelcal_cli.core.names import printable
+from accelcal_cli.pipeline.request import Request
+from accelcal_cli.study.find import Where
+from accelcal_cli.study.limits import workers
+from accelcal_cli.study.run import Study, preview, run
+from accelcal_cli.study.shard import shard
+from accelcal_cli.study.summary import Summary
+
+FOLDER = click.Path(path_type=Path, readable=False)
+
+
+@click.command("study")
+@click.argument("folders", nargs=-1, required=True, type=FOLDER)
+@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder of the outputs.")
+@click.option("--include", multiple=True, metavar="GLOB", help="Only these files, such as '*.cwa'.")
+@click.option("--exclude", multiple=True, metavar="GLOB", help="Not these files, such as 'pilot/*'.")
+@click.option(
+    "-j", "--jobs", type=click.IntRange(1, 1024), help="Workers.  [default: as CPUs and memory allow]"
+)
+@click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="The longest a recording may take.")
+@click.option("--settle", type=Positive(), metavar="SECONDS", help="Leave files changed since for later.")
+@click.option(
+    "--newer-than",
+    type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]),
+    metavar="DATE",
+    help="Begin only files changed since.",
+)
+@click.option("--retry-failed", is_flag=True, help="Try again what failed and has not changed.")
+@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
+@click.option("--shard", metavar="I/N", help="Only part I of N; `slurm`: this task's of a job array.")
+@click.option("--collect", is_flag=True, help="Sum up what the shards have done.")
+@click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
+@click.option("--integers", is_flag=True, help="Also write each fit's points and result as integers.")
+@saying_options
+@reading_options
+@method_options
+def command(folders: tuple[Path, ...], **values: Any) -> int:
+    """Calibrate all recordings in each FOLDER and below, in parallel.
+
+    Mirrors the folders under the one of -d, and writes study.csv, study.parquet and study.json there. A
+    second run does only what is new, changed or unfinished. Prints a line for each recording, as `calibrate`
+    does; with -q nothing unless something failed.
+    """
+    study = _study(folders, values)
+    if values["dry_run"]:
+        return _preview(study)
+    if study.jobs is not None and study.jobs > workers(study.jobs) and not values["quiet"]:
+        exits.say(f"--jobs {study.jobs} is more than CPUs and memory allow for ({workers(study.jobs)})")
+    with watching(study.out, values) as watch:
+        result = run(study, watch)
+    return _ended(study, result, watch, values)
+
+
+def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
+    request = Request(
+        options=read_options(values),
+        settings=settings(values),
+        chunk_samples=values["chunk_samples"],
+        report_only=values["report_only"],
+        integers=values["integers"],
+        force=values["force"],
+        command=("accelcal", *sys.argv[1:]),
+    )
+    newer: datetime | None = values["newer_than"]
+    return Study(
+        Where(folders, values["out"], values["include"], values["exclude"]),
+        request,
+        jobs=values["jobs"],
+        timeout_s=None if values["timeout"] is None else values["timeout"] * 60,
+        settle_s=values["settle"] or 0.0,
+        newer_than_s=None if newer is None else newer.timestamp(),
+        retry_failed=values["retry_failed"],
+        shard=shard(values["shard"]),
+        collect=values["collect"],
+    )
+
+
+def _preview(study: Study) -> int:
+    """A line for each recording: path and `todo`, `waiting`, or the outcome it has."""
+    found = preview(study)
+    lines = [(item, entry.row["outcome"]) for item, entry in found.done if entry.row is not None]
+    lines += [(item, "todo") for item in found.todo] + [(item, "waiting") for item in found.waiting]
+    for item, state in sorted(lines, key=lambda pair: pair[0].name):
+        click.echo(f"{printable(item.source)}\t{state}")
+    return exits.OK
+
+
+def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -> int:
+    """The last words, and the exit code."""
+    unfinished = study.collect and result.waiting > 0
+    if not values["quiet"] or unfinished:
+        counts = [f"{number} {name.replace('_', ' ')}" for name, number in result.outcomes().items()]
+        more = {
+            "unchanged": result.up_to_date,
+            "not begun": result.waiting,
+            "no recordings": result.left_out,
+        }
+        counts += [f"{number} {name}" for name, number in more.items() if number]
+        table = printable(study.out / f"{study.shard.basename}.csv")
+        exits.say(f"{len(result.rows)} recordings: {', '.join(counts)}; see {table}")
+    if len(watch.codes) == 1 and not unfinished:
+        return watch.codes[0]
+    return exits.SOME_FAILED if any(watch.codes) or unfinished else exits.OK

@@ -1,0 +1,82 @@
+"""What flows between the parts of a study."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.pipeline.plan import Job
+
+FAILED = "failed"
+"""The summary's outcome of a recording that gave no report."""
+
+Stamp = tuple[int, int]
+"""Size [bytes] and time of the last change [ns since 1970] of a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A file of the study.
+
+    Attributes:
+        name: its place under OUT with its full file name, `/` between folders: what it is known by.
+        stamps: its own stamp, and those of the layout files that may describe it; None for none.
+        refusal: why nothing can be done with it, found before any work.
+    """
+
+    name: str
+    job: Job
+    stamps: tuple[Stamp | None, ...]
+    refusal: str | None = None
+
+    @property
+    def source(self) -> Path:
+        """The file."""
+        return self.job.source
+
+    @property
+    def size(self) -> int:
+        """Bytes; 0 where it cannot be looked at."""
+        own = self.stamps[0]
+        return 0 if own is None else own[0]
+
+    @property
+    def changed_s(self) -> float:
+        """When it was last changed [s since 1970]."""
+        own = self.stamps[0]
+        return 0.0 if own is None else own[1] / 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What became of an item; a line of the ledger.
+
+    Attributes:
+        stamps: the item's when it was worked on.
+        asked: a hash of the settings and the version.
+        row: its row in the summary; None for a file that is no recording.
+        outputs: name under OUT and stamp of each file written.
+        again: whether it must be tried again, because the fault was not in the recording.
+    """
+
+    name: str
+    stamps: tuple[Stamp | None, ...]
+    asked: str
+    row: dict[str, Any] | None
+    outputs: tuple[tuple[str, Stamp], ...] = ()
+    again: bool = False
+
+    @property
+    def failed(self) -> bool:
+        """Whether it gave no report."""
+        return self.row is not None and self.row["outcome"] == FAILED
+
+
+def stamp(path: Path) -> Stamp | None:
+    """A file's stamp; None where it cannot be looked at."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns

@@ -1,0 +1,97 @@
+"""What was done before: one line a recording, in OUT. A memory that saves work, never the result itself.
+
+Without it, or where it does not fit, a worker looks at the outputs and hashes the recording.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, TextIO
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.output.atomic import write_text
+from accelcal_cli.study.items import Entry, Item, stamp
+
+
+class Ledger:
+    """Entries by name, and a file to which new ones are added as they come.
+
+    A process that is killed leaves at worst half a line, which is not read.
+    """
+
+    def __init__(self, path: Path, others: Iterable[Path] = ()) -> None:
+        """Read the entries of `path` and of others; what cannot be read is as if it were not there."""
+        self.path = path
+        self.out = path.parent
+        self._entries: dict[str, list[Entry]] = {}
+        self._file: TextIO | None = None
+        for one in (path, *others):
+            for entry in _read(one):
+                self._entries.setdefault(entry.name, []).append(entry)
+
+    def current(self, item: Item, asked: str) -> Entry | None:
+        """The entry that still stands for a file, these settings and this version."""
+        return next((one for one in self._entries.get(item.name, ()) if self._holds(one, item, asked)), None)
+
+    def _holds(self, entry: Entry, item: Item, asked: str) -> bool:
+        same = entry.stamps == item.stamps and entry.asked == asked and item.stamps[0] is not None
+        return same and all(stamp(self.out / name) == found for name, found in entry.outputs)
+
+    def add(self, entry: Entry) -> None:
+        """Keep an entry. A disk that is full costs the memory, not the work."""
+        self._entries[entry.name] = [entry]
+        with contextlib.suppress(OSError):
+            if self._file is None:
+                self._file = self.path.open("a", encoding="utf-8")
+                self._file.write("\n")
+            self._file.write(_line(entry))
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+
+    def tidy(self, entries: Iterable[Entry]) -> None:
+        """Write these entries alone, by name."""
+        with contextlib.suppress(OutputError):
+            write_text(self.path, "".join(map(_line, sorted(entries, key=lambda entry: entry.name))))
+
+
+def _line(entry: Entry) -> str:
+    return json.dumps(asdict(entry)) + "\n"
+
+
+def _read(path: Path) -> list[Entry]:
+    try:
+        lines = path.read_text("utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return []
+    return [entry for line in lines if (entry := _parsed(line)) is not None]
+
+
+def _parsed(line: str) -> Entry | None:
+    try:
+        held: dict[str, Any] = json.loads(line)
+        return Entry(
+            name=held["name"],
+            stamps=tuple(None if one is None else (one[0], one[1]) for one in held["stamps"]),
+            asked=held["asked"],
+            row=held["row"],
+            outputs=tuple((name, (found[0], found[1])) for name, found in held["outputs"]),
+            again=held["again"],
+        )
+    except (ValueError, KeyError, TypeError, IndexError):
+        return None

@@ -1,0 +1,168 @@
+"""One run at a time in an output folder: a file that names the host and the process that hold it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import platform
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.errors import LockedError
+from accelcal_cli.output.atomic import beside, output_error
+
+try:
+    import fcntl
+except ImportError:  # pragma: no cover
+    fcntl = None  # type: ignore[assignment]
+
+UNFINISHED_S = 60.0
+"""A lock without content is one whose writer is about to write it, or died before it could."""
+
+
+@contextlib.contextmanager
+def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[None]:
+    """Hold a lock file while the block runs.
+
+    Args:
+        others: tells, once ours is held, the locks that no living process may hold meanwhile. Of two that
+            are each the other's, at least one sees the other.
+
+    Raises:
+        LockedError: a living process holds one of them, or one on another host that cannot be asked.
+        OutputError: the lock cannot be written.
+    """
+    me = _me()
+    try:
+        _take(path, me)
+    except OSError as error:
+        raise output_error(error, path) from error
+    try:
+        for other in others():
+            if other != path and (owner := _read(other)) is not None and not _stale(other, owner):
+                raise _refusal(other, owner)
+        yield
+    finally:
+        if _read(path) == me:
+            path.unlink(missing_ok=True)
+
+
+def _me() -> dict[str, Any]:
+    return {"host": platform.node(), "pid": os.getpid(), "started": _started(os.getpid())}
+
+
+def _take(path: Path, me: dict[str, Any]) -> None:
+    while not _create(path, me):
+        if (owner := _read(path)) is None:
+            continue
+        if not _stale(path, owner) or not _take_over(path, owner, me):
+            raise _refusal(path, _read(path) or owner)
+        return
+
+
+def _create(path: Path, me: dict[str, Any]) -> bool:
+    """Make the lock with its content at once; False where there is one already."""
+    temporary = beside(path)
+    try:
+        temporary.write_text(json.dumps(me), encoding="utf-8")
+        return _link(temporary, path, me)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _link(temporary: Path, path: Path, me: dict[str, Any]) -> bool:
+    try:
+        os.link(temporary, path)
+    except FileExistsError:
+        return False
+    except OSError:
+        return _create_exclusively(path, me)
+    return True
+
+
+def _create_exclusively(path: Path, me: dict[str, Any]) -> bool:
+    """For disks without links."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            json.dump(me, file)
+    except FileExistsError:
+        return False
+    return True
+
+
+def _take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
+    """Write our name into a stale lock; False where another was faster.
+
+    The file stays in place, so that of two that find it stale one cannot remove the other's.
+    """
+    with contextlib.suppress(FileNotFoundError), path.open("r+", encoding="utf-8") as file:
+        if fcntl is not None:
+            fcntl.flock(file, fcntl.LOCK_EX)
+        if _parsed(file.read()) == owner and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
+            file.seek(0)
+            file.truncate()
+            json.dump(me, file)
+            return True
+    return False
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    """Who holds a lock; an empty record where it does not say, None where there is no lock."""
+    try:
+        return _parsed(path.read_text("utf-8", "replace"))
+    except FileNotFoundError:
+        return None
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    try:
+        found = json.loads(text)
+    except ValueError:
+        return {}
+    return found if isinstance(found, dict) and isinstance(found.get("pid"), int) else {}
+
+
+def _stale(path: Path, owner: dict[str, Any]) -> bool:
+    """Whether the process that holds a lock is gone; of another host's we cannot know."""
+    if not owner:
+        with contextlib.suppress(OSError):
+            return time.time() - path.stat().st_mtime > UNFINISHED_S
+        return False
+    if owner.get("host") != platform.node():
+        return False
+    return not _lives(owner["pid"]) or _started(owner["pid"]) != owner.get("started")
+
+
+def _lives(process: int) -> bool:
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
+
+
+def _started(process: int) -> str | None:
+    """When a process began, so that a number that was given again is not taken for it; None if not told.
+
+    The 22nd field of `/proc/PID/stat` (proc(5)), counted from the last parenthesis, and the boot.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        fields = Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        return f"{boot} {fields[19]}"
+    except (OSError, IndexError):
+        return None
+
+
+def _refusal(path: Path, owner: dict[str, Any]) -> LockedError:
+    who = f"process {owner['pid']} on {owner.get('host')}" if owner else "another process"
+    elsewhere = owner and owner.get("host") != platform.node()
+    hint = f"if it no longer runs there, remove {path.name}" if elsewhere else "wait for it to end"
+    return LockedError(f"{who} is working in this folder", path=path, hint=hint)

@@ -1,0 +1,129 @@
+"""One recording's row in the summary: what a methods section needs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from accelcal_cli import __version__
+from accelcal_cli.core.names import printable
+from accelcal_cli.study.items import FAILED, Item
+
+AXES = ("x", "y", "z")
+TEXT = (
+    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
+    "start_time", "sha256", "accelcal_version", "parquet", "report",
+)  # fmt: skip
+WHOLE = (
+    "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
+    "clipped_samples_before", "clipped_samples_after", "problems",
+)  # fmt: skip
+COLUMNS = (
+    "path", "outcome", "exit_code", "message", "model",
+    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
+    "format", "device_model", "device_serial", "device_firmware", "start_time", "duration_s",
+    "rate_hz", "rate_hz_measured", "samples", "gaps", "filled_samples",
+    "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
+    *(f"{end}_{axis}_g" for axis in AXES for end in ("min", "max")),
+    *(f"k_{row}{column}" for row in AXES for column in AXES),
+    *(f"offset_{axis}_g" for axis in AXES),
+    *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
+    "bytes", "sha256", "accelcal_version", "parquet", "report",
+)  # fmt: skip
+"""In the order of the table. Errors are held out; what is neither TEXT nor WHOLE is a number."""
+
+
+def failed(item: Item, code: int, message: str) -> dict[str, Any]:
+    """The row of a recording that gave no report."""
+    said = {
+        "path": printable(item.name),
+        "outcome": FAILED,
+        "exit_code": code,
+        "message": message,
+        "bytes": item.size,
+        "accelcal_version": __version__,
+    }
+    return dict.fromkeys(COLUMNS) | said
+
+
+def of_report(
+    item: Item, code: int, report: dict[str, Any], outputs: dict[str, str | None]
+) -> dict[str, Any]:
+    """The row of a recording from its report.
+
+    Args:
+        outputs: `parquet` and `report`, their names under OUT.
+    """
+    said = {
+        "path": printable(item.name),
+        "outcome": report["outcome"],
+        "exit_code": code,
+        "message": report["message"],
+        "accelcal_version": report["accelcal_version"],
+    }
+    parts = (
+        _recording(report),
+        _errors(report),
+        _coverage(report),
+        _calibration(report["calibration"]),
+        outputs,
+    )
+    return dict.fromkeys(COLUMNS) | said | {name: value for part in parts for name, value in part.items()}
+
+
+def _recording(report: dict[str, Any]) -> dict[str, Any]:
+    held, health = report["recording"], report["file_health"]
+    same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256")
+    counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after", "rate_hz_measured")
+    return {
+        **{name: held[name] for name in same},
+        **{name: health[name] for name in counts},
+        **{f"device_{name}": value for name, value in held["device"].items()},
+        "rate_hz": held["sample_rate_hz"],
+        "gaps": len(held["gaps"]) + held["gaps_omitted"],
+        "problems": sum(problem["count"] or 1 for problem in health["problems"]),
+    }
+
+
+def _errors(report: dict[str, Any]) -> dict[str, Any]:
+    held = report["holdout"]
+    if held is None:
+        return {}
+    low, high = held["ci95_mg"]
+    told = {
+        "before_mg": held["before_mg"]["mean"],
+        "postures": held["postures"],
+        "points": held["points"],
+    }
+    if report["calibration"] is None:
+        return told
+    after = {"after_mg": held["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
+    return told | after | {"improvement_percent": held["improvement_percent"]}
+
+
+def _coverage(report: dict[str, Any]) -> dict[str, Any]:
+    seen = report["coverage"]
+    ends = {
+        f"{end}_{axis}_g": value
+        for end in ("min", "max")
+        for axis, value in zip(AXES, seen[f"axis_{end}_g"] or (), strict=False)
+    }
+    return {"cells": seen["cells"], "condition_number": seen["condition_number"], **ends}
+
+
+def _calibration(found: dict[str, Any] | None) -> dict[str, Any]:
+    if found is None:
+        return {}
+    warm = found["temperature"]
+    slopes = {} if warm is None else dict(zip(_named("slope_{}_g_per_c"), warm["slope_g_per_c"], strict=True))
+    gain = [value for row in found["gain"] for value in row]
+    return {
+        "model": found["model"],
+        **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
+        **dict(zip(_named("offset_{}_g"), found["offset_g"], strict=True)),
+        **slopes,
+        "reference_c": None if warm is None else warm["reference_c"],
+    }
+
+
+def _named(pattern: str) -> list[str]:
+    return [pattern.format(axis) for axis in AXES]

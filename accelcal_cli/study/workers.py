@@ -1,0 +1,200 @@
+"""A crew of processes, each with one task at a time; what befalls one befalls its task alone."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from multiprocessing import connection
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+POLL_S = 1.0
+GRACE_S = 10.0
+TERMINATED = 143
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Libraries that would start as many threads as there are CPUs, in every worker."""
+
+Told = Callable[[float], None]
+"""Called in the worker with the part of its task that is done, 0 to 1."""
+
+Work = Callable[[Any, Told], Any]
+"""What a worker does with a task; a function of a module, and its task and answer can be pickled."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """One task that ended.
+
+    Attributes:
+        answer: what the work returned; None where the worker did not live to say.
+        fault: what befell the worker, else None.
+        again: whether the fault may lie in the machine and not in the task.
+    """
+
+    task: Any
+    answer: Any = None
+    fault: str | None = None
+    again: bool = False
+
+
+@dataclass(slots=True)
+class _Worker:
+    process: BaseProcess
+    pipe: Connection
+    task: Any = None
+    began: float = 0.0
+    part: float = 0.0
+
+
+@dataclass(slots=True)
+class Crew:
+    """Workers that take tasks as they become free.
+
+    Attributes:
+        work: what is done with a task.
+        number: how many work at a time.
+        timeout_s: the longest a task may take; None for no end.
+        preload: a module with all that the work imports; imported once where workers are forked.
+        moved: called with a task and by how much more of it is done (0 to 1).
+    """
+
+    work: Work
+    number: int
+    timeout_s: float | None = None
+    preload: str | None = None
+    moved: Callable[[Any, float], None] = lambda _task, _part: None
+    _idle: list[_Worker] = field(default_factory=list)
+    _busy: list[_Worker] = field(default_factory=list)
+
+    def run(self, tasks: list[Any]) -> Generator[Ended, None, None]:
+        """Do all tasks; yields each as it ends. All workers are gone when the iteration is."""
+        waiting = list(reversed(tasks))
+        try:
+            while waiting or self._busy:
+                while waiting and len(self._busy) < self.number:
+                    self._give(waiting.pop())
+                yield from self._listen()
+        finally:
+            self._dismiss()
+
+    def _give(self, task: Any) -> None:
+        worker = self._idle.pop() if self._idle else _start(self.work, self.preload or self.work.__module__)
+        worker.task, worker.began, worker.part = task, time.monotonic(), 0.0
+        self._busy.append(worker)
+        with contextlib.suppress(OSError):
+            worker.pipe.send(task)
+
+    def _listen(self) -> Iterator[Ended]:
+        """What the busy workers have to say within a moment."""
+        ready = connection.wait([worker.pipe for worker in self._busy], timeout=POLL_S)
+        for worker in [worker for worker in self._busy if worker.pipe in ready]:
+            if (ended := self._heard(worker)) is not None:
+                yield ended
+        for worker in [worker for worker in self._busy if self._late(worker)]:
+            self._busy.remove(worker)
+            _end([worker])
+            assert self.timeout_s is not None
+            yield Ended(worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was ended")
+
+    def _late(self, worker: _Worker) -> bool:
+        return self.timeout_s is not None and time.monotonic() - worker.began > self.timeout_s
+
+    def _heard(self, worker: _Worker) -> Ended | None:
+        try:
+            kind, value = worker.pipe.recv()
+        except (EOFError, OSError):
+            self._busy.remove(worker)
+            worker.process.join(GRACE_S)
+            return _fallen(worker)
+        if kind == "part":
+            self.moved(worker.task, value - worker.part)
+            worker.part = value
+            return None
+        self._busy.remove(worker)
+        self._idle.append(worker)
+        self.moved(worker.task, 1 - worker.part)
+        return Ended(worker.task, answer=value)
+
+    def _dismiss(self) -> None:
+        for worker in self._idle:
+            with contextlib.suppress(OSError):
+                worker.pipe.send(None)
+        _end(self._busy)
+        for worker in self._idle:
+            worker.process.join(GRACE_S)
+        _end(self._idle)
+        self._busy, self._idle = [], []
+
+
+def _fallen(worker: _Worker) -> Ended:
+    code = worker.process.exitcode
+    code = -signal.SIGTERM if code == TERMINATED else code
+    worker.pipe.close()
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        reason = ", perhaps for want of memory" if name == "SIGKILL" else ""
+        again = name in ("SIGKILL", "SIGTERM", "SIGHUP")
+        return Ended(worker.task, fault=f"its process was ended by {name}{reason}", again=again)
+    return Ended(worker.task, fault=f"its process ended unexpectedly (code {code})")
+
+
+def _end(workers: list[_Worker]) -> None:
+    """End processes: kindly, so that they remove their temporary files, then not."""
+    for worker in workers:
+        worker.process.terminate()
+    for worker in workers:
+        worker.process.join(GRACE_S)
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join()
+        worker.pipe.close()
+
+
+def _start(work: Work, preload: str) -> _Worker:
+    """A new process, with nothing of this one's state but the pipe."""
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
+    ours, theirs = multiprocessing.Pipe()
+    process = _process(theirs, work, preload)
+    process.start()
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _process(pipe: Connection, work: Work, preload: str) -> BaseProcess:
+    """On Linux from a server that has imported everything once, elsewhere from nothing."""
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn").Process(target=_serve, args=(pipe, work), daemon=True)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([preload])
+    return context.Process(target=_serve, args=(pipe, work), daemon=True)
+
+
+def _serve(pipe: Connection, work: Work) -> None:
+    """The life of a worker."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_outlive_nobody, daemon=True).start()
+    with contextlib.suppress(EOFError, OSError):
+        while (task := pipe.recv()) is not None:
+            pipe.send(("answer", work(task, lambda part: pipe.send(("part", part)))))
+
+
+def _leave(_number: int, _frame: Any) -> None:
+    raise SystemExit(TERMINATED)
+
+
+def _outlive_nobody() -> None:
+    """End this process when the one that started it is gone, however it went."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)

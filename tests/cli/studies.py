@@ -1,0 +1,36 @@
+"""A small study folder, and what its outputs hold."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.recordings import directions, still_counts, write_raw
+
+NAMES = ("north/a.raw", "north/b.raw", "south/deep/c.raw")
+
+
+def study_folder(folder: Path, names: tuple[str, ...] = NAMES) -> Path:
+    """Good recordings, each with errors of its own, and files that are none."""
+    for number, name in enumerate(names):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_raw(path, still_counts(directions(60), seed=number + 1))
+    (folder / "readme.txt").write_text("recorded in spring\n")
+    (folder / ".hidden.cwa").write_bytes(b"x")
+    return folder
+
+
+def results(out: Path) -> dict[str, object]:
+    """All outputs by name, reports without provenance; the ledger knows times and is left out."""
+    found: dict[str, object] = {}
+    for path in sorted(out.rglob("*")):
+        if path.is_dir() or path.suffix == ".ledger":
+            continue
+        content: object = path.read_bytes()
+        if path.name.endswith(".calibration.json"):
+            content = {
+                key: value for key, value in json.loads(path.read_text()).items() if key != "provenance"
+            }
+        found[path.relative_to(out).as_posix()] = content
+    return found

@@ -1,0 +1,267 @@
+"""`accelcal study` from outside: what is found, written, said, and done again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from accelcal_cli.study import lock
+from tests.cli.run import Ran, run
+from tests.cli.studies import NAMES, results, study_folder
+from tests.recordings import directions, still_counts, write_raw
+
+Capture = pytest.CaptureFixture[str]
+
+
+def study(capsys: Capture, folder: Path, *words: object) -> Ran:
+    """Run on a folder, with the outputs in `out` beside it."""
+    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 2, *words)
+
+
+def rows(out: Path, name: str = "study") -> list[dict[str, str]]:
+    with (out / f"{name}.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def times(out: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in out.rglob("*.cal*")}
+
+
+def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+    ran = study(capsys, folder)
+    assert ran.code == 0
+    assert {line.split("\t")[0] for line in ran.lines} == {str(folder / name) for name in NAMES}
+    assert ran.err == f"accelcal: 3 recordings: 3 calibrated, 1 no recordings; see {out / 'study.csv'}\n"
+    pairs = [f"{name[:-4]}.calibrat{end}" for name in NAMES for end in ("ed.parquet", "ion.json")]
+    assert set(results(out)) == {*pairs, "study.csv", "study.parquet", "study.json"}
+    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
+
+
+def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "out"
+    ran = study(capsys, study_folder(tmp_path / "in", NAMES[:1]))
+    report = json.loads((out / "north/a.calibration.json").read_text())
+    row = rows(out)[0]
+    assert (row["path"], row["outcome"], row["exit_code"]) == ("north/a.raw", "calibrated", "0")
+    assert float(row["after_mg"]) == report["holdout"]["after_mg"]["mean"]
+    assert [float(row[f"k_{a}{b}"]) for a in "xyz" for b in "xyz"] == [
+        value for row in report["calibration"]["gain"] for value in row
+    ]
+    assert [float(row[f"offset_{a}_g"]) for a in "xyz"] == report["calibration"]["offset_g"]
+    assert row["sha256"] == report["recording"]["sha256"]
+    assert (row["slope_x_g_per_c"], row["device_serial"]) == ("", "")
+    assert (row["parquet"], row["report"]) == ("north/a.calibrated.parquet", "north/a.calibration.json")
+    assert (row["rate_hz"], row["samples"], row["duration_s"]) == ("25.0", "45000", "1800.0")
+    frame = pd.read_parquet(out / "study.parquet")
+    assert list(frame.columns) == list(row)
+    assert frame["after_mg"][0] == report["holdout"]["after_mg"]["mean"]
+    held = run(capsys, "calibrate", tmp_path / "in/north/a.raw", "-d", out / "north")
+    assert held.lines == ran.lines
+    assert held.err.endswith("up to date\n")
+
+
+def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:2])
+    (folder / "zeros.cwa").write_bytes(bytes(4096))
+    (folder / "empty.csv").write_bytes(b"")
+    write_raw(folder / "short.raw", still_counts(directions(3)))
+    ran = study(capsys, folder)
+    assert ran.code == 1
+    assert "Traceback" not in ran.err
+    found = {row["path"]: (row["outcome"], row["exit_code"]) for row in rows(tmp_path / "out")}
+    assert found == {
+        "empty.csv": ("failed", "3"),
+        "north/a.raw": ("calibrated", "0"),
+        "north/b.raw": ("calibrated", "0"),
+        "short.raw": ("refused", "4"),
+        "zeros.cwa": ("failed", "3"),
+    }
+    assert sum(line.split("\t")[1] == "failed" for line in ran.lines) == 2
+    counts = json.loads((tmp_path / "out/study.json").read_text())
+    assert counts["outcomes"] == {"calibrated": 2, "failed": 2, "refused": 1}
+    quiet = study(capsys, folder, "-q")
+    assert (quiet.code, quiet.out) == (1, "")
+    failed = [str(folder / name) for name in ("empty.csv", "short.raw", "zeros.cwa")]
+    assert [name in line for name, line in zip(failed, quiet.err.splitlines(), strict=True)] == [True] * 3
+
+
+@pytest.mark.parametrize(("name", "content", "code"), [("a.cwa", bytes(4096), 3), ("a.gt3x", b"", 3)])
+def test_one_recording_gives_its_own_code(
+    tmp_path: Path, capsys: Capture, name: str, content: bytes, code: int
+) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / name).write_bytes(content)
+    assert study(capsys, tmp_path / "in").code == code
+
+
+def test_a_rerun_does_nothing_but_what_changed(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    first = study(capsys, folder)
+    made, held = times(out), results(out)
+    again = study(capsys, folder)
+    assert sorted(again.lines) == sorted(first.lines)
+    assert "3 unchanged" in again.err
+    assert (times(out), results(out)) == (made, held)
+    write_raw(folder / NAMES[0], still_counts(directions(60), seed=9))
+    assert "2 unchanged" in study(capsys, folder).err
+    assert {name for name, at in times(out).items() if made[name] != at} == {
+        "a.calibrated.parquet",
+        "a.calibration.json",
+    }
+
+
+def test_touched_moved_or_forgotten_is_looked_at_but_not_done_again(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    study(capsys, folder)
+    made, held = times(out), results(out)
+    os.utime(folder / NAMES[0])
+    assert "2 unchanged" in study(capsys, folder).err
+    (out / "study.ledger").write_text('{"name": "north/a.raw", "sta')
+    assert "unchanged" not in study(capsys, folder).err
+    assert (times(out), results(out)) == (made, held)
+
+
+def test_a_lost_output_other_settings_and_another_layout_are_done_again(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    study(capsys, folder)
+    held = results(out)
+    (out / "north/a.calibrated.parquet").unlink()
+    study(capsys, folder)
+    assert results(out) == held
+    layout = folder / "north/a.layout.toml"
+    layout.write_text(layout.read_text().replace("range_g = 8.0", "range_g = 4.0"))
+    assert "2 unchanged" in study(capsys, folder).err
+    assert "unchanged" not in study(capsys, folder, "--model", 6).err
+    assert {row["model"] for row in rows(out)} == {"6"}
+
+
+def test_failures_are_remembered_until_told_otherwise(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    (folder / "zeros.cwa").write_bytes(bytes(4096))
+    study(capsys, folder)
+    assert "2 unchanged" in study(capsys, folder).err
+    assert "1 unchanged" in study(capsys, folder, "--retry-failed").err
+
+
+def test_an_output_in_the_way_is_that_recordings_failure_and_tried_each_time(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:2]), tmp_path / "out"
+    (out / "north").mkdir(parents=True)
+    foreign = out / "north/a.calibrated.parquet"
+    foreign.write_text("mine")
+    ran = study(capsys, folder)
+    assert (ran.code, foreign.read_text()) == (1, "mine")
+    assert [row["exit_code"] for row in rows(out)] == ["5", "0"]
+    foreign.unlink()
+    assert study(capsys, folder).code == 0
+
+
+def test_two_recordings_of_one_stem_are_refused_and_the_rest_is_done(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    (folder / "north/a.cwa").write_bytes(bytes(4096))
+    (folder / "north/b.txt").write_text("a note, no recording\n")
+    ran = study(capsys, folder)
+    assert "would share its outputs with a.cwa" in ran.err
+    assert [row["exit_code"] for row in rows(out)] == ["2", "2", "0", "0"]
+    assert not (out / "north/a.calibration.json").exists()
+    assert study(capsys, folder, "--exclude", "*.CWA").code == 0
+
+
+def test_patterns_choose(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in")
+    table = folder / "ages.csv"
+    table.write_text("age\n31\n32\n")
+
+    def listed(*words: object) -> list[str]:
+        lines = study(capsys, folder, "--dry-run", *words).lines
+        return [str(Path(line.split("\t")[0]).relative_to(folder)) for line in lines]
+
+    assert listed() == list(NAMES)
+    assert listed("--include", "[AB].raw") == list(NAMES[:2])
+    assert listed("--exclude", "*/deep/*") == list(NAMES[:2])
+    assert listed("--include", "ages.csv") == ["ages.csv"]
+    assert not (tmp_path / "out").exists()
+
+
+def test_outputs_inside_the_study_are_not_taken_for_recordings(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:2])
+    for out in (folder / "results", folder):
+        for unchanged in (0, 2):
+            ran = run(capsys, "study", folder, "-d", out)
+            assert (ran.code, len(ran.lines)) == (0, 2)
+            assert ("2 unchanged" in ran.err) == bool(unchanged)
+
+
+def test_several_folders_lie_side_by_side(tmp_path: Path, capsys: Capture) -> None:
+    for name in ("one", "two"):
+        study_folder(tmp_path / name, ("a.raw",))
+    assert run(capsys, "study", tmp_path / "one", tmp_path / "two", "-d", tmp_path / "out").code == 0
+    assert [row["path"] for row in rows(tmp_path / "out")] == ["one/a.raw", "two/a.raw"]
+    study_folder(tmp_path / "deep/one", ("a.raw",))
+    ran = run(capsys, "study", tmp_path / "one", tmp_path / "deep/one", "-d", tmp_path / "out")
+    assert (ran.code, ran.out) == (2, "")
+
+
+def test_what_is_still_being_copied_waits(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in")
+    hour_ago = time.time() - 3600
+    os.utime(folder / NAMES[0], (hour_ago, hour_ago))
+    ran = study(capsys, folder, "--settle", 600)
+    assert ran.code == 0
+    assert "1 recordings: 1 calibrated, 2 not begun" in ran.err
+    assert "3 recordings" in study(capsys, folder, "--newer-than", "2000-01-01").err
+    assert "3 unchanged" in study(capsys, folder, "--newer-than", "2100-01-01").err
+
+
+def test_a_living_run_is_not_disturbed(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
+    out.mkdir()
+    (out / "study.lock").write_text(json.dumps(lock._me()))
+    ran = study(capsys, folder, "-q")
+    assert (ran.code, ran.out, ran.err.count("\n")) == (75, "", 1)
+    assert f"process {os.getpid()} on " in ran.err
+    assert [path.name for path in out.iterdir()] == ["study.lock"]
+    assert study(capsys, folder, "--dry-run").lines == [f"{folder / NAMES[0]}\ttodo"]
+
+
+@pytest.mark.parametrize("make", [False, True])
+def test_no_folder_and_no_recording_are_wrong_usage(tmp_path: Path, capsys: Capture, make: bool) -> None:
+    if make:
+        (tmp_path / "in").mkdir()
+    ran = study(capsys, tmp_path / "in")
+    assert (ran.code, ran.out, ran.err.count("\n")) == (2, "", 1)
+    assert not list(tmp_path.glob("out/*"))
+
+
+def test_json_gives_the_reports(tmp_path: Path, capsys: Capture) -> None:
+    ran = study(capsys, study_folder(tmp_path / "in", NAMES[:2]), "--json", "-q")
+    found = {json.loads(line)["recording"]["path"] for line in ran.lines}
+    assert found == {str(tmp_path / "in" / name) for name in NAMES[:2]}
+
+
+def test_shards_are_disjoint_and_collected_they_are_the_whole(tmp_path: Path, capsys: Capture) -> None:
+    names = tuple(f"{letter}.raw" for letter in "abcd")
+    folder, out = study_folder(tmp_path / "in", names), tmp_path / "out"
+    first = study(capsys, folder, "--shard", "1/2")
+    early = study(capsys, folder, "--collect")
+    assert early.code == 1
+    assert "not begun" in early.err
+    second = study(capsys, folder, "--shard", "2/2")
+    done = [[line.split("\t")[0] for line in ran.lines] for ran in (first, second)]
+    assert sorted([*done[0], *done[1]]) == [str(folder / name) for name in names]
+    assert all(done)
+    assert study(capsys, folder, "--collect").code == 0
+    run(capsys, "study", folder, "-d", tmp_path / "whole")
+    whole, parts = results(tmp_path / "whole"), results(out)
+    assert {name: content for name, content in parts.items() if "-of-" not in name} == whole

@@ -1,0 +1,66 @@
+"""CPUs and memory that this process was given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.study import limits
+
+
+@pytest.fixture
+def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A machine of 16 CPUs and 8 GB, with this process two cgroups deep and nothing limited."""
+    own = tmp_path / "groups" / "batch" / "job"
+    own.mkdir(parents=True)
+    (tmp_path / "cgroup").write_text("0::/batch/job\n")
+    (tmp_path / "meminfo").write_text("MemTotal: 16000000 kB\nMemAvailable:   8000000 kB\n")
+    monkeypatch.setattr(limits, "CGROUPS", tmp_path / "groups")
+    monkeypatch.setattr(limits, "PROCESS", tmp_path / "cgroup")
+    monkeypatch.setattr(limits, "MEMORY", tmp_path / "meminfo")
+    monkeypatch.setattr(limits, "_affinity", lambda: 16)
+    monkeypatch.delenv("SLURM_CPUS_PER_TASK", raising=False)
+    return own
+
+
+def test_without_limits_all_cpus_are_used(machine: Path) -> None:
+    (machine / "cpu.max").write_text("max 100000\n")
+    (machine / "memory.max").write_text("max\n")
+    (machine / "memory.current").write_text("5\n")
+    assert limits.cpus() == 16
+    assert limits.available_bytes() == 8_192_000_000
+    assert limits.workers(100) == 16
+    assert limits.workers(3) == 3
+
+
+@pytest.mark.parametrize(("text", "number"), [("250000 100000", 3), ("50000 100000", 1), ("nonsense", 16)])
+def test_the_quota_is_rounded_up(machine: Path, text: str, number: int) -> None:
+    (machine / "cpu.max").write_text(text)
+    assert limits.cpus() == number
+
+
+def test_the_quota_of_a_group_around_counts_too(machine: Path) -> None:
+    (machine / "cpu.max").write_text("800000 100000")
+    (machine.parent / "cpu.max").write_text("200000 100000")
+    assert limits.cpus() == 2
+
+
+def test_slurm_is_heard(machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SLURM_CPUS_PER_TASK", "4")
+    assert limits.cpus() == 4
+
+
+def test_a_group_with_little_memory_left_gets_fewer_workers(machine: Path) -> None:
+    (machine / "memory.max").write_text("1000000000")
+    (machine / "memory.current").write_text("300000000")
+    assert limits.workers(100) == 2
+    (machine / "memory.current").write_text("1100000000")
+    assert limits.workers(100) == 1
+
+
+def test_a_machine_that_tells_nothing_has_its_cpus(machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(limits, "MEMORY", machine / "absent")
+    monkeypatch.setattr(limits, "PROCESS", machine / "absent")
+    assert limits.available_bytes() is None
+    assert limits.workers(100) == 16

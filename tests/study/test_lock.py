@@ -1,0 +1,104 @@
+"""One run at a time: living, dead and foreign owners of the lock."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.errors import LockedError
+from accelcal_cli.study import lock
+from accelcal_cli.study.lock import held
+
+
+def write(path: Path, **changed: object) -> Path:
+    path.write_text(json.dumps({**lock._me(), **changed}))
+    return path
+
+
+@pytest.fixture
+def dead() -> int:
+    """The number of a process that is gone."""
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return process.pid
+
+
+def test_a_lock_says_who_holds_it_and_goes_with_the_block(tmp_path: Path) -> None:
+    path = tmp_path / "study.lock"
+    with held(path):
+        assert json.loads(path.read_text())["pid"] == os.getpid()
+        with pytest.raises(LockedError, match=f"process {os.getpid()} on"), held(path):
+            pass
+        assert path.exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_goes_when_the_block_fails(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), held(tmp_path / "study.lock"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, dead: int) -> None:
+    path = write(tmp_path / "study.lock", pid=dead)
+    with held(path):
+        assert json.loads(path.read_text())["pid"] == os.getpid()
+    assert not path.exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
+def test_a_number_that_was_given_again_is_not_taken_for_its_owner(tmp_path: Path) -> None:
+    with held(write(tmp_path / "study.lock", started="another time")):
+        pass
+
+
+def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
+    path = write(tmp_path / "study.lock", host="elsewhere", pid=dead)
+    with (
+        pytest.raises(LockedError, match=r"on elsewhere.*; if it no longer runs there, remove study\.lock"),
+        held(path),
+    ):
+        pass
+    assert path.exists()
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x"}'])
+def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "study.lock"
+    path.write_text(text)
+    with pytest.raises(LockedError, match="another process"), held(path):
+        pass
+    os.utime(path, (1, 1))
+    with held(path):
+        assert json.loads(path.read_text())["pid"] == os.getpid()
+
+
+def test_of_two_that_find_it_stale_one_wins(tmp_path: Path, dead: int) -> None:
+    path = write(tmp_path / "study.lock", pid=dead)
+    stale = json.loads(path.read_text())
+    assert lock._take_over(path, stale, lock._me())
+    assert not lock._take_over(path, stale, lock._me())
+
+
+def test_others_locks_count(tmp_path: Path, dead: int) -> None:
+    living, gone = write(tmp_path / "a.lock"), write(tmp_path / "b.lock", pid=dead)
+    with pytest.raises(LockedError), held(tmp_path / "study.lock", lambda: (gone, living)):
+        pass
+    assert not (tmp_path / "study.lock").exists()
+    with held(tmp_path / "study.lock", lambda: (gone,)):
+        pass
+
+
+def test_a_disk_without_links_is_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_paths: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(lock.os, "link", refuse)
+    with held(tmp_path / "study.lock"), pytest.raises(LockedError), held(tmp_path / "study.lock"):
+        pass
+    assert list(tmp_path.iterdir()) == []
