@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from pathlib import Path
 
+import pytest
+
+from tests.cli.run import Ran, run
 from tests.recordings import directions, still_counts, write_raw
 
 NAMES = ("north/a.raw", "north/b.raw", "south/deep/c.raw")
@@ -34,3 +38,14 @@ def results(out: Path) -> dict[str, object]:
             }
         found[path.relative_to(out).as_posix()] = content
     return found
+
+
+def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: object) -> Ran:
+    """Run on a folder, with the outputs in `out` beside it."""
+    return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 2, *words)
+
+
+def rows(out: Path, name: str = "study") -> list[dict[str, str]]:
+    """The table."""
+    with (out / f"{name}.csv").open(newline="") as file:
+        return list(csv.DictReader(file))

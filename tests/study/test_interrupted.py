@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import signal
 import subprocess
@@ -48,6 +49,16 @@ def soon(look: Callable[[], Found]) -> Found:
     raise AssertionError("nothing came")
 
 
+def session(leader: int) -> list[str]:
+    """Processes that a run started and that still live: those of its session (the 6th field, proc(5))."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, _, number = path.read_text().rpartition(")")[2].split()[:4]
+            found += [path.parent.name] if int(number) == leader and state != "Z" else []
+    return found
+
+
 def lines(out: Path) -> int:
     ledger = out / "study.ledger"
     return ledger.read_text().count('"row"') if ledger.exists() else 0
@@ -65,6 +76,7 @@ def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(
     time.sleep(random.Random(seed).uniform(0, 0.1))
     process.kill()
     process.communicate()
+    soon(lambda: not session(process.pid))
     done = lines(out)
     assert 0 < done < len(NAMES)
     assert (out / "study.lock").exists()
@@ -102,6 +114,7 @@ def test_interrupted_it_leaves_nothing_half_written(folder: Path, tmp_path: Path
     _, said = process.communicate(timeout=30)
     assert process.returncode == 130
     assert said.decode() == "accelcal: interrupted; nothing half-written was left\n"
+    soon(lambda: not session(process.pid))
     assert not [path for path in out.rglob("*") if path.suffix in (".tmp", ".lock")]
 
 

@@ -1,0 +1,125 @@
+"""`accelcal study` again: what is remembered, looked at, done anew, left to others."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.study import lock
+from tests.cli.run import run
+from tests.cli.studies import NAMES, results, rows, study, study_folder
+from tests.recordings import directions, still_counts, write_raw
+
+Capture = pytest.CaptureFixture[str]
+
+
+def times(out: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in out.rglob("*.cal*")}
+
+
+def test_a_rerun_does_nothing_but_what_changed(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    first = study(capsys, folder)
+    made, held = times(out), results(out)
+    again = study(capsys, folder)
+    assert sorted(again.lines) == sorted(first.lines)
+    assert "3 unchanged" in again.err
+    assert (times(out), results(out)) == (made, held)
+    write_raw(folder / NAMES[0], still_counts(directions(60), seed=9))
+    assert "2 unchanged" in study(capsys, folder).err
+    assert {name for name, at in times(out).items() if made[name] != at} == {
+        "a.calibrated.parquet",
+        "a.calibration.json",
+    }
+
+
+def test_touched_moved_or_forgotten_is_looked_at_but_not_done_again(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    study(capsys, folder)
+    made, held = times(out), results(out)
+    os.utime(folder / NAMES[0])
+    assert "2 unchanged" in study(capsys, folder).err
+    (out / "study.ledger").write_text('{"name": "north/a.raw", "sta')
+    assert "unchanged" not in study(capsys, folder).err
+    assert (times(out), results(out)) == (made, held)
+
+
+def test_a_lost_output_other_settings_and_another_layout_are_done_again(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    study(capsys, folder)
+    held = results(out)
+    (out / "north/a.calibrated.parquet").unlink()
+    study(capsys, folder)
+    assert results(out) == held
+    layout = folder / "north/a.layout.toml"
+    layout.write_text(layout.read_text().replace("range_g = 8.0", "range_g = 4.0"))
+    assert "2 unchanged" in study(capsys, folder).err
+    assert "unchanged" not in study(capsys, folder, "--model", 6).err
+    assert {row["model"] for row in rows(out)} == {"6"}
+
+
+def test_failures_are_remembered_until_told_otherwise(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    (folder / "zeros.cwa").write_bytes(bytes(4096))
+    study(capsys, folder)
+    assert "2 unchanged" in study(capsys, folder).err
+    assert "1 unchanged" in study(capsys, folder, "--retry-failed").err
+
+
+def test_an_output_in_the_way_is_that_recordings_failure_and_tried_each_time(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:2]), tmp_path / "out"
+    (out / "north").mkdir(parents=True)
+    foreign = out / "north/a.calibrated.parquet"
+    foreign.write_text("mine")
+    ran = study(capsys, folder)
+    assert (ran.code, foreign.read_text()) == (1, "mine")
+    assert [row["exit_code"] for row in rows(out)] == ["5", "0"]
+    foreign.unlink()
+    assert study(capsys, folder).code == 0
+
+
+def test_what_is_still_being_copied_waits(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in")
+    hour_ago = time.time() - 3600
+    os.utime(folder / NAMES[0], (hour_ago, hour_ago))
+    ran = study(capsys, folder, "--settle", 600)
+    assert ran.code == 0
+    assert "1 recordings: 1 calibrated, 2 not begun" in ran.err
+    assert "3 recordings" in study(capsys, folder, "--newer-than", "2000-01-01").err
+    assert "3 unchanged" in study(capsys, folder, "--newer-than", "2100-01-01").err
+
+
+def test_a_living_run_is_not_disturbed(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
+    out.mkdir()
+    (out / "study.lock").write_text(json.dumps(lock._me()))
+    ran = study(capsys, folder, "-q")
+    assert (ran.code, ran.out, ran.err.count("\n")) == (75, "", 1)
+    assert f"process {os.getpid()} on " in ran.err
+    assert [path.name for path in out.iterdir()] == ["study.lock"]
+    assert study(capsys, folder, "--dry-run").lines == [f"{folder / NAMES[0]}\ttodo"]
+
+
+def test_shards_are_disjoint_and_collected_they_are_the_whole(tmp_path: Path, capsys: Capture) -> None:
+    names = tuple(f"{letter}.raw" for letter in "abcd")
+    folder, out = study_folder(tmp_path / "in", names), tmp_path / "out"
+    first = study(capsys, folder, "--shard", "1/2")
+    early = study(capsys, folder, "--collect")
+    assert early.code == 1
+    assert "not begun" in early.err
+    second = study(capsys, folder, "--shard", "2/2")
+    done = [[line.split("\t")[0] for line in ran.lines] for ran in (first, second)]
+    assert sorted([*done[0], *done[1]]) == [str(folder / name) for name in names]
+    assert all(done)
+    assert study(capsys, folder, "--collect").code == 0
+    run(capsys, "study", folder, "-d", tmp_path / "whole")
+    whole, parts = results(tmp_path / "whole"), results(out)
+    assert {name: content for name, content in parts.items() if "-of-" not in name} == whole
