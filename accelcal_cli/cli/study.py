@@ -23,7 +23,8 @@ from accelcal_cli.core.names import printable
 from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study.find import Where
 from accelcal_cli.study.limits import workers
-from accelcal_cli.study.run import Study, preview, run
+from accelcal_cli.study.plan import Study, preview
+from accelcal_cli.study.run import run
 from accelcal_cli.study.shard import shard
 from accelcal_cli.study.summary import Summary
 

@@ -15,7 +15,7 @@ from accelcal_cli.cli.results import study_line
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.names import printable
 from accelcal_cli.study.items import FAILED, Item
-from accelcal_cli.study.run import Plan
+from accelcal_cli.study.plan import Plan
 from accelcal_cli.study.work import Answer
 
 

@@ -1,0 +1,156 @@
+"""What is asked of a study, what is there, and what is left to do."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli import __version__
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.names import printable
+from accelcal_cli.pipeline.request import Request
+from accelcal_cli.study import row
+from accelcal_cli.study.find import Where, files, is_recording, without_collisions
+from accelcal_cli.study.items import Entry, Item
+from accelcal_cli.study.ledger import Ledger
+from accelcal_cli.study.shard import Shard
+
+WRONG_USE = 2
+UNREADABLE = 3
+WHOLE = Shard()
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What is asked for.
+
+    Attributes:
+        jobs: workers; None for as many as CPUs and memory allow.
+        timeout_s: the longest one recording may take.
+        settle_s: what was changed within so many seconds is left for later.
+        newer_than_s: what was last changed before [s since 1970] is not begun.
+        retry_failed: try again what failed and has not changed.
+        collect: begin nothing; sum up what the shards have done.
+    """
+
+    where: Where
+    request: Request
+    jobs: int | None = None
+    timeout_s: float | None = None
+    settle_s: float = 0.0
+    newer_than_s: float | None = None
+    retry_failed: bool = False
+    shard: Shard = WHOLE
+    collect: bool = False
+
+    @property
+    def out(self) -> Path:
+        """Folder of the outputs."""
+        return self.where.out
+
+    def settings(self) -> dict[str, Any]:
+        """All that decides the results but the recordings and their layout files."""
+        return {
+            **self.request.effective_settings(self.request.options.layout),
+            "integers": self.request.integers,
+        }
+
+    def asked(self) -> str:
+        """A hash of settings and version: an earlier entry with another no longer stands."""
+        text = json.dumps([__version__, self.settings()], sort_keys=True, default=str)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(slots=True)
+class Plan:
+    """What a study found, before it does anything.
+
+    Attributes:
+        done: recordings whose entry stands.
+        todo: recordings to work on.
+        waiting: recordings that are not begun.
+        left_out: entries of files that are no recordings.
+    """
+
+    done: list[tuple[Item, Entry]] = field(default_factory=list)
+    todo: list[Item] = field(default_factory=list)
+    waiting: list[Item] = field(default_factory=list)
+    left_out: list[Entry] = field(default_factory=list)
+
+
+def plan(study: Study, ledger: Ledger) -> Plan:
+    """Look at all files; nothing is written.
+
+    Raises:
+        UsageError: a folder is none, or there is no recording in them.
+    """
+    asked, found = study.asked(), Plan()
+    recordings = without_collisions(list(_recordings(study, ledger, asked, found)))
+    if not recordings:
+        raise UsageError(
+            "no recording was found", path=study.where.folders[0], hint="name its --format or --include it"
+        )
+    for item in recordings:
+        if study.shard.owns(item.name):
+            _place(study, item, _standing(ledger, item, asked), found)
+    return found
+
+
+def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterator[Item]:
+    """The recordings among the files; which are none is remembered, too."""
+    for item in files(study.where):
+        entry = ledger.current(item, asked)
+        if entry is not None and not entry.failed and (entry.row is not None or not study.where.include):
+            recording = entry.row is not None
+        else:
+            recording = item.refusal is not None or is_recording(
+                item, study.request.options, asked_for=bool(study.where.include)
+            )
+        if recording:
+            yield item
+        else:
+            found.left_out.append(Entry(item.name, item.stamps, asked, None))
+
+
+def _standing(ledger: Ledger, item: Item, asked: str) -> Entry | None:
+    if item.refusal is None:
+        return ledger.current(item, asked)
+    code = WRONG_USE if item.source.is_file() else UNREADABLE
+    said = row.failed(item, code, f"{printable(item.source)}: {item.refusal}")
+    return Entry(item.name, item.stamps, asked, said, again=True)
+
+
+def _place(study: Study, item: Item, entry: Entry | None, found: Plan) -> None:
+    again = (
+        entry is not None
+        and item.refusal is None
+        and (study.request.force or entry.again or (study.retry_failed and entry.failed))
+    )
+    begin = not study.collect and not _too_new(study, item) and not _too_old(study, item)
+    if entry is not None and not (again and begin):
+        found.done.append((item, entry))
+    else:
+        (found.todo if begin else found.waiting).append(item)
+
+
+def _too_new(study: Study, item: Item) -> bool:
+    return study.settle_s > 0 and time.time() - item.changed_s < study.settle_s
+
+
+def _too_old(study: Study, item: Item) -> bool:
+    return study.newer_than_s is not None and item.changed_s < study.newer_than_s
+
+
+def ledger_of(study: Study) -> Ledger:
+    """What is remembered: the run's own entries, and those of the shards."""
+    return Ledger(study.out / f"{study.shard.basename}.ledger", sorted(study.out.glob("study.*-of-*.ledger")))
+
+
+def preview(study: Study) -> Plan:
+    """What a run would do; nothing is locked or written."""
+    return plan(study, ledger_of(study))
