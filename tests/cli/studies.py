@@ -15,11 +15,11 @@ NAMES = ("north/a.raw", "north/b.raw", "south/deep/c.raw")
 
 
 def study_folder(folder: Path, names: tuple[str, ...] = NAMES) -> Path:
-    """Good recordings, each with errors of its own, and files that are none."""
+    """Good recordings, the later ones longer, and files that are none."""
     for number, name in enumerate(names):
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_raw(path, still_counts(directions(60), seed=number + 1))
+        write_raw(path, still_counts(directions(60 + 2 * number), seed=number + 1))
     (folder / "readme.txt").write_text("recorded in spring\n")
     (folder / ".hidden.cwa").write_bytes(b"x")
     return folder

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +32,15 @@ def work(task: tuple[str, Any], told: Told) -> Any:
         Path(value).write_text(str(os.getpid()))
         time.sleep(60)
     return os.getpid() if kind == "pid" else (kind, value)
+
+
+def soon(look: Callable[[], Any]) -> None:
+    """Wait until there is something to see, at most 20 s."""
+    for _ in range(400):
+        if look():
+            return
+        time.sleep(0.05)
+    raise AssertionError("nothing came")
 
 
 def done(crew: Crew, *tasks: tuple[str, Any]) -> dict[tuple[str, Any], Ended]:
@@ -79,9 +91,27 @@ def test_no_worker_is_left_when_the_iteration_is_given_up(tmp_path: Path) -> Non
     told = tmp_path / "pid"
     running = Crew(work, 2).run([("orphan", str(told)), ("echo", 1)])
     next(running)
-    for _ in range(200):
-        if told.exists() and told.read_text():
-            break
-        time.sleep(0.05)
+    soon(lambda: told.exists() and told.read_text())
     running.close()
     assert not Path(f"/proc/{told.read_text()}").exists()
+
+
+ALONE = """
+import sys
+from accelcal_cli.study.workers import Crew
+from tests.study.test_workers import work
+if __name__ == "__main__":
+    list(Crew(work, 1).run([("orphan", sys.argv[1])]))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
+def test_a_worker_does_not_outlive_the_process_that_started_it(tmp_path: Path) -> None:
+    told, script = tmp_path / "pid", tmp_path / "alone.py"
+    script.write_text(ALONE)
+    path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    parent = subprocess.Popen([sys.executable, script, told], env={**os.environ, "PYTHONPATH": path})
+    soon(lambda: told.exists() and told.read_text())
+    parent.kill()
+    parent.wait()
+    soon(lambda: not Path(f"/proc/{told.read_text()}").exists())
