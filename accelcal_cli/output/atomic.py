@@ -6,7 +6,7 @@ import contextlib
 import errno
 import os
 import platform
-import tempfile
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -32,8 +32,9 @@ def replacing(path: Path) -> Iterator[Path]:
         OutputError: the file cannot be written.
     """
     _refuse_special(path)
-    temporary = beside(path)
+    temporary = _name_beside(path)
     try:
+        _create(temporary)
         yield temporary
         _flush(temporary)
         temporary.replace(path)
@@ -59,19 +60,26 @@ def beside(path: Path) -> Path:
 
     Those that killed processes of this host left for `path` are removed.
     """
-    host = platform.node() or "host"
+    temporary = _name_beside(path)
     try:
-        sweep(path)
-        prefix = f".{path.name}.{host}.{os.getpid()}."
-        handle, name = tempfile.mkstemp(prefix=prefix, suffix=".tmp", dir=path.parent)
+        _create(temporary)
     except OSError as error:
         raise output_error(error, path) from error
-    os.close(handle)
-    temporary = Path(name)
-    mask = os.umask(0)
-    os.umask(mask)
-    temporary.chmod(0o666 & ~mask)
     return temporary
+
+
+def _name_beside(path: Path) -> Path:
+    """A name for it that no other file has; the file is not made yet."""
+    try:
+        sweep(path)
+    except OSError as error:
+        raise output_error(error, path) from error
+    owner = f"{platform.node() or 'host'}.{os.getpid()}"
+    return path.with_name(f".{path.name}.{owner}.{secrets.token_hex(6)}.tmp")
+
+
+def _create(path: Path) -> None:
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
 
 
 def sweep(path: Path) -> None:
