@@ -8,12 +8,15 @@ stillness, no fit.
 from __future__ import annotations
 
 import binascii
+import os
 import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+os.environ |= dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 import numpy as np
 import pyarrow as pa
