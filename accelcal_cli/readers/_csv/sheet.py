@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
+from accelcal_cli.readers._csv.arrays import floats
 from accelcal_cli.readers._csv.blocks import Block
 from accelcal_cli.readers._csv.cells import MISSING
 from accelcal_cli.readers._csv.columns import Roles
@@ -88,10 +89,10 @@ class Sheet:
             line = block.line + blank_lines_apart(data)
         values = np.empty((table.num_rows, 3))
         for axis, column in enumerate(self.roles.xyz):
-            values[:, axis] = table[str(column)].to_numpy()
+            values[:, axis] = floats(table[str(column)])
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
         spare = self.roles.temperature
-        return Cells(line, values, stamps, None if spare is None else table[str(spare)].to_numpy())
+        return Cells(line, values, stamps, None if spare is None else floats(table[str(spare)]))
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes]:
         """The parsed columns, and the text that they come from, which has the same lines."""

@@ -14,9 +14,11 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.readers._csv.arrays import filled, floats
 from accelcal_cli.readers._csv.cells import MISSING, number_of
 
 NO_TIME = -(1 << 62)
+EMPTY_NS = -(1 << 63)
 """Stands for a missing time; far enough from every real one to subtract without overflow."""
 
 STAMP = re.compile(r"\d{4}[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?")
@@ -59,12 +61,9 @@ class TimeFormat:
     def microseconds(self, column: Any) -> NDArray[np.int64]:
         """A column (n,) of that type as times (n,) [us], NO_TIME where the cell is empty."""
         if self.unit_us is None:
-            whole = column.cast(pa.int64())
-            stamps: NDArray[np.int64] = (whole.fill_null(0).to_numpy() + 500) // 1000
-            if whole.null_count:
-                stamps[whole.is_null().to_numpy()] = NO_TIME
-            return stamps
-        values = np.rint((column.fill_null(np.nan).to_numpy() - self.epoch_day) * self.unit_us)
+            whole = filled(column.cast(pa.int64()), np.int64, EMPTY_NS)
+            return np.where(whole == EMPTY_NS, NO_TIME, (whole + 500) // 1000)
+        values = np.rint((floats(column) - self.epoch_day) * self.unit_us)
         usable = np.abs(values) < 1 << 60
         return np.where(usable, np.where(usable, values, 0).astype(np.int64), NO_TIME)
 
