@@ -18,8 +18,10 @@ from accelcal_cli.readers._csv.arrays import filled, floats
 from accelcal_cli.readers._csv.cells import MISSING, number_of
 
 NO_TIME = -(1 << 62)
-EMPTY_NS = -(1 << 63)
 """Stands for a missing time; far enough from every real one to subtract without overflow."""
+
+EMPTY_NS = -(1 << 63)
+"""Stands for an empty cell among Arrow's times."""
 
 STAMP = re.compile(r"\d{4}[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?")
 DAY_US = 86_400e6
