@@ -146,14 +146,15 @@ def _group(writer: pq.ParquetWriter | None, columns: Columns, first: int, out: P
     whole["validity"] = pa.array(np.zeros(number, np.uint8))
     batch = pa.RecordBatch.from_pydict(whole)
     if writer is None:
-        plain = {name: "PLAIN" for name in whole if name != "time"}
+        encodings = dict.fromkeys(whole, "PLAIN")
+        encodings |= {"z": "BYTE_STREAM_SPLIT", "time": "DELTA_BINARY_PACKED"}
         writer = pq.ParquetWriter(
             out,
             batch.schema,
             compression="zstd",
             compression_level=1,
             use_dictionary=False,
-            column_encoding={"time": "DELTA_BINARY_PACKED", **plain},
+            column_encoding=encodings,
             write_batch_size=1 << 16,
             write_statistics=["time"],
         )

@@ -43,11 +43,11 @@ class Timing:
         return {name: round(value, 3) for name, value in asdict(self).items()}
 
 
-def run(command: Sequence[str], env: dict[str, str] | None = None) -> Run:
+def run(command: Sequence[str]) -> Run:
     """Run a command to its end; raises CalledProcessError if it fails."""
     start = time.perf_counter()
     process = subprocess.Popen(
-        list(command), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env={**os.environ, **(env or {})}
+        list(command), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=_environment()
     )
     assert process.stderr is not None
     said = process.stderr.read()
@@ -57,6 +57,11 @@ def run(command: Sequence[str], env: dict[str, str] | None = None) -> Run:
     if process.returncode:
         raise subprocess.CalledProcessError(process.returncode, command, stderr=said.decode(errors="replace"))
     return Run(wall, used.ru_utime + used.ru_stime, used.ru_maxrss / MEGABYTE)
+
+
+def _environment() -> dict[str, str]:
+    """This one's; compiled modules are kept, as they are where accelcal is installed."""
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
 def timed(commands: dict[str, Sequence[str]], runs: int) -> dict[str, Timing]:

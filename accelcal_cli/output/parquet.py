@@ -33,13 +33,14 @@ class Columns:
 
     Attributes:
         utc: times are UTC.
-        rounded: x, y, z lie on a coarse grid: their low bytes are zero and compress by themselves.
+        split: those whose values hardly repeat while their high bytes do, so that bytes of one place
+            compress better side by side.
     """
 
     temperature: bool
     gyroscope: bool
     utc: bool
-    rounded: bool = False
+    split: tuple[str, ...] = ()
 
     def schema(self, metadata: dict[str, Any]) -> pa.Schema:
         """Arrow schema with units in the fields' metadata."""
@@ -79,8 +80,7 @@ class ParquetSink:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
         self._thread.submit(int).result()
         encodings = dict.fromkeys(self.schema.names, "PLAIN") | {"time": "DELTA_BINARY_PACKED"}
-        if columns.rounded:
-            encodings |= dict.fromkeys("xyz", "BYTE_STREAM_SPLIT")
+        encodings |= dict.fromkeys(columns.split, "BYTE_STREAM_SPLIT")
         try:
             self._writer = pq.ParquetWriter(
                 path,

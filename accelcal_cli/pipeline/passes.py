@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.recording import Reader
@@ -112,9 +114,20 @@ def writes_parquet(data: reports.ReportInput) -> bool:
 
 def columns_of(data: reports.ReportInput) -> Columns:
     """The columns of a result's Parquet file."""
-    facts, rounded = data.facts, data.settings["precision_mg"] is not None
-    utc = facts.utc_offset_s is not None
-    return Columns(facts.has_temperature, facts.has_gyroscope, utc, rounded=rounded)
+    facts, utc = data.facts, data.facts.utc_offset_s is not None
+    return Columns(facts.has_temperature, facts.has_gyroscope, utc, split_columns(data))
+
+
+def split_columns(data: reports.ReportInput) -> tuple[str, ...]:
+    """Axes whose values are finer than one count, or lie on a coarse grid whose low bytes are zero.
+
+    An axis of one count, or two, has values that come again and again; one of all three has not.
+    """
+    if data.settings["precision_mg"] is not None:
+        return ("x", "y", "z")
+    assert data.judgement.calibration is not None
+    mixed = np.count_nonzero(data.judgement.calibration.gain(), axis=1) == 3
+    return tuple(name for name, all_three in zip("xyz", mixed, strict=True) if all_three)
 
 
 def applier_of(data: reports.ReportInput) -> Applier:

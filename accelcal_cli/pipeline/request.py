@@ -14,7 +14,7 @@ from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.plan import Job
 
-DEFAULT_CHUNK_SAMPLES = 1 << 17
+DEFAULT_CHUNK_SAMPLES = 1 << 18
 
 Progress = Callable[[int], None]
 """Called with the number of bytes of the file that have been read."""

@@ -33,7 +33,7 @@ def sums(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
 
 def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
     """Sums over the last axis of squares that add up to at most `bound`; blocks is (m, n)."""
-    values = blocks.astype(exact_type(bound))
+    values = blocks.astype(exact_type(bound), copy=False)
     return np.asarray(np.einsum("mn,mn->m", values, values)).astype(np.int64)
 
 
@@ -51,8 +51,14 @@ def centred_squares(
         sums: (m,) sums of counts.
     """
     length = blocks.shape[1]
-    origin = blocks[:, :1].astype(np.int64)
     largest = int(spread.max())
-    squares = sums_of_squares(blocks - origin, largest * largest * length)
-    q, r = np.divmod(sums - length * origin[:, 0], length)
+    squares = sums_of_squares(_from_first(blocks), largest * largest * length)
+    q, r = np.divmod(sums - length * blocks[:, 0].astype(np.int64), length)
     return squares - length * q * q - 2 * q * r, r
+
+
+def _from_first(blocks: NDArray[Any]) -> NDArray[Any]:
+    """Counts of each window less its first one, in a type that holds every difference."""
+    values = blocks.astype(exact_type(1 << 8 * blocks.itemsize))
+    values -= blocks[:, :1]
+    return values

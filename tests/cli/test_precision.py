@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.pipeline.applying import steps_per_g
@@ -58,3 +59,21 @@ def test_coefficients_are_applied_at_any_precision(tmp_path: Path, capsys: Captu
     assert run(capsys, "apply", "--coefficients", report, SAMPLE, "-d", out).code == 0
     steps = values(out) * 1024
     assert (steps != np.rint(steps)).any()
+
+
+def split(folder: Path) -> list[str]:
+    """Columns whose bytes lie side by side."""
+    group = pq.ParquetFile(folder / "recording.calibrated.parquet").metadata.row_group(0)
+    found = [group.column(index) for index in range(group.num_columns)]
+    return [one.path_in_schema for one in found if "BYTE_STREAM_SPLIT" in one.encodings]
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [((), ["z"]), (("--model", 6), []), (("--precision", 0.25), ["x", "y", "z"])],
+)
+def test_bytes_are_split_where_three_counts_are_mixed_or_values_are_coarse(
+    options: tuple[str | float, ...], names: list[str], tmp_path: Path, capsys: Capture
+) -> None:
+    assert run(capsys, "calibrate", SAMPLE, "-d", tmp_path, *options).code == 0
+    assert split(tmp_path) == names
