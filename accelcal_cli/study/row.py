@@ -6,6 +6,7 @@ from typing import Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core.names import printable
+from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.study.items import FAILED, Item
 
 AXES = ("x", "y", "z")
@@ -17,6 +18,11 @@ WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems",
 )  # fmt: skip
+PARAMETERS = (
+    "k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", *(f"offset_{axis}_g" for axis in AXES),
+    *(f"slope_{axis}_g_per_c" for axis in AXES),
+)  # fmt: skip
+"""Columns of the parameters, in the order of PARAMETER_NAMES (whose kxy is row y, column x of K)."""
 COLUMNS = (
     "path", "outcome", "exit_code", "message", "model",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
@@ -27,7 +33,8 @@ COLUMNS = (
     *(f"k_{row}{column}" for row in AXES for column in AXES),
     *(f"offset_{axis}_g" for axis in AXES),
     *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
-    "bytes", "sha256", "accelcal_version", "parquet", "report",
+    *(f"se_{name}" for name in PARAMETERS),
+    "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report",
 )  # fmt: skip
 """In the order of the table. Errors are held out; what is neither TEXT nor WHOLE is a number."""
 
@@ -76,7 +83,7 @@ def _recording(report: dict[str, Any]) -> dict[str, Any]:
     counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after", "rate_hz_measured")
     return {
         **{name: held[name] for name in same},
-        **{name: health[name] for name in counts},
+        **{name: health[name] for name in (*counts, "lost_percent")},
         **{f"device_{name}": value for name, value in held["device"].items()},
         "rate_hz": held["sample_rate_hz"],
         "gaps": len(held["gaps"]) + held["gaps_omitted"],
@@ -122,7 +129,17 @@ def _calibration(found: dict[str, Any] | None) -> dict[str, Any]:
         **dict(zip(_named("offset_{}_g"), found["offset_g"], strict=True)),
         **slopes,
         "reference_c": None if warm is None else warm["reference_c"],
+        **_standard_errors(found),
     }
+
+
+def _standard_errors(found: dict[str, Any]) -> dict[str, float]:
+    """Those of the parameters that the model leaves free: what was not fitted has none."""
+    known = found.get("standard_errors") or {}
+    model = MODELS.get(found["model"])
+    free = range(len(PARAMETERS)) if model is None else model.free
+    named = {f"se_{PARAMETERS[index]}": known.get(PARAMETER_NAMES[index]) for index in free}
+    return {name: value for name, value in named.items() if value is not None}
 
 
 def _named(pattern: str) -> list[str]:

@@ -13,6 +13,11 @@ from tests.cli.studies import NAMES, results, rows, study, study_folder
 from tests.recordings import directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
+SE_COLUMNS = {
+    "kxx": "k_xx", "kyy": "k_yy", "kzz": "k_zz", "kxy": "k_yx", "kxz": "k_zx", "kyz": "k_zy",
+    "ox": "offset_x_g", "oy": "offset_y_g", "oz": "offset_z_g",
+}  # fmt: skip
+"""Names in the report (first the column of K, then its row) and in the table (row, column)."""
 
 
 def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture) -> None:
@@ -38,6 +43,10 @@ def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> Non
         value for row in report["calibration"]["gain"] for value in row
     ]
     assert [float(row[f"offset_{a}_g"]) for a in "xyz"] == report["calibration"]["offset_g"]
+    assert {name: row[f"se_{column}"] for name, column in SE_COLUMNS.items()} == {
+        name: str(report["calibration"]["standard_errors"][name]) for name in SE_COLUMNS
+    }
+    assert (row["se_slope_x_g_per_c"], row["lost_percent"]) == ("", "0.0")
     assert row["sha256"] == report["recording"]["sha256"]
     assert (row["slope_x_g_per_c"], row["device_serial"]) == ("", "")
     assert (row["parquet"], row["report"]) == ("north/a.calibrated.parquet", "north/a.calibration.json")
