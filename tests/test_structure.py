@@ -23,8 +23,9 @@ FLOOR = {
     "pipeline": 2,
     "evaluate": 3,
     "study": 3,
-    "cli": 4,
-    "__main__": 5,
+    "fleet": 4,
+    "cli": 5,
+    "__main__": 6,
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

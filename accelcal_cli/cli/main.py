@@ -14,6 +14,7 @@ from accelcal_cli.cli.lazy import LazyGroup
 COMMANDS = {
     "calibrate": "Calibrate recordings: calibrated Parquet and a report for each.",
     "study": "Calibrate a folder of recordings, in parallel; go on where an earlier run ended.",
+    "devices": "Show how a study's devices drift, and which to service.",
     "six-pose": "Calibrate a sensor from a session on its six faces.",
     "inspect": "Show what a recording holds and what calibrating it would give.",
     "fit": "Fit still-window means from another tool, and judge them.",
