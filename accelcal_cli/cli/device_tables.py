@@ -8,7 +8,7 @@ from math import isfinite
 
 from accelcal_cli.cli.tables import aligned, number
 from accelcal_cli.core.names import printable
-from accelcal_cli.fleet.parameters import OFFSETS, PARAMETERS, Kind
+from accelcal_cli.fleet.parameters import OFFSETS, PARAMETERS, Kind, with_error
 from accelcal_cli.fleet.review import Review
 from accelcal_cli.fleet.trends import Drift, Trend
 from accelcal_cli.fleet.unit import Unit
@@ -49,8 +49,8 @@ def _line(name: str, unit: Unit) -> list[str]:
         _date(unit.begin),
         _date(unit.end),
         number(unit.held_out_mg, ".2f"),
-        _fastest(unit, (Kind.OFFSET,), 2),
-        _fastest(unit, PERCENT, 3),
+        _fastest(unit, (Kind.OFFSET,)),
+        _fastest(unit, PERCENT),
     ]
 
 
@@ -58,13 +58,13 @@ def _date(start: str | None) -> str:
     return "-" if start is None else start[:10]
 
 
-def _fastest(unit: Unit, kinds: tuple[Kind, ...], digits: int) -> str:
+def _fastest(unit: Unit, kinds: tuple[Kind, ...]) -> str:
     """The fastest drift of some kinds of parameters, with its standard error."""
     drifts = [one.drift for one in unit.trends if one.drift is not None and one.parameter.kind in kinds]
     if not drifts:
-        return "not enough"
+        return "undated" if unit.counted(Use.UNDATED) and not unit.counted(Use.USED) else "not enough"
     fastest = max(drifts, key=lambda drift: abs(drift.per_month))
-    return f"{fastest.per_month:+.{digits}f} +- {fastest.error:.{digits}f}"
+    return with_error(fastest.per_month, fastest.error)
 
 
 def _verdict(unit: Unit) -> str:
@@ -91,7 +91,7 @@ def _parameters(unit: Unit) -> list[str]:
 
 
 def _trend(trend: Trend) -> list[str]:
-    digits = ".3f" if trend.parameter.kind is not Kind.OFFSET else ".2f"
+    digits = ".4f" if trend.parameter.kind is not Kind.OFFSET else ".3f"
     value = [f"{trend.parameter.label} {trend.parameter.unit}", f"{trend.value:+{digits}}"]
     return [*value, f"{trend.error:{digits}}", *_drift(trend.drift, digits, trend.number)]
 

@@ -96,10 +96,15 @@ def _shown(found: Review, units: tuple[Unit, ...], values: dict[str, Any]) -> st
         return json.dumps(as_json(found, units))
     if values["as_csv"]:
         rows = [row(found, unit, at) for unit in units for at in unit.rows]
-        return comma_separated(columns(), [list(one.values()) for one in rows])
+        return comma_separated(columns(), [list(map(_cell, one.values())) for one in rows])
     if values["device"] is not None:
         return "\n\n".join(detail(found, unit) for unit in units)
     return overview(units)
+
+
+def _cell(value: Any) -> Any:
+    """Text on one line."""
+    return printable(value) if isinstance(value, str) else value
 
 
 def _summary(found: Review, units: tuple[Unit, ...]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import floor, log10
 
 import numpy as np
 
@@ -45,6 +46,12 @@ class Parameter:
     def label(self) -> str:
         """For people."""
         return self.name.replace("_", " ")
+
+
+def with_error(value: float, error: float) -> str:
+    """A value and its standard error, this to two significant digits."""
+    digits = 2 if error <= 0 else min(6, max(0, 1 - floor(log10(error))))
+    return f"{value:+.{digits}f} +- {error:.{digits}f}"
 
 
 def _parameter(index: int, axes: str) -> Parameter:

@@ -6,15 +6,15 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from statistics import median
 
-from accelcal_cli.fleet.parameters import PARAMETERS, Kind
+from accelcal_cli.fleet.parameters import PARAMETERS, with_error
 from accelcal_cli.fleet.rules import (
     FEWEST_DEVICES,
     LEAST_SPREAD_MG,
+    PERHAPS,
     REPEATED,
     SIGNIFICANT,
     Rules,
 )
-from accelcal_cli.fleet.trends import Trend
 from accelcal_cli.fleet.unit import Reason, Unit
 from accelcal_cli.fleet.use import OWN
 
@@ -71,25 +71,22 @@ def _drifts(unit: Unit, rules: Rules) -> Iterator[Reason]:
     found = [(trend, trend.drift) for trend in unit.trends if trend.drift is not None]
     for trend, drift in sorted(found, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
         size = abs(drift.per_month)
-        if size > limits[trend.parameter] and size > SIGNIFICANT * drift.error:
-            text = f"{trend.parameter.label} drifts by {_shown(drift.per_month, drift.error, trend)} a month"
+        if size > limits[trend.parameter] and drift.probability < PERHAPS:
+            shown = f"{with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
+            text = f"{trend.parameter.label} drifts by {shown} a month"
             doubt = "" if drift.significant else f" (not certain from {trend.number} recordings)"
             yield Reason("drift", text + doubt, drift.significant)
 
 
-def _levels(unit: Unit, rules: Rules) -> Iterator[Reason]:
+def _levels(device: Unit, rules: Rules) -> Iterator[Reason]:
     limits = dict(zip(PARAMETERS, rules.levels().tolist(), strict=True))
-    for trend in sorted(unit.trends, key=lambda one: -abs(one.value) / limits[one.parameter]):
+    for trend in sorted(device.trends, key=lambda one: -abs(one.value) / limits[one.parameter]):
         beyond = abs(trend.value) - limits[trend.parameter]
         if beyond > 0:
-            limit = f"limit {limits[trend.parameter]:g} {trend.parameter.unit}"
-            text = f"{trend.parameter.label} is {_shown(trend.value, trend.error, trend)} ({limit})"
+            unit = trend.parameter.unit
+            limit = f"limit {limits[trend.parameter]:g} {unit}"
+            text = f"{trend.parameter.label} is {with_error(trend.value, trend.error)} {unit} ({limit})"
             yield Reason("level", text, beyond > SIGNIFICANT * trend.error)
-
-
-def _shown(value: float, error: float, trend: Trend) -> str:
-    digits = 2 if trend.parameter.kind is Kind.OFFSET else 3
-    return f"{value:+.{digits}f} +- {error:.{digits}f} {trend.parameter.unit}"
 
 
 def _outlying(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:

@@ -10,7 +10,9 @@ from accelcal_cli.fleet.parameters import PARAMETERS, Kind
 from accelcal_cli.fleet.records import Floats
 
 SIGNIFICANT = 3.0
-"""Standard errors beyond which a thing is certain."""
+"""Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
+PERHAPS = 0.05
+"""A drift that is not certain is told if it is less probable than this by chance; our choice."""
 SLOPE_SPAN_C = 10.0
 """A drift of a temperature slope counts by what it does over so many degrees; our choice."""
 FEWEST_DEVICES = 5

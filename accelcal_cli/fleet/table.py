@@ -49,7 +49,7 @@ def columns(path: Path) -> dict[str, Any]:
     """The columns that are wanted: lists of text, arrays of numbers (NaN for none)."""
     _check_there(path)
     try:
-        with pq.ParquetFile(path) as file:
+        with path.open("rb") as source, pq.ParquetFile(source) as file:
             names = file.schema_arrow.names
             missing = [name for name in WANTED if name not in names]
             if missing:

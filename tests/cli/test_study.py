@@ -59,6 +59,14 @@ def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> Non
     assert held.err.endswith("up to date\n")
 
 
+def test_what_was_not_fitted_has_no_standard_error(tmp_path: Path, capsys: Capture) -> None:
+    study(capsys, study_folder(tmp_path / "in", NAMES[:1]), "--model", "6", "--report-only")
+    (row,) = rows(tmp_path / "out")
+    known = [name for name in SE_COLUMNS.values() if row[f"se_{name}"]]
+    assert known == ["k_xx", "k_yy", "k_zz", "offset_x_g", "offset_y_g", "offset_z_g"]
+    assert row["k_yx"] == "0.0"
+
+
 def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture) -> None:
     folder = study_folder(tmp_path / "in", NAMES[:2])
     (folder / "zeros.cwa").write_bytes(bytes(4096))

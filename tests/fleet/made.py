@@ -67,7 +67,8 @@ def write(out: Path, rows: list[dict[str, Any]]) -> Path:
     arrays = [
         pa.array([row.get(name) for row in rows], kind) for name, kind in zip(COLUMNS, kinds, strict=True)
     ]
-    pq.write_table(pa.table(arrays, names=list(COLUMNS)), out / "study.parquet")
+    with (out / "study.parquet").open("wb") as file:
+        pq.write_table(pa.table(arrays, names=list(COLUMNS)), file)
     return out
 
 
