@@ -83,7 +83,7 @@ def test_significance_is_corrected_for_the_number_of_parameters(tmp_path: Path) 
 
 def test_levels_beyond_the_limits(tmp_path: Path) -> None:
     rows = [fitted("A", 0, {"offset_z_g": -0.151}), fitted("B", 0, {"offset_z_g": 0.1499}),
-            fitted("C", 0, {"k_xx": 1.11, "k_yx": 0.06}), fitted("D", 0, {"offset_z_g": 0.1501})]  # fmt: skip
+            fitted("C", 0, {"k_xx": 1.11, "k_yx": 0.12}), fitted("D", 0, {"offset_z_g": 0.1501})]  # fmt: skip
     found = units(tmp_path, rows)
     assert {name: told(unit) for name, unit in found.items()} == {
         "A": [("level", True)],
@@ -92,7 +92,7 @@ def test_levels_beyond_the_limits(tmp_path: Path) -> None:
         "D": [("level", False)],
     }
     assert found["A"].reasons[0].text == "offset z is -151.00 +- 0.10 mg (limit 150 mg)"
-    assert found["C"].reasons[0].text == "misalignment yx is +6.000 +- 0.010 % (limit 5 %)"
+    assert found["C"].reasons[0].text == "misalignment yx is +12.000 +- 0.010 % (limit 10 %)"
 
 
 def test_an_outlying_held_out_error(tmp_path: Path) -> None:
