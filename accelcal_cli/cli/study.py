@@ -51,6 +51,7 @@ FOLDER = click.Path(path_type=Path, readable=False)
 @click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
 @click.option("--shard", metavar="I/N", help="Only part I of N; `slurm`: this task's of a job array.")
 @click.option("--collect", is_flag=True, help="Sum up what the shards have done.")
+@click.option("--dask", metavar="ADDRESS", help="Work on the cluster of this scheduler (or scheduler.json).")
 @click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
 @click.option("--integers", is_flag=True, help="Also write each fit's points and result as integers.")
 @saying_options
@@ -66,7 +67,12 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     study = _study(folders, values)
     if values["dry_run"]:
         return _preview(study)
-    if study.jobs is not None and study.jobs > workers(study.jobs) and not values["quiet"]:
+    if (
+        study.dask is None
+        and study.jobs is not None
+        and study.jobs > workers(study.jobs)
+        and not values["quiet"]
+    ):
         exits.say(f"--jobs {study.jobs} is more than CPUs and memory allow for ({workers(study.jobs)})")
     with watching(study.out, values) as watch:
         result = run(study, watch)
@@ -94,6 +100,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         retry_failed=values["retry_failed"],
         shard=shard(values["shard"]),
         collect=values["collect"],
+        dask=values["dask"],
     )
 
 

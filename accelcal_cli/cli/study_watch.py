@@ -56,6 +56,12 @@ class Told:
             self._print(item, row)
             self._comment(item, row, answer)
 
+    def said(self, text: str) -> None:
+        """See `Watch`."""
+        if not self._values["quiet"]:
+            with self._aside(fresh=False):
+                exits.say(text)
+
     @contextlib.contextmanager
     def _aside(self, *, fresh: bool) -> Iterator[None]:
         """Lines above the bar, and the bar as it is after them."""

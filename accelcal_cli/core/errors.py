@@ -70,6 +70,12 @@ class LockedError(AccelcalError):
     exit_code = 75
 
 
+class ClusterError(AccelcalError):
+    """The cluster cannot be reached, or cannot be used."""
+
+    exit_code = 69
+
+
 class DivergedError(AccelcalError):
     """A fit found no parameters: it diverged, or the points do not determine them."""
 

@@ -74,8 +74,12 @@ def _name_beside(path: Path) -> Path:
         sweep(path)
     except OSError as error:
         raise output_error(error, path) from error
-    owner = f"{platform.node() or 'host'}.{os.getpid()}"
-    return path.with_name(f".{path.name}.{owner}.{secrets.token_hex(6)}.tmp")
+    return path.with_name(f".{path.name}.{owner()}.{secrets.token_hex(6)}.tmp")
+
+
+def owner() -> str:
+    """Whose the temporaries of this process are: `HOST.PROCESS`."""
+    return f"{platform.node() or 'host'}.{os.getpid()}"
 
 
 def _create(path: Path) -> None:
@@ -95,6 +99,14 @@ def sweep(path: Path) -> None:
             and owner.isdigit()
             and not _runs(int(owner))
         ):
+            left.unlink(missing_ok=True)
+
+
+def sweep_of(path: Path, lost: str) -> None:
+    """Remove the temporaries of this file that an owner left, who is known to be gone; raises OSError."""
+    start = f".{path.name}.{lost}."
+    for left in path.parent.iterdir():
+        if left.name.startswith(start) and left.suffix == ".tmp":
             left.unlink(missing_ok=True)
 
 

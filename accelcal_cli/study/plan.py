@@ -30,12 +30,13 @@ class Study:
     """What is asked for.
 
     Attributes:
-        jobs: workers; None for as many as CPUs and memory allow.
+        jobs: workers; None for as many as CPUs and memory allow, or as the cluster has.
         timeout_s: the longest one recording may take.
         settle_s: what was changed within so many seconds is left for later.
         newer_than_s: what was last changed before [s since 1970] is not begun.
         retry_failed: try again what failed and has not changed.
         collect: begin nothing; sum up what the shards have done.
+        dask: address or scheduler file of the cluster that does the work; None for processes here.
     """
 
     where: Where
@@ -47,11 +48,17 @@ class Study:
     retry_failed: bool = False
     shard: Shard = WHOLE
     collect: bool = False
+    dask: str | None = None
 
     @property
     def out(self) -> Path:
         """Folder of the outputs."""
         return self.where.out
+
+    @property
+    def lock(self) -> Path:
+        """What one run at a time holds."""
+        return self.out / f"{self.shard.basename}.lock"
 
     def settings(self) -> dict[str, Any]:
         """All that decides the results but the recordings and their layout files."""

@@ -9,17 +9,15 @@ from typing import Protocol
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.names import printable
-from accelcal_cli.output.atomic import sweep
-from accelcal_cli.study import limits, lock, summary
+from accelcal_cli.study import lock, summary
+from accelcal_cli.study.engine import Ended
+from accelcal_cli.study.engines import engine_of, tidy
 from accelcal_cli.study.find import check
 from accelcal_cli.study.items import Entry, Item
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import Plan, Study, ledger_of, plan
 from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.work import BUG, Answer, Task, calibrated, failure
-from accelcal_cli.study.workers import Crew, Ended
-
-PRELOAD = "accelcal_cli.study.preload"
+from accelcal_cli.study.work import BUG, Answer, Task, failure
 
 
 class Watch(Protocol):
@@ -33,6 +31,9 @@ class Watch(Protocol):
 
     def ended(self, item: Item, answer: Answer) -> None:
         """A recording is done, was done before, or failed."""
+
+    def said(self, text: str) -> None:
+        """What a person should know meanwhile."""
 
 
 def run(study: Study, watch: Watch) -> Summary:
@@ -49,7 +50,7 @@ def run(study: Study, watch: Watch) -> Summary:
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    with lock.held(study.out / f"{base}.lock", lambda: _other_locks(study)), ledger_of(study) as ledger:
+    with lock.held(study.lock, lambda: _other_locks(study)), ledger_of(study) as ledger:
         found = plan(study, ledger)
         entries = _carried_out(study, found, ledger, watch)
         result = Summary(
@@ -89,15 +90,8 @@ def _answers(study: Study, items: list[Item], watch: Watch) -> Iterable[tuple[It
     asked = study.asked()
     ordered = sorted(items, key=lambda item: (-item.size, item.name))
     tasks = [Task(item, study.out, study.request, asked) for item in ordered]
-    number = min(study.jobs or limits.workers(len(tasks)), max(1, len(tasks)))
-    crew = Crew(
-        calibrated,
-        number,
-        study.timeout_s,
-        PRELOAD,
-        moved=lambda task, part: watch.moved(part * task.item.size),
-    )
-    with contextlib.closing(crew.run(tasks)) as ended:
+    engine = engine_of(study, len(tasks), lambda task, part: watch.moved(part * task.item.size), watch.said)
+    with contextlib.closing(engine.run(tasks)) as ended:
         for one in ended:
             yield one.task.item, _answer(one)
 
@@ -107,8 +101,6 @@ def _answer(ended: Ended) -> Answer:
         answer: Answer = ended.answer
         return answer
     task: Task = ended.task
-    for path in (task.item.job.parquet, task.item.job.report, task.item.job.integers):
-        with contextlib.suppress(OSError):
-            sweep(path)
+    tidy(task)
     message = f"{printable(task.item.source)}: {ended.fault}"
     return Answer(failure(task, BUG, message, again=ended.again))

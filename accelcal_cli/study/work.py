@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import traceback
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,11 @@ from accelcal_cli.core.errors import AccelcalError, OutputError
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.names import printable
 from accelcal_cli.pipeline.calibrate import calibrate
+from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.request import Progress, Request, Result
 from accelcal_cli.study import row
+from accelcal_cli.study.engine import Told
 from accelcal_cli.study.items import Entry, Item, Stamp, stamp
-from accelcal_cli.study.workers import Told
 
 REFUSED = 4
 BUG = 70
@@ -31,12 +32,19 @@ class Task:
     Attributes:
         out: folder of the study's outputs.
         asked: see `Entry`.
+        said: how the user named the recording, if its path is another where the work is done.
     """
 
     item: Item
     out: Path
     request: Request
     asked: str
+    said: Path | None = None
+
+    @property
+    def job(self) -> Job:
+        """The item's job, with the name that its report gives the recording."""
+        return self.item.job if self.said is None else replace(self.item.job, source=self.said)
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +66,7 @@ class Answer:
 def calibrated(task: Task, told: Told) -> Answer:
     """Calibrate one recording; whatever happens is an answer."""
     try:
-        return _answer(task, calibrate(task.item.job, task.request, _Parts(told).stage))
+        return _answer(task, calibrate(task.job, task.request, _Parts(told).stage, task.item.source))
     except AccelcalError as error:
         again = isinstance(error, OutputError)
         return Answer(failure(task, error.exit_code, str(error), again=again))

@@ -9,40 +9,20 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
 from multiprocessing import connection
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from accelcal_cli.study.engine import Ended, Moved, Work
+
 POLL_S = 1.0
 GRACE_S = 10.0
 TERMINATED = 143
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Libraries that would start as many threads as there are CPUs, in every worker."""
-
-Told = Callable[[float], None]
-"""Called in the worker with the part of its task that is done, 0 to 1."""
-
-Work = Callable[[Any, Told], Any]
-"""What a worker does with a task; a function of a module, and its task and answer can be pickled."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ended:
-    """One task that ended.
-
-    Attributes:
-        answer: what the work returned; None where the worker did not live to say.
-        fault: what befell the worker, else None.
-        again: whether the fault may lie in the machine and not in the task.
-    """
-
-    task: Any
-    answer: Any = None
-    fault: str | None = None
-    again: bool = False
 
 
 @dataclass(slots=True)
@@ -63,14 +43,14 @@ class Crew:
         number: how many work at a time.
         timeout_s: the longest a task may take; None for no end.
         preload: a module with all that the work imports; imported once where workers are forked.
-        moved: called with a task and by how much more of it is done (0 to 1).
+        moved: see `Moved`.
     """
 
     work: Work
     number: int
     timeout_s: float | None = None
     preload: str | None = None
-    moved: Callable[[Any, float], None] = lambda _task, _part: None
+    moved: Moved = lambda _task, _part: None
     _idle: list[_Worker] = field(default_factory=list)
     _busy: list[_Worker] = field(default_factory=list)
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.study.workers import Crew, Ended, Told
+from accelcal_cli.study.engine import Ended, Told
+from accelcal_cli.study.workers import Crew
 
 
 def work(task: tuple[str, Any], told: Told) -> Any:

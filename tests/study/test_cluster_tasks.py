@@ -1,0 +1,131 @@
+"""The engine on a real scheduler, with work that misbehaves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import accelcal_cli
+from accelcal_cli.core.errors import ClusterError, OutputError, UsageError
+from accelcal_cli.study.cluster import Cluster
+from accelcal_cli.study.connect import connected
+from accelcal_cli.study.engine import Ended, Told
+from accelcal_cli.study.remote import Terms, code
+from tests.study.clusters import cluster
+
+pytest.importorskip("distributed")
+
+
+def work(task: tuple[str, Any], told: Told) -> Any:
+    """Does what the task says."""
+    kind, value = task
+    if kind == "kill":
+        time.sleep(0.1)
+        os.kill(os.getpid(), signal.SIGKILL)
+    if kind == "parts":
+        told(0.25)
+    if kind == "sleep":
+        for _ in range(int(value / 0.05)):
+            time.sleep(0.05)
+            told(0.5)
+    if kind == "where":
+        return os.getpid(), threading.current_thread() is threading.main_thread()
+    return kind, value
+
+
+class UnknownError(Exception):
+    """What the other side cannot make."""
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (__import__, ("no_such_module_anywhere",))
+
+
+@pytest.fixture(scope="module")
+def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    with cluster(tmp_path_factory.mktemp("cluster")) as file:
+        yield file
+
+
+@pytest.fixture
+def terms(tmp_path: Path) -> Terms:
+    mark = tmp_path / "study.lock"
+    mark.write_text("this study's")
+    return Terms(accelcal_cli.__version__, code(), (tmp_path,), mark, "this study's", patience_s=0)
+
+
+def done(engine: Cluster, *tasks: tuple[str, Any]) -> dict[tuple[str, Any], Ended]:
+    return {ended.task: ended for ended in engine.run(list(tasks))}
+
+
+def test_a_task_that_kills_its_workers_fails_alone(scheduler: Path, terms: Terms) -> None:
+    """Two tries, as the scheduler of these tests allows; those that waited behind it are done."""
+    lost: list[Any] = []
+    engine = Cluster(str(scheduler), work, terms, limit=6, lost=lambda task, _owner: lost.append(task))
+    others = [("echo", number) for number in range(8)]
+    found = done(engine, ("kill", 0), *others)
+    assert [found[one].answer for one in others] == others
+    killed = found["kill", 0]
+    assert killed.fault == "every worker that tried it was lost, perhaps for want of memory"
+    assert killed.again
+    assert set(lost) <= {("kill", 0)}
+
+
+def test_the_parts_of_a_task_add_up_to_one(scheduler: Path, terms: Terms) -> None:
+    moved: list[float] = []
+    engine = Cluster(str(scheduler), work, terms, moved=lambda _task, part: moved.append(part))
+    done(engine, ("parts", 1))
+    assert moved == [0.25, 0.75]
+
+
+def test_it_runs_beside_others_in_a_thread(scheduler: Path, terms: Terms) -> None:
+    found = done(Cluster(str(scheduler), work, terms), *[("where", number) for number in range(8)])
+    assert {ended.answer[1] for ended in found.values()} == {False}
+    assert os.getpid() not in {ended.answer[0] for ended in found.values()}
+
+
+def test_what_takes_too_long_is_ended_and_the_next_is_done(scheduler: Path, terms: Terms) -> None:
+    began = time.monotonic()
+    found = done(Cluster(str(scheduler), work, terms, limit=1, timeout_s=0.6), ("sleep", 60), ("echo", 1))
+    assert found["sleep", 60].fault == "took more than 0.01 minutes and was ended"
+    assert found["echo", 1].answer == ("echo", 1)
+    assert time.monotonic() - began < 10
+
+
+def test_a_worker_that_does_not_meet_the_terms_ends_the_study(scheduler: Path, terms: Terms) -> None:
+    other = terms.mark.with_name("other")
+    for wrong, kind, said in (
+        (replace(terms, version="0.0.9"), ClusterError, "not 0.0.9; install the same version"),
+        (replace(terms, content="another's"), ClusterError, "does not see it; the cluster must share"),
+        (replace(terms, folders=(other,)), ClusterError, f"{other}: the worker on"),
+    ):
+        with pytest.raises(kind, match=said) as raised:
+            done(Cluster(str(scheduler), work, wrong), ("echo", 1))
+        assert not isinstance(raised.value, OutputError)
+
+
+def test_what_cannot_be_taken_up_ends_the_study(scheduler: Path, terms: Terms) -> None:
+    with pytest.raises(ClusterError, match=r"deserialization .*install the same accelcal"):
+        done(Cluster(str(scheduler), work, terms), ("echo", UnknownError()))
+
+
+def test_no_task_needs_no_scheduler(terms: Terms) -> None:
+    assert done(Cluster("tcp://127.0.0.1:9", work, terms)) == {}
+
+
+def test_an_address_that_is_none(tmp_path: Path) -> None:
+    import dask
+
+    with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
+        with pytest.raises(UsageError, match="nonsense://x is no address"), connected("nonsense://x", print):
+            pass
+        missing = str(tmp_path / "none.json")
+        with pytest.raises(ClusterError, match="no scheduler has written"), connected(missing, print):
+            pass
