@@ -6,7 +6,7 @@ BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 DEMO   := demo
 
-.PHONY: setup demo test nightly fuzz lint bench bench-peers sample-data figure clean
+.PHONY: setup demo test nightly fuzz lint bench bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -48,6 +48,22 @@ bench-peers: $(READY) bench_data/peers/.ready
 bench_data/peers/.ready:
 	$(PYTHON) -m venv bench_data/peers
 	bench_data/peers/bin/python -m pip install --quiet actipy scikit-digital-health pyarrow
+	touch $@
+
+# runs examples/Snakefile with the real program and compares with a study in one piece
+SNAKE := bench_data/snakemake
+snakemake: $(READY) $(SNAKE)/.ready
+	rm -rf $(SNAKE)/parts $(SNAKE)/whole
+	$(SNAKE)/bin/snakemake --snakefile examples/Snakefile --directory $(SNAKE) --cores 2 --quiet --config \
+	  folder=$(CURDIR)/sample_data out=$(CURDIR)/$(SNAKE)/parts parts=2 accelcal=$(abspath $(BIN))/accelcal
+	$(BIN)/accelcal study $(CURDIR)/sample_data -d $(SNAKE)/whole -q || test -s $(SNAKE)/whole/study.csv
+	for end in csv parquet json; do cmp $(SNAKE)/parts/study.$$end $(SNAKE)/whole/study.$$end || exit 1; done
+	ACCELCAL_SNAKEMAKE=$(CURDIR)/$(SNAKE)/bin/snakemake $(BIN)/python -m pytest -n 0 tests/test_examples.py
+	@echo "The same: $(SNAKE)/parts and $(SNAKE)/whole"
+
+$(SNAKE)/.ready:
+	$(PYTHON) -m venv $(SNAKE)
+	$(SNAKE)/bin/python -m pip install --quiet snakemake
 	touch $@
 
 sample-data: $(READY)

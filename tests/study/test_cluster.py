@@ -127,6 +127,7 @@ def test_a_killed_study_leaves_nothing_running(scheduler: Path, endless: Path, t
     assert [path.name for path in out.iterdir()] == ["study.lock"]
 
 
+@pytest.mark.nightly
 def test_what_takes_too_long_is_ended(scheduler: Path, folder: Path, tmp_path: Path) -> None:
     words = ("in", "-d", tmp_path / "out", "--include", LONG, "--timeout", 0.001)
     late = ran(folder.parent, *words, "--dask", scheduler)

@@ -1,0 +1,16 @@
+"""A study on as many Slurm jobs as it needs, up to 20: `python accelcal_jobqueue.py FOLDER OUT [OPTION...]`.
+
+Needs `pip install 'accelcal[dask]' dask-jobqueue`; runs until the study is done, on a login node or in a job.
+"""
+
+import subprocess
+import sys
+
+from dask_jobqueue import SLURMCluster
+
+WORKERS = 20
+
+with SLURMCluster(cores=1, processes=1, memory="1GB", walltime="08:00:00") as cluster:
+    cluster.adapt(minimum=1, maximum=WORKERS)
+    words = [*sys.argv[1:], "--dask", cluster.scheduler_address, "--jobs", str(WORKERS)]
+    sys.exit(subprocess.call([sys.executable, "-m", "accelcal_cli", "study", words[0], "-d", *words[1:]]))

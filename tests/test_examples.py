@@ -1,0 +1,123 @@
+"""The files in `examples/`: each is run, or looked at, by the program that it is for."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run import run
+from tests.cli.studies import results, rows, study_folder
+from tests.conftest import ROOT
+
+EXAMPLES = ROOT / "examples"
+NAMES = ("a/p0.raw", "b/p2.raw")
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+COMMAND = f'#!/bin/sh\nexec {sys.executable} -m accelcal_cli "$@"\n'
+
+
+def tool(name: str, variable: str = "") -> str:
+    found = os.environ.get(variable) or shutil.which(name)
+    if not found:
+        pytest.skip(f"{name} is not installed")
+    return found
+
+
+def says(*words: object, cwd: Path | None = None, **environment: str) -> tuple[int, str]:
+    done = subprocess.run(
+        list(map(str, words)),
+        cwd=cwd,
+        env={**ENVIRONMENT, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        timeout=120,
+        check=False,
+    )
+    return done.returncode, done.stdout.decode()
+
+
+@pytest.fixture
+def accelcal(tmp_path: Path) -> Path:
+    """The command as one file."""
+    path = tmp_path / "accelcal"
+    path.write_text(COMMAND)
+    path.chmod(0o755)
+    return path
+
+
+def results_of_all(out: Path) -> dict[str, object]:
+    return {name: held for name, held in results(out).items() if "-of-" not in name}
+
+
+def test_the_array_of_slurm_does_all_parts_and_the_sum(
+    tmp_path: Path, accelcal: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As sbatch would run it: with its variables, and then without."""
+    shell = tool("bash")
+    folder, out = study_folder(tmp_path / "in dir", NAMES), tmp_path / "out dir"
+    words = (shell, EXAMPLES / "accelcal.sbatch", folder, out)
+    for task in ("1", "2"):
+        array = {"SLURM_ARRAY_TASK_ID": task, "SLURM_ARRAY_TASK_MIN": "1", "SLURM_ARRAY_TASK_COUNT": "2"}
+        assert says(*words, "--no-temperature", ACCELCAL=str(accelcal), **array)[0] == 0
+    code, said = says(*words, "--no-temperature", ACCELCAL=str(accelcal))
+    assert (code, "2 recordings: 2 calibrated, 2 unchanged" in said) == (0, True)
+    assert run(capsys, "study", folder, "-d", tmp_path / "one", "-j", 1, "--no-temperature").code == 0
+    assert results_of_all(out) == results(tmp_path / "one")
+    assert "usage" in says(*words[:3])[1]
+
+
+def test_snakemake_does_what_is_new(
+    tmp_path: Path, accelcal: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`make snakemake` says where one is."""
+    snakemake = tool("snakemake", "ACCELCAL_SNAKEMAKE")
+    folder, out, here = study_folder(tmp_path / "in", NAMES), tmp_path / "out", tmp_path / "here"
+    here.mkdir()
+    (folder / "zeros.cwa").write_bytes(bytes(4096))
+    words = (snakemake, "-s", EXAMPLES / "Snakefile", "--directory", here, "--cores", 2, "--config",
+             f"folder={folder}", f"out={out}", "parts=2", f"accelcal={accelcal}")  # fmt: skip
+    assert says(*words, cwd=here)[0] == 0
+    assert [row["outcome"] for row in rows(out)] == ["calibrated"] * 2 + ["failed"]
+    assert "Nothing to be done" in says(*words, cwd=here)[1]
+    (folder / "zeros.cwa").unlink()
+    code, said = says(*words, cwd=here)
+    assert (code, "2 recordings: 2 calibrated, 2 unchanged" in said) == (0, True)
+    assert run(capsys, "study", folder, "-d", tmp_path / "one", "-j", 1).code == 0
+    assert results_of_all(out) == results(tmp_path / "one")
+
+
+def test_systemd_takes_the_units(tmp_path: Path) -> None:
+    verify = tool("systemd-analyze")
+    for name in ("accelcal.service", "accelcal.timer"):
+        unit = (EXAMPLES / name).read_text().replace("/opt/accelcal/bin/accelcal", "/bin/true")
+        (tmp_path / name).write_text(unit)
+    code, said = says(verify, "verify", tmp_path / "accelcal.service", tmp_path / "accelcal.timer")
+    assert (code, "accelcal." in said) == (0, False), said
+
+
+def test_cron_takes_the_table() -> None:
+    crontab = tool("crontab")
+    code, said = says(crontab, "-n", EXAMPLES / "accelcal.crontab")
+    if "invalid option" in said:
+        pytest.skip("this crontab checks no syntax")
+    assert code == 0, said
+
+
+def test_the_command_lines_are_understood(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of the service and the table of cron: with this test's folders they do nothing but look."""
+    study_folder(tmp_path / "study", NAMES[:1])
+    for name, start in (("accelcal.service", "ExecStart="), ("accelcal.crontab", "15 2 * * *  ")):
+        lines = (EXAMPLES / name).read_text().splitlines()
+        words = next(line for line in lines if line.startswith(start)).removeprefix(start).split()
+        assert words[0] == "/opt/accelcal/bin/accelcal"
+        here = [word.replace("/data/", f"{tmp_path}/") for word in words[1:]]
+        looked = run(capsys, *here, "--dry-run")
+        assert (looked.code, looked.out.split("\t")[1:]) == (0, ["waiting\n"])
+
+
+def test_the_script_for_jobqueue_is_python() -> None:
+    compile((EXAMPLES / "accelcal_jobqueue.py").read_text(), "accelcal_jobqueue.py", "exec")
