@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import pickle
 import secrets
 import time
 from collections import deque
@@ -14,7 +15,7 @@ from typing import Any
 from accelcal_cli.core.errors import ClusterError
 from accelcal_cli.study.connect import Said, connected
 from accelcal_cli.study.engine import Ended, Moved, Work
-from accelcal_cli.study.remote import BEGAN, LEFT, PART, TOPIC, Terms, carry_out
+from accelcal_cli.study.remote import BEGAN, LEFT, PART, TOPIC, Terms, order
 
 POLL_S = 1.0
 LOOK_S = 3.0
@@ -126,9 +127,8 @@ class _Session:
         self.number += 1
         key = f"{self.name}-{self.number}"
         try:
-            future = self.client.submit(
-                carry_out, self.cluster.work, task, self.cluster.terms, key=key, pure=False
-            )
+            given = order(self.cluster.work, task, self.cluster.terms)
+            future = self.client.submit(pickle.loads, given, key=key, pure=False)
         except Exception as error:
             raise self._lost(error) from error
         self.running[key] = _Given(task, future, tries)
@@ -188,8 +188,8 @@ class _Session:
         if type(error).__name__ != "KilledWorker":
             said = " ".join(f"{type(error).__name__}: {error}".split())
             raise ClusterError(
-                f"the cluster cannot take up a task ({said})",
-                hint="install the same accelcal where the scheduler and the workers run",
+                f"a worker cannot take up a task ({said})",
+                hint="install the same accelcal on every machine",
             ) from error
         del self.running[key]
         self._clear(given, given.owners)

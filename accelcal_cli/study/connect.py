@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -27,7 +28,7 @@ def connected(told: str, said: Said) -> Iterator[Any]:
 
     Raises:
         UsageError: distributed is not installed.
-        ClusterError: the scheduler cannot be reached.
+        ClusterError: the scheduler cannot be reached, or is of another version.
     """
     library = _library()
     with _silence():
@@ -62,40 +63,53 @@ def _client(library: Any, told: str, said: Said) -> Any:
 
     wait_s = dask.utils.parse_timedelta(dask.config.get("distributed.comm.timeouts.connect"))
     address = _address(told, wait_s)
-    _check(address)
+    _check(library, address, wait_s)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         try:
             client = library.Client(address, timeout=wait_s, set_as_default=False, name="accelcal")
-        except (OSError, ValueError, ImportError) as error:
-            raise _unreachable(address, str(error), wait_s) from error
+        except Exception as error:
+            raise _unreachable(address, error) from error
     if any(one.category.__name__ == "VersionMismatchWarning" for one in warned):
-        said("Python or dask of the cluster are of other versions than here: that may fail")
+        said("on the cluster some versions (Python, dask, numpy or others) are not those that are here")
     return client
 
 
-def _check(address: str) -> None:
+def _check(library: Any, address: str, wait_s: float) -> None:
+    """Ask for the version before a client is made: one of another version may fail, and then hangs."""
     from distributed.comm import parse_address
     from distributed.comm.registry import get_backend
 
     try:
-        get_backend(parse_address(address)[0])
+        get_backend(parse_address(address)[0] if address else "")
     except ValueError as error:
         raise UsageError(
-            f"--dask {printable(address)} is no address", hint="use one such as tcp://host:8786"
+            f"--dask {printable(address)!r} is no address", hint="use one such as tcp://host:8786"
         ) from error
+    try:
+        there = asyncio.run(_version(library, address, wait_s))
+    except Exception as error:
+        raise _unreachable(address, error) from error
+    if there != library.__version__:
+        raise ClusterError(
+            f"the scheduler at {address} has distributed {there}, here is {library.__version__}",
+            hint="install the same version on every machine",
+        )
 
 
-def _unreachable(address: str, reason: str, wait_s: float) -> ClusterError:
+async def _version(library: Any, address: str, wait_s: float) -> str:
+    """Of the scheduler's distributed."""
+    secured = library.Security().get_connection_args("client")
+    async with asyncio.timeout(wait_s), library.rpc(address, connection_args=secured) as scheduler:
+        return str((await scheduler.versions())["packages"]["distributed"])
+
+
+def _unreachable(address: str, error: Exception) -> ClusterError:
+    reason = " ".join(str(error).split()) or "no answer"
     return ClusterError(
-        f"no scheduler answers at {address} within {wait_s:g} s ({_short(reason)})",
+        f"no scheduler answers at {address} ({reason})",
         hint="start one with `dask scheduler`, and give its address or its --scheduler-file",
     )
-
-
-def _short(reason: str) -> str:
-    """The last of the causes that distributed strings together."""
-    return " ".join(reason.split())[-120:].rpartition(": ")[2] or "no reason given"
 
 
 def _address(told: str, wait_s: float) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import pickle
 import platform
 import time
 from collections.abc import Callable
@@ -48,7 +49,28 @@ class _CancelledError(BaseException):
     """Nobody waits for the task any more."""
 
 
-def carry_out(work: Work, task: Any, terms: Terms) -> tuple[str, Any]:
+@dataclass(frozen=True, slots=True)
+class _Order:
+    """Becomes the result of `carry_out` where its pickle is loaded."""
+
+    work: Work
+    task: Any
+    terms: Terms
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return carry_out, (pickle.dumps((self.work, self.task)), self.terms)
+
+
+def order(work: Work, task: Any, terms: Terms) -> bytes:
+    """Bytes to be done by `pickle.loads` in a thread of a worker.
+
+    Neither the scheduler nor a worker without this package, or with another, can stumble over them: the
+    task itself fails. (A worker that cannot unpickle a task of distributed's ends.)
+    """
+    return pickle.dumps(_Order(work, task, terms))
+
+
+def carry_out(order: bytes, terms: Terms) -> tuple[str, Any]:
     """Do a task in a thread of a worker.
 
     Returns:
@@ -66,6 +88,7 @@ def carry_out(work: Work, task: Any, terms: Terms) -> tuple[str, Any]:
     error = unfit(terms)
     if error is not None:
         return "unfit", error
+    work, task = pickle.loads(order)
     tell(BEGAN, owner())
     try:
         return "answer", work(task, _telling(worker, key, tell))

@@ -29,7 +29,8 @@ def cluster(folder: Path, workers: int = 2, *words: str) -> Iterator[Path]:
     """A scheduler file; the processes end with the block. Nannies start killed workers again."""
     file = folder / "scheduler.json"
     with contextlib.ExitStack() as stack:
-        start(stack, folder, "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        start(stack, folder, "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file),
+              "--idle-timeout", "120")  # fmt: skip
         for _ in range(workers):
             start_worker(stack, file, *words)
         soon(file.exists)

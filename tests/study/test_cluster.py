@@ -140,7 +140,7 @@ def test_no_scheduler_is_said(folder: Path, tmp_path: Path) -> None:
     short = {"DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "300ms"}
     lost = ran(folder.parent, "in", "-d", tmp_path / "out", "--dask", "tcp://127.0.0.1:9", **short)
     assert lost.code == 69
-    assert_one_line(lost, "no scheduler answers at tcp://127.0.0.1:9 within 0.3 s", "dask scheduler")
+    assert_one_line(lost, "no scheduler answers at tcp://127.0.0.1:9 (", "dask scheduler")
     assert not list(tmp_path.glob("out/*"))
 
 

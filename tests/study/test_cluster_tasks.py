@@ -112,7 +112,7 @@ def test_a_worker_that_does_not_meet_the_terms_ends_the_study(scheduler: Path, t
 
 
 def test_what_cannot_be_taken_up_ends_the_study(scheduler: Path, terms: Terms) -> None:
-    with pytest.raises(ClusterError, match=r"deserialization .*install the same accelcal"):
+    with pytest.raises(ClusterError, match=r"no_such_module_anywhere.*install the same accelcal"):
         done(Cluster(str(scheduler), work, terms), ("echo", UnknownError()))
 
 
@@ -124,8 +124,36 @@ def test_an_address_that_is_none(tmp_path: Path) -> None:
     import dask
 
     with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
-        with pytest.raises(UsageError, match="nonsense://x is no address"), connected("nonsense://x", print):
+        with (
+            pytest.raises(UsageError, match="'nonsense://x' is no address"),
+            connected("nonsense://x", print),
+        ):
+            pass
+        with pytest.raises(UsageError, match="'' is no address"), connected("", print):
             pass
         missing = str(tmp_path / "none.json")
         with pytest.raises(ClusterError, match="no scheduler has written"), connected(missing, print):
             pass
+
+
+def test_another_version_of_the_scheduler_is_refused(
+    scheduler: Path, terms: Terms, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import distributed
+
+    monkeypatch.setattr(distributed, "__version__", "2020.1.0")
+    with pytest.raises(ClusterError, match=r"has distributed 20.*, here is 2020\.1\.0; install the same"):
+        done(Cluster(str(scheduler), work, terms), ("echo", 1))
+
+
+def test_other_versions_of_other_libraries_are_said(
+    scheduler: Path, terms: Terms, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from distributed import versions
+
+    have, said = versions.get_versions(), list[str]()
+    other = {**have, "packages": {**have["packages"], "python": "3.1.4.final.0"}}
+    monkeypatch.setattr(versions, "get_versions", lambda *_names: other)
+    found = done(Cluster(str(scheduler), work, terms, said=said.append), ("echo", 1))
+    assert found["echo", 1].answer == ("echo", 1)
+    assert [line for line in said if "versions (Python, dask, numpy or others)" in line]
