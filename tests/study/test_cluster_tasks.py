@@ -22,6 +22,7 @@ from accelcal_cli.study.remote import Terms, code
 from tests.study.clusters import cluster
 
 pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="kills processes")
 
 
 def work(task: tuple[str, Any], told: Told) -> Any:
