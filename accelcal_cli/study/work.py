@@ -10,6 +10,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import AccelcalError, OutputError
 from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.memory import keep_freed_memory
 from accelcal_cli.core.names import printable
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.plan import Job
@@ -65,6 +66,7 @@ class Answer:
 
 def calibrated(task: Task, told: Told) -> Answer:
     """Calibrate one recording; whatever happens is an answer."""
+    keep_freed_memory()
     try:
         return _answer(task, calibrate(task.job, task.request, _Parts(told).stage, task.item.source))
     except AccelcalError as error:
