@@ -67,17 +67,18 @@ def raw(path: Path) -> Iterator[Columns]:
 
 
 def hdf5(path: Path) -> Iterator[Columns]:
-    """The one large dataset, by its chunks."""
+    """All datasets as long as the one of accelerations, by its chunks."""
     import h5py
 
     with h5py.File(path) as file:
         found: list[Any] = []
-        file.visititems(
-            lambda _, item: found.append(item) if getattr(item, "shape", ())[1:] == (3,) else None
-        )
-        step = (found[0].chunks or (1 << 17,))[0]
-        for start in range(0, len(found[0]), step):
-            yield _xyz(found[0][start : start + step])
+        file.visititems(lambda _, item: found.append(item) if getattr(item, "shape", None) else None)
+        accel = next(item for item in found if item.shape[1:] == (3,))
+        others = [item for item in found if item.shape == accel.shape[:1]]
+        step = (accel.chunks or (1 << 17,))[0]
+        for start in range(0, len(accel), step):
+            more = {item.name.strip("/"): item[start : start + step] for item in others}
+            yield _xyz(accel[start : start + step]) | more
 
 
 def csv(path: Path) -> Iterator[Columns]:

@@ -147,9 +147,13 @@ class Sieve:
         """The kept ones of the rows of an array."""
         return values if self.keep.all() else values[self.keep]
 
+    def rows(self) -> NDArray[np.int64]:
+        """Numbers of the kept rows within the sieve, (n,)."""
+        return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
+
     def tell(self, log: ProblemLog, first_sample: int) -> None:
         """Hand what was found to the log; `first_sample` is the number of the first kept row."""
-        kept = np.flatnonzero(self.keep)
+        kept = self.rows() if self._found else np.empty(0, np.int64)
         for kind, rows, offset in self._found:
             edges = np.flatnonzero(np.diff(rows) != 1) + 1
             begins = rows[np.concatenate(([0], edges))]

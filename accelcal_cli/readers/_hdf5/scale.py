@@ -145,6 +145,12 @@ def gyro_scale(per_unit: float) -> Scale:
 def millicelsius(values: NDArray[Any], good: NDArray[np.bool_], factor: float) -> NDArray[np.float64]:
     """Thousandths of a degree Celsius (n,), NaN where there is no believable value."""
     with np.errstate(over="ignore", invalid="ignore"):
-        degrees = values[:, 0].astype(np.float64) / factor
+        degrees = values[:, 0].astype(np.float64)
+        if factor != 1:
+            degrees /= factor
         believable = good & (degrees >= COLDEST_C) & (degrees <= HOTTEST_C)
-        return np.where(believable, np.rint(degrees * 1000), np.nan)
+        degrees *= 1000
+        np.rint(degrees, out=degrees)
+        if not believable.all():
+            degrees[~believable] = np.nan
+        return degrees

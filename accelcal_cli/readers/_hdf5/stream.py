@@ -160,7 +160,7 @@ class _Stream:
         gyro = _counts(self._gyro, self._plan.gyro.scale, sieve) if self._plan.gyro else None
         times = self._times(sieve)
         temperature = self._temperatures(sieve)
-        rows = np.flatnonzero(sieve.keep)
+        rows = sieve.rows()
         clock = self._clock(times, rows, sieve)
         breaks = self._breaks(times, rows, sieve)
         sieve.tell(self._log, self._sample)
@@ -224,8 +224,9 @@ class _Stream:
         if not len(rows):
             return NO_BREAKS
         before = self._last_row
-        jumps = np.diff(rows + sieve.start, prepend=rows[0] - 1 if before is None else before) != 1
-        jumps[0] &= before is not None
+        every = len(rows) == len(sieve.keep)
+        jumps = np.zeros(len(rows), np.bool_) if every else np.diff(rows, prepend=rows[0]) != 1
+        jumps[0] = before is not None and int(rows[0]) + sieve.start != before + 1
         if times is not None:
             jumps |= self._time_jumps(times[rows], rows, jumps, sieve)
         self._last_row = int(rows[-1]) + sieve.start
