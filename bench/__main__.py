@@ -49,7 +49,8 @@ CASES = (
     Case("flash", "flash", ".bin", "flash", writes=True),
     Case("raw", "raw", ".raw", "raw", writes=True),
     Case("hdf5", "hdf5", ".h5", "hdf5", writes=False),
-    Case("csv", "csv", ".csv.gz", "csv", writes=False),
+    Case("csv", "csv", ".csv", "csv", writes=False),
+    Case("csv.gz", "csv", ".csv.gz", "csv", writes=False),
 )
 
 

@@ -19,10 +19,10 @@ from accelcal_cli.cli.options import (
     settings,
 )
 from accelcal_cli.cli.study_watch import Told, watching
+from accelcal_cli.core.limits import workers
 from accelcal_cli.core.names import printable
 from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study.find import Where
-from accelcal_cli.study.limits import workers
 from accelcal_cli.study.plan import Study, preview
 from accelcal_cli.study.run import run
 from accelcal_cli.study.shard import shard

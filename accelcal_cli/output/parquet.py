@@ -63,18 +63,23 @@ class ParquetSink:
     """Takes rows in any portions and writes them to a file that the caller made.
 
     Rows are collected in one of two row groups that are used in turn; a full one is encoded on a
-    thread of its own while the other fills.
+    thread of its own while the other fills. With one thread there is one row group.
     """
 
-    def __init__(self, path: Path, shown: Path, columns: Columns, metadata: dict[str, Any]) -> None:
+    def __init__(
+        self, path: Path, shown: Path, columns: Columns, metadata: dict[str, Any], threads: int = 1
+    ) -> None:
         """Open `path` for writing; errors speak of `shown`.
+
+        Args:
+            threads: how many may work at a time.
 
         Raises:
             OutputError: the file cannot be written.
         """
         self.shown = shown
         self.schema = columns.schema(metadata)
-        self._groups = [self._empty_group(), self._empty_group()]
+        self._groups = [self._empty_group() for _ in range(min(threads, 2))]
         self._rows = 0
         self._encoding: Future[None] | None = None
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
@@ -121,11 +126,13 @@ class ParquetSink:
                 self._flush()
 
     def _flush(self) -> None:
-        """Hand the full group to the thread, once it is done with the other one."""
+        """Hand the full group to the thread, once it is done with the one before."""
         self._wait()
         self._encoding = self._thread.submit(self._encode, self._groups[0], self._rows)
         self._groups.reverse()
         self._rows = 0
+        if len(self._groups) == 1:
+            self._wait()
 
     def _encode(self, group: list[NDArray[Any]], rows: int) -> None:
         columns = [

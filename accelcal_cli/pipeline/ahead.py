@@ -15,11 +15,17 @@ DEPTH = 2
 _END = object()
 
 
-def ahead(items: Iterator[T], depth: int = DEPTH) -> Iterator[T]:
+def ahead(items: Iterator[T], threads: int, depth: int = DEPTH) -> Iterator[T]:
     """The items of an iterator, in order, up to `depth` of them made ahead on another thread.
 
     What the iterator raises is raised here, in its place. Closing this closes the iterator.
+
+    Args:
+        threads: how many may work at a time; nothing is made ahead where there is but one.
     """
+    if threads < 2:
+        yield from items
+        return
     made = _Guarded(items)
     with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
         waiting: deque[Future[object]] = deque()

@@ -104,11 +104,13 @@ class Target:
 
     Attributes:
         offset_s: seconds that the device's clock is ahead of the times to write.
+        threads: how many may work at a time.
     """
 
     apply: Applier
     sink: ParquetSink
     offset_s: int
+    threads: int
 
 
 def calibrated(
@@ -134,7 +136,7 @@ def write_calibrated(
         OutputError: the output cannot be written.
     """
     total, names = 0, target.sink.schema.names
-    for chunk, xyz in ahead(calibrated(recording, chunks, target.apply, progress)):
+    for chunk, xyz in ahead(calibrated(recording, chunks, target.apply, progress), target.threads):
         total += beyond(xyz, recording.range_g)
         target.sink.write(rows(chunk, xyz, recording, names, target.offset_s))
     return total

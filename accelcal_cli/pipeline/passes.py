@@ -44,9 +44,9 @@ class Passes:
 
     def survey(self, method: Method) -> Facts:
         """First pass: facts, and still windows into the method."""
-        recording = self.reader.recording
+        recording, request = self.reader.recording, self.request
         shown = self.progress("reading", recording.total_bytes)
-        return survey(recording, self.reader.chunks(self.request.chunk_samples), method, shown)
+        return survey(recording, self.reader.chunks(request.chunk_samples), method, shown, request.threads)
 
     def found(self, method: Method, facts: Facts, judgement: Judgement, sha256: str) -> reports.ReportInput:
         """Everything the report says but what the second pass counts."""
@@ -82,14 +82,14 @@ class Passes:
     def _write_parquet(self, data: reports.ReportInput) -> int:
         """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
         facts, recording = data.facts, data.recording
-        columns = columns_of(data)
-        shown = self.progress("writing", recording.total_bytes)
+        columns, threads = columns_of(data), self.request.threads
+        shown, metadata = self.progress("writing", recording.total_bytes), reports.parquet_metadata(data)
         chunks = self.reader.chunks(self.request.chunk_samples)
         with (
             replacing(self.job.parquet) as temporary,
-            ParquetSink(temporary, self.job.parquet, columns, reports.parquet_metadata(data)) as sink,
+            ParquetSink(temporary, self.job.parquet, columns, metadata, threads) as sink,
         ):
-            target = Target(applier_of(data), sink, facts.utc_offset_s or 0)
+            target = Target(applier_of(data), sink, facts.utc_offset_s or 0, threads)
             over = write_calibrated(recording, chunks, target, shown)
             sink.close()
             remove(self.job.report)

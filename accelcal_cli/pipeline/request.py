@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Outcome
+from accelcal_cli.core.limits import cpus
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.pipeline.identity import sha256
@@ -54,6 +55,7 @@ class Request:
         integers: also write the fit's points and result as integers.
         force: overwrite what accelcal did not write, and redo what is up to date.
         command: the command line, for the provenance.
+        threads: how many may work at a time on one recording.
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
@@ -65,6 +67,7 @@ class Request:
     command: tuple[str, ...] = ()
     coefficients: Coefficients | None = None
     any_device: bool = False
+    threads: int = field(default_factory=cpus)
 
     @property
     def coefficients_sha256(self) -> str | None:

@@ -166,6 +166,7 @@ def survey(
     chunks: Iterable[Chunk],
     method: Method,
     progress: Progress,
+    threads: int = 1,
 ) -> Facts:
     """Take a recording's chunks in: facts are returned, still windows go to the procedure.
 
@@ -179,7 +180,7 @@ def survey(
         method.procedure.add(windows)
 
     with Batches(use) as batches:
-        for chunk in ahead(with_clipping(raw, recording) for raw in chunks):
+        for chunk in ahead((with_clipping(raw, recording) for raw in chunks), threads):
             observer.see(chunk)
             batches.take(method.segmenter.feed(chunk))
             progress(chunk.end_byte)

@@ -7,8 +7,8 @@ import functools
 from pathlib import Path
 
 from accelcal_cli import __version__
+from accelcal_cli.core import limits
 from accelcal_cli.output.atomic import sweep, sweep_of
-from accelcal_cli.study import limits
 from accelcal_cli.study.abroad import calibrated_from
 from accelcal_cli.study.cluster import Cluster
 from accelcal_cli.study.connect import Said
@@ -24,11 +24,21 @@ PRELOAD = "accelcal_cli.study.preload"
 def engine_of(study: Study, recordings: int, moved: Moved, said: Said) -> Engine:
     """Processes of this machine for so many recordings, or the cluster that was named."""
     if study.dask is None:
-        number = min(study.jobs or limits.workers(recordings), max(1, recordings))
+        number = workers_of(study, recordings)
         return Crew(calibrated, number, study.timeout_s, PRELOAD, moved)
     cwd = Path.cwd()
     work, terms = functools.partial(calibrated_from, cwd), _terms(study, cwd)
     return Cluster(study.dask, work, terms, study.jobs, study.timeout_s, moved, said, tidy)
+
+
+def workers_of(study: Study, recordings: int) -> int:
+    """Processes of this machine that work at a time on so many recordings."""
+    return min(study.jobs or limits.workers(recordings), max(1, recordings))
+
+
+def threads_of(study: Study, recordings: int) -> int:
+    """Threads for one recording, so that all that work at a time fit the CPUs; a cluster counts its own."""
+    return 1 if study.dask is not None else limits.threads(workers_of(study, recordings))
 
 
 def _terms(study: Study, cwd: Path) -> Terms:

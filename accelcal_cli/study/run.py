@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -11,7 +12,7 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.names import printable
 from accelcal_cli.study import lock, summary
 from accelcal_cli.study.engine import Ended
-from accelcal_cli.study.engines import engine_of, tidy
+from accelcal_cli.study.engines import engine_of, threads_of, tidy
 from accelcal_cli.study.find import check
 from accelcal_cli.study.items import Entry, Item
 from accelcal_cli.study.ledger import Ledger
@@ -89,7 +90,8 @@ def _answers(study: Study, items: list[Item], watch: Watch) -> Iterable[tuple[It
     """The largest first, so that the last to end is a small one."""
     asked = study.asked()
     ordered = sorted(items, key=lambda item: (-item.size, item.name))
-    tasks = [Task(item, study.out, study.request, asked) for item in ordered]
+    request = replace(study.request, threads=threads_of(study, len(ordered)))
+    tasks = [Task(item, study.out, request, asked) for item in ordered]
     engine = engine_of(study, len(tasks), lambda task, part: watch.moved(part * task.item.size), watch.said)
     with contextlib.closing(engine.run(tasks)) as ended:
         for one in ended:

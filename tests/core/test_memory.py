@@ -31,4 +31,5 @@ def faults(how: str) -> int:
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc can be told")
 def test_pages_are_mapped_once() -> None:
-    assert faults("kept") < 100 < 4096 < faults("usual")
+    assert faults("kept") < 100
+    assert faults("usual") > 4096

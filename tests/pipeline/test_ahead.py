@@ -12,8 +12,22 @@ from accelcal_cli.pipeline.ahead import ahead
 
 @pytest.mark.parametrize("number", [0, 1, 2, 3, 50])
 @pytest.mark.parametrize("depth", [1, 2, 5])
-def test_all_items_come_in_their_order(number: int, depth: int) -> None:
-    assert list(ahead(iter(range(number)), depth)) == list(range(number))
+@pytest.mark.parametrize("threads", [1, 2])
+def test_all_items_come_in_their_order(number: int, depth: int, threads: int) -> None:
+    assert list(ahead(iter(range(number)), threads, depth)) == list(range(number))
+
+
+def test_with_one_thread_nothing_is_made_before_it_is_asked_for() -> None:
+    made: list[int] = []
+
+    def items() -> Iterator[int]:
+        for number in range(5):
+            assert threading.current_thread() is threading.main_thread()
+            made.append(number)
+            yield number
+
+    for number in ahead(items(), 1):
+        assert made == list(range(number + 1))
 
 
 def test_items_are_made_on_another_thread_and_no_more_than_asked_for() -> None:
@@ -25,23 +39,25 @@ def test_items_are_made_on_another_thread_and_no_more_than_asked_for() -> None:
             made.append(number)
             yield number
 
-    for number in ahead(items(), 2):
+    for number in ahead(items(), 2, 2):
         assert len(made) <= number + 4
     assert made == list(range(10))
 
 
-def test_an_error_comes_where_the_item_would_have_come() -> None:
+@pytest.mark.parametrize("threads", [1, 2])
+def test_an_error_comes_where_the_item_would_have_come(threads: int) -> None:
     def items() -> Iterator[int]:
         yield 1
         raise ValueError("broken")
 
-    running = ahead(items())
+    running = ahead(items(), threads)
     assert next(running) == 1
     with pytest.raises(ValueError, match="broken"):
         next(running)
 
 
-def test_leaving_early_closes_the_iterator() -> None:
+@pytest.mark.parametrize("threads", [1, 2])
+def test_leaving_early_closes_the_iterator(threads: int) -> None:
     closed = threading.Event()
 
     def items() -> Iterator[int]:
@@ -50,7 +66,7 @@ def test_leaving_early_closes_the_iterator() -> None:
         finally:
             closed.set()
 
-    running = ahead(items())
+    running = ahead(items(), threads)
     next(running)
     running.close()
     assert closed.is_set()

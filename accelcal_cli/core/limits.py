@@ -1,4 +1,4 @@
-"""How many workers this process may keep busy: CPUs and memory that it was given, not the machine's."""
+"""CPUs and memory that this process was given, not the machine's; how many workers they keep busy."""
 
 from __future__ import annotations
 
@@ -20,6 +20,11 @@ def workers(recordings: int) -> int:
     memory = available_bytes()
     fitting = cpus() if memory is None else min(cpus(), memory // WORKER_BYTES)
     return max(1, min(fitting, recordings))
+
+
+def threads(workers: int) -> int:
+    """Threads for each of so many workers, so that all of them together fit the CPUs; at least one."""
+    return max(1, cpus() // workers)
 
 
 def cpus() -> int:

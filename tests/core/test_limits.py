@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.study import limits
+from accelcal_cli.core import limits
 
 
 @pytest.fixture
@@ -64,3 +64,8 @@ def test_a_machine_that_tells_nothing_has_its_cpus(machine: Path, monkeypatch: p
     monkeypatch.setattr(limits, "PROCESS", machine / "absent")
     assert limits.available_bytes() is None
     assert limits.workers(100) == 16
+
+
+@pytest.mark.parametrize(("number", "each"), [(1, 16), (5, 3), (16, 1), (40, 1)])
+def test_workers_share_the_cpus(machine: Path, number: int, each: int) -> None:
+    assert limits.threads(number) == each
