@@ -37,12 +37,13 @@ def write_device(
     serial: str | None = "A1",
     model: str | None = None,
     lsb_per_g: float = LSB_PER_G,
+    start: str = START,
 ) -> Path:
     """A headerless dump with its layout beside it; heat in hundredths of a degree."""
     counts = np.rint(values_g * lsb_per_g)[:, :3]
     columns = [counts] if heat_c is None else [counts, np.rint(heat_c * 100)[:, None]]
     path.write_bytes(np.hstack(columns).astype("<i2").tobytes())
-    said = {"rate_hz": RATE_HZ, "lsb_per_g": lsb_per_g, "range_g": 8.0, "start_time": START}
+    said = {"rate_hz": RATE_HZ, "lsb_per_g": lsb_per_g, "range_g": 8.0, "start_time": start}
     said |= {"serial": serial} if serial else {}
     said |= {"model": model} if model else {}
     fields = [f"{axis} = {{ offset = {2 * index}, type = 'int16' }}" for index, axis in enumerate("xyz")]

@@ -19,12 +19,16 @@ from accelcal_cli.cli.options import (
     settings,
 )
 from accelcal_cli.cli.study_watch import Told, watching
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.limits import workers
 from accelcal_cli.core.names import printable
+from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study.find import Where
-from accelcal_cli.study.plan import Study, preview
-from accelcal_cli.study.run import run
+from accelcal_cli.study.items import FAILED
+from accelcal_cli.study.plan import Study
+from accelcal_cli.study.run import preview, run
 from accelcal_cli.study.shard import shard
 from accelcal_cli.study.summary import Summary
 
@@ -52,6 +56,17 @@ FOLDER = click.Path(path_type=Path, readable=False)
 @click.option("--shard", metavar="I/N", help="Only part I of N; `slurm`: this task's of a job array.")
 @click.option("--collect", is_flag=True, help="Sum up what the shards have done.")
 @click.option("--dask", metavar="ADDRESS", help="Work on the cluster of this scheduler (or scheduler.json).")
+@click.option(
+    "--pool",
+    type=click.Choice(["device"]),
+    help="Calibrate all recordings of one device as one, and use the result for each of them.",
+)
+@click.option(
+    "--borrow",
+    is_flag=True,
+    help="Where a recording cannot be calibrated, or poorly, use the coefficients of the nearest good one of "
+    "its device, if they prove themselves on its own stillness.",
+)
 @click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
 @click.option("--integers", is_flag=True, help="Also write each fit's points and result as integers.")
 @saying_options
@@ -90,6 +105,8 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         command=("accelcal", *sys.argv[1:]),
     )
     newer: datetime | None = values["newer_than"]
+    if values["pool"] and request.settings.profile != DEFAULT.profile:
+        raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")
     return Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,
@@ -101,21 +118,24 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         shard=shard(values["shard"]),
         collect=values["collect"],
         dask=values["dask"],
+        pool=values["pool"] is not None,
+        borrow=values["borrow"],
     )
 
 
 def _preview(study: Study) -> int:
     """A line for each recording: path and `todo`, `waiting`, or the outcome it has."""
-    found = preview(study)
-    lines = [(item, entry.row["outcome"]) for item, entry in found.done if entry.row is not None]
-    lines += [(item, "todo") for item in found.todo] + [(item, "waiting") for item in found.waiting]
-    for item, state in sorted(lines, key=lambda pair: pair[0].name):
+    for item, state in sorted(preview(study).items(), key=lambda pair: pair[0].name):
         click.echo(f"{printable(item.source)}\t{state}")
     return exits.OK
 
 
 def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -> int:
     """The last words, and the exit code."""
+    for pool in result.pools.values():
+        if pool["outcome"] in (FAILED, Outcome.REFUSED):
+            device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")
+            exits.say(f"{device} are not pooled: {pool['message']}")
     unfinished = study.collect and result.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in result.outcomes().items()]

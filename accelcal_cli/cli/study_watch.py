@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from accelcal_cli.cli.results import study_line
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.names import printable
 from accelcal_cli.study.items import FAILED, Item
-from accelcal_cli.study.plan import Plan
 from accelcal_cli.study.work import Answer
 
 
@@ -30,16 +29,18 @@ class Told:
         self._bar: Any = None
         self._failed = 0
 
-    def begin(self, plan: Plan) -> None:
-        """See `Watch`."""
-        if self._values["quiet"] or sys.stderr is None or not sys.stderr.isatty() or not plan.todo:
+    def begin(self, items: Sequence[Item]) -> None:
+        """See `Watch`; every round has its own bar."""
+        if self._values["quiet"] or sys.stderr is None or not sys.stderr.isatty():
             return
         from tqdm import tqdm
 
-        total = sum(item.size for item in plan.todo)
+        if self._bar is not None:
+            self._bar.close()
+        total = sum(item.size for item in items)
         self._bar = tqdm(total=total, unit="B", unit_scale=True, leave=False, file=sys.stderr)
         self._stack.callback(self._bar.close)
-        self._todo, self._done = len(plan.todo), 0
+        self._todo, self._done = len(items), 0
 
     def moved(self, bytes_done: float) -> None:
         """See `Watch`."""

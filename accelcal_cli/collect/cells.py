@@ -75,12 +75,15 @@ class CellCollector:
             self._put(tuple(key), [count, *row])
 
     def merge(self, other: CellCollector) -> None:
-        """Take in what another collector of the same kind holds; exact."""
+        """Take in what another collector holds; exact.
+
+        It has the same scale and settings, and temperature where this one has.
+        """
         self.implausible += other.implausible
         for spread, number in other.spreads.items():
             self.spreads[spread] += number
         for key, value in other._cells.items():
-            self._put(key, value)
+            self._put(key if self.temperature else (*key[:3], 0, key[_CONSTANT]), value)
 
     def points(self) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates."""

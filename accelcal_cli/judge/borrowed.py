@@ -11,7 +11,7 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.judgement import Holdout
 from accelcal_cli.core.points import Calibration, PointSet
-from accelcal_cli.judge.errors import per_posture
+from accelcal_cli.judge.errors import interval95, per_posture
 from accelcal_cli.judge.holdout import of_postures
 from accelcal_cli.judge.postures import postures
 
@@ -40,6 +40,15 @@ def held_out(
     after = per_posture(_deviations_mg(applied(points, calibration, rest)), points.weights, label)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
     return of_postures(method, len(points), pairs)
+
+
+def better(lent: Holdout, own: Holdout) -> bool:
+    """Whether held-out errors are lower than others on the same postures, by more than the uncertainty.
+
+    The 95 % confidence interval of the mean difference, posture by posture, lies above 0.
+    """
+    pairs = zip(lent.per_posture, own.per_posture, strict=True)
+    return interval95([found - less for (_, less), (_, found) in pairs])[0] > 0
 
 
 def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[NDArray[np.float64]]:

@@ -59,15 +59,25 @@ class Coefficients:
     Attributes:
         calibration: made of the fixed-point integers.
         origin: where they come from, by whatever number of reports of `apply`.
+        by_content: whether the report's provenance does not matter.
     """
 
     document: Document
     calibration: Calibration
     origin: Origin
+    by_content: bool = False
+
+    @property
+    def sha256(self) -> str:
+        """What the report is known by."""
+        return self.document.content_sha256 if self.by_content else self.document.sha256
 
 
-def read_coefficients(path: Path) -> Coefficients:
+def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
     """The coefficients of a report, exactly.
+
+    Args:
+        by_content: whether the report is known by what it says but for its provenance, or by its bytes.
 
     Raises:
         UnreadableError: see `read_document`; or a key is missing, wrong or contradicts another, or
@@ -88,7 +98,7 @@ def read_coefficients(path: Path) -> Coefficients:
     wrong = contradiction(report["calibration"], calibration) or implausible(calibration)
     if wrong:
         raise damaged(document, wrong)
-    return Coefficients(document, calibration, _origin(report))
+    return Coefficients(document, calibration, _origin(report), by_content)
 
 
 def _origin(report: Mapping[str, Any]) -> Origin:

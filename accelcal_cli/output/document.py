@@ -23,6 +23,12 @@ class Document:
     sha256: str
     report: dict[str, Any]
 
+    @property
+    def content_sha256(self) -> str:
+        """SHA-256 of what it says but for `provenance`, as JSON with sorted keys."""
+        said = {name: value for name, value in self.report.items() if name != "provenance"}
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
 
 def read_document(path: Path) -> Document:
     """A report of this schema version; its sections are not looked at.

@@ -36,7 +36,7 @@ class PointsInput:
 
 def build_points(data: PointsInput) -> dict[str, Any]:
     """The report without `provenance`."""
-    source = {"recording": _recording(data), "settings": data.settings, "file_health": _health()}
+    source = {"recording": _recording(data), "settings": data.settings, "file_health": no_health()}
     return document(source, data.judgement, data.optimizer, _windows(data))
 
 
@@ -57,7 +57,8 @@ def _recording(data: PointsInput) -> dict[str, Any]:
     }
 
 
-def _health() -> dict[str, Any]:
+def no_health() -> dict[str, Any]:
+    """The object `file_health` where there is no file of samples."""
     return {
         "problems": [],
         "filled_samples": 0,

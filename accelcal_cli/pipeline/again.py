@@ -6,7 +6,7 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.output.coefficients import Coefficients, read_coefficients
-from accelcal_cli.output.document import Document, check_sections
+from accelcal_cli.output.document import Document, check_sections, read_document
 from accelcal_cli.pipeline.identity import sha256
 from accelcal_cli.pipeline.rebuild import NamedFile, Rebuilt
 
@@ -26,18 +26,44 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
         return None
     check_sections(document, ("coefficients",))
     used = document.report["coefficients"]
+    by_content = used.get("without_provenance", False)
     then = Path(used["path"])
     beside = document.path.with_name(then.name)
-    places = (named,) if named is not None else (then, beside)
+    told = document.path.parent / then if by_content else then
+    places = (named,) if named is not None else (told, beside)
     there = [path for path in places if path.is_file()]
-    unchanged = [path for path in there if sha256(path) == used["sha256"]]
+    unchanged = [path for path in there if _known_by(path, by_content=by_content) == used["sha256"]]
     for path in unchanged or [path for path in there if path is not beside]:
-        return read_coefficients(path)
+        return read_coefficients(path, by_content=by_content)
     raise UsageError(
         f"was made with the coefficients of {named or then}, which is not there",
         path=document.path,
         hint="name the file with --coefficients",
     )
+
+
+def pool_of(document: Document) -> Document | None:
+    """The report of the pool whose coefficients a report has; None for any other report.
+
+    Raises:
+        UsageError: it is not where it was, seen from the report.
+        UnreadableError: it cannot be used.
+    """
+    if "pool" not in document.report:
+        return None
+    check_sections(document, ("pool",))
+    used = document.report["pool"]
+    path = document.path.parent / used.get("path", "")
+    if not path.is_file():
+        raise UsageError(f"was made with the pool {path}, which is not there", path=document.path)
+    found = read_document(path)
+    if found.content_sha256 != used.get("sha256"):
+        raise UsageError(f"was made with the pool {path}, which was changed since", path=document.path)
+    return found
+
+
+def _known_by(path: Path, *, by_content: bool) -> str:
+    return read_document(path).content_sha256 if by_content else sha256(path)
 
 
 def refuse_kind(document: Document) -> None:

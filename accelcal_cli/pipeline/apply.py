@@ -127,7 +127,8 @@ def _coefficients(donor: Coefficients) -> dict[str, Any]:
     origin = donor.origin
     return {
         "path": printable(donor.document.path),
-        "sha256": donor.document.sha256,
+        "sha256": donor.sha256,
+        **({"without_provenance": True} if donor.by_content else {}),
         "recording_path": origin.path,
         "recording_sha256": origin.sha256,
         "device": asdict(origin.device),

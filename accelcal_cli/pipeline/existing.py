@@ -93,6 +93,8 @@ def _as_asked(report: dict[str, Any], recording: Recording, request: Asked) -> b
     """Whether a report is whole, of this version, these settings and these coefficients."""
     if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
         return False
+    if "pool" in report:
+        return False
     used = report.get("coefficients", {}).get("sha256")
     settings = as_stored(request.effective_settings(recording.companion))
     return bool(report["settings"] == settings and used == request.coefficients_sha256)

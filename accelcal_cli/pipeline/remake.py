@@ -10,8 +10,8 @@ from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.output.document import Document
 from accelcal_cli.output.report import ReportInput, build
-from accelcal_cli.pipeline import apply, calibrate
-from accelcal_cli.pipeline.again import donor_of, layout_of, poses_of
+from accelcal_cli.pipeline import apply, calibrate, pooled
+from accelcal_cli.pipeline.again import donor_of, layout_of, pool_of, poses_of
 from accelcal_cli.pipeline.donor import relation
 from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.passes import Passes, writes_parquet
@@ -78,12 +78,14 @@ def _of_recording(
 ) -> tuple[dict[str, Any], ParquetCheck | None]:
     with open_recording(recording, request.options) as reader:
         passes = Passes(Job(recording, recording, document.path), request, progress, reader, recording)
-        data = passes.count_beyond(_judged(passes, request.coefficients))
+        data = passes.count_beyond(_judged(passes, request.coefficients, pool_of(document)))
         made = (passes, data) if writes_parquet(data) else None
         return build(data), check_parquet(made, document, values=wanted.values)
 
 
-def _judged(passes: Passes, donor: Coefficients | None) -> ReportInput:
+def _judged(passes: Passes, donor: Coefficients | None, pool: Document | None) -> ReportInput:
+    if pool is not None:
+        return pooled.judged(passes, pool)[0]
     if donor is None:
         return calibrate.judged(passes)[0]
     found = relation(donor, passes.reader.recording, passes.bytes_at, passes.request)

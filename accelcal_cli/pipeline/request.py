@@ -72,7 +72,7 @@ class Request:
     @property
     def coefficients_sha256(self) -> str | None:
         """Hash of the file of the coefficients to apply, if there is one."""
-        return None if self.coefficients is None else self.coefficients.document.sha256
+        return None if self.coefficients is None else self.coefficients.sha256
 
     def effective_settings(self, companion: Path | None) -> dict[str, Any]:
         """The report's `settings`: all that decides the result besides the recording.

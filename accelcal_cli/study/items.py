@@ -11,6 +11,9 @@ from accelcal_cli.pipeline.plan import Job
 FAILED = "failed"
 """The summary's outcome of a recording that gave no report."""
 
+OWN = "own"
+"""The first round of a study: each recording's own result."""
+
 Stamp = tuple[int, int]
 """Size [bytes] and time of the last change [ns since 1970] of a file."""
 
@@ -50,7 +53,7 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """What became of an item; a line of the ledger.
+    """What became of an item in one round; a line of the ledger.
 
     Attributes:
         stamps: the item's when it was worked on.
@@ -58,6 +61,8 @@ class Entry:
         row: its row in the summary; None for a file that is no recording.
         outputs: name under OUT and stamp of each file written.
         again: whether it must be tried again, because the fault was not in the recording.
+        round: the round that it is of.
+        inputs: identities of what else the result was made of, in the order in which it was looked at.
     """
 
     name: str
@@ -66,6 +71,8 @@ class Entry:
     row: dict[str, Any] | None
     outputs: tuple[tuple[str, Stamp], ...] = ()
     again: bool = False
+    round: str = OWN
+    inputs: tuple[str, ...] = ()
 
     @property
     def failed(self) -> bool:
@@ -80,3 +87,12 @@ def stamp(path: Path) -> Stamp | None:
     except OSError:
         return None
     return found.st_size, found.st_mtime_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What is known of a recording after some rounds: its own result, and the last one."""
+
+    item: Item
+    own: Entry
+    last: Entry

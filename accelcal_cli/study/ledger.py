@@ -16,11 +16,11 @@ from typing import Any, Self, TextIO
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output.atomic import write_text
-from accelcal_cli.study.items import Entry, Item, stamp
+from accelcal_cli.study.items import OWN, Entry, Item, stamp
 
 
 class Ledger:
-    """Entries by name, and a file to which new ones are added as they come.
+    """Entries by name and round, and a file to which new ones are added as they come.
 
     A process that is killed leaves at worst half a line, which is not read.
     """
@@ -29,23 +29,34 @@ class Ledger:
         """Read the entries of `path` and of others; what cannot be read is as if it were not there."""
         self.path = path
         self.out = path.parent
-        self._entries: dict[str, list[Entry]] = {}
+        self._entries: dict[tuple[str, str], list[Entry]] = {}
         self._file: TextIO | None = None
         for one in (path, *others):
             for entry in _read(one):
-                self._entries.setdefault(entry.name, []).append(entry)
+                self._entries.setdefault((entry.name, entry.round), []).append(entry)
 
-    def current(self, item: Item, asked: str) -> Entry | None:
-        """The entry that still stands for a file, these settings and this version."""
-        return next((one for one in self._entries.get(item.name, ()) if self._holds(one, item, asked)), None)
+    def known(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
+        """What came of a file in a round, with these settings and this version.
 
-    def _holds(self, entry: Entry, item: Item, asked: str) -> bool:
-        same = entry.stamps == item.stamps and entry.asked == asked and item.stamps[0] is not None
-        return same and all(stamp(self.out / name) == found for name, found in entry.outputs)
+        Of several entries one whose outputs are there is taken."""
+        if item.stamps[0] is None:
+            return None
+        held = self._entries.get((item.name, name), ())
+        same = [one for one in held if one.stamps == item.stamps and one.asked == asked]
+        return next((one for one in same if self.in_place(one)), same[0] if same else None)
+
+    def current(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
+        """The entry that still stands: it is known, and its outputs are there."""
+        entry = self.known(item, asked, name)
+        return entry if entry is not None and self.in_place(entry) else None
+
+    def in_place(self, entry: Entry) -> bool:
+        """Whether the outputs that lie there are those of an entry."""
+        return all(stamp(self.out / name) == found for name, found in entry.outputs)
 
     def add(self, entry: Entry) -> None:
         """Keep an entry. A disk that is full costs the memory, not the work."""
-        self._entries[entry.name] = [entry]
+        self._entries[entry.name, entry.round] = [entry]
         with contextlib.suppress(OSError):
             if self._file is None:
                 self._file = self.path.open("a", encoding="utf-8")
@@ -67,7 +78,11 @@ class Ledger:
     def tidy(self, entries: Iterable[Entry]) -> None:
         """Write these entries alone, by name."""
         with contextlib.suppress(OutputError):
-            write_text(self.path, "".join(map(_line, sorted(entries, key=lambda entry: entry.name))))
+            write_text(self.path, "".join(map(_line, sorted(entries, key=_key))))
+
+
+def _key(entry: Entry) -> tuple[str, str]:
+    return entry.name, entry.round
 
 
 def _line(entry: Entry) -> str:
@@ -92,6 +107,8 @@ def _parsed(line: str) -> Entry | None:
             row=held["row"],
             outputs=tuple((name, (found[0], found[1])) for name, found in held["outputs"]),
             again=held["again"],
+            round=held["round"],
+            inputs=tuple(held["inputs"]),
         )
     except (ValueError, KeyError, TypeError, IndexError):
         return None

@@ -23,6 +23,9 @@ from accelcal_cli.study.shard import Shard
 WRONG_USE = 2
 UNREADABLE = 3
 WHOLE = Shard()
+POOL, POOLED, BORROW = "pool", "pooled", "borrow"
+REPLACING = (POOLED, BORROW)
+"""Rounds after that of the own results that may replace one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +40,8 @@ class Study:
         retry_failed: try again what failed and has not changed.
         collect: begin nothing; sum up what the shards have done.
         dask: address or scheduler file of the cluster that does the work; None for processes here.
+        pool: recordings of one device are calibrated as one.
+        borrow: what cannot be calibrated well may use coefficients of its device's other recordings.
     """
 
     where: Where
@@ -49,6 +54,8 @@ class Study:
     shard: Shard = WHOLE
     collect: bool = False
     dask: str | None = None
+    pool: bool = False
+    borrow: bool = False
 
     @property
     def out(self) -> Path:
@@ -61,11 +68,20 @@ class Study:
         return self.out / f"{self.shard.basename}.lock"
 
     def settings(self) -> dict[str, Any]:
-        """All that decides the results but the recordings and their layout files."""
+        """All that decides the recordings' own results but the recordings and their layout files."""
         return {
             **self.request.effective_settings(self.request.options.layout),
             "integers": self.request.integers,
         }
+
+    def all_settings(self) -> dict[str, Any]:
+        """All that decides the results but the recordings and their layout files."""
+        return {**self.settings(), "pool": self.pool, "borrow": self.borrow}
+
+    @property
+    def replacing(self) -> bool:
+        """Whether a recording's own result may be replaced by that of a later round."""
+        return self.pool or self.borrow
 
     def asked(self) -> str:
         """A hash of settings and version: an earlier entry with another no longer stands."""
@@ -104,14 +120,14 @@ def plan(study: Study, ledger: Ledger) -> Plan:
         )
     for item in recordings:
         if study.shard.owns(item.name):
-            _place(study, item, _standing(ledger, item, asked), found)
+            _place(study, item, _standing(study, ledger, item), found)
     return found
 
 
 def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterator[Item]:
     """The recordings among the files; which are none is remembered, too."""
     for item in files(study.where):
-        entry = ledger.current(item, asked)
+        entry = ledger.known(item, asked)
         if entry is not None and not entry.failed and (entry.row is not None or not study.where.include):
             recording = entry.row is not None
         else:
@@ -124,12 +140,21 @@ def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterat
             found.left_out.append(Entry(item.name, item.stamps, asked, None))
 
 
-def _standing(ledger: Ledger, item: Item, asked: str) -> Entry | None:
+def _standing(study: Study, ledger: Ledger, item: Item) -> Entry | None:
+    """The entry of a recording's own result; what a later round made of it may lie in its place."""
+    asked = study.asked()
     if item.refusal is None:
-        return ledger.current(item, asked)
+        own = ledger.known(item, asked)
+        return own if own is not None and (ledger.in_place(own) or _replaced(study, ledger, item)) else None
     code = WRONG_USE if item.source.is_file() else UNREADABLE
     said = row.failed(item, code, f"{printable(item.source)}: {item.refusal}")
     return Entry(item.name, item.stamps, asked, said, again=True)
+
+
+def _replaced(study: Study, ledger: Ledger, item: Item) -> bool:
+    """Whether the outputs are those of a later round."""
+    later = [ledger.current(item, study.asked(), name) for name in REPLACING] if study.replacing else []
+    return any(entry is not None and not entry.failed for entry in later)
 
 
 def _place(study: Study, item: Item, entry: Entry | None, found: Plan) -> None:
@@ -154,10 +179,7 @@ def _too_old(study: Study, item: Item) -> bool:
 
 
 def ledger_of(study: Study) -> Ledger:
-    """What is remembered: the run's own entries, and those of the shards."""
-    return Ledger(study.out / f"{study.shard.basename}.ledger", sorted(study.out.glob("study.*-of-*.ledger")))
-
-
-def preview(study: Study) -> Plan:
-    """What a run would do; nothing is locked or written."""
-    return plan(study, ledger_of(study))
+    """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole."""
+    others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
+    own = study.out / f"{study.shard.basename}.ledger"
+    return Ledger(own, [path for path in others if path != own])

@@ -13,10 +13,11 @@ AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
     "start_time", "sha256", "accelcal_version", "parquet", "report",
+    "borrowed_from", "pool", "own_outcome", "own_message",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
-    "clipped_samples_before", "clipped_samples_after", "problems",
+    "clipped_samples_before", "clipped_samples_after", "problems", "pool_recordings",
 )  # fmt: skip
 PARAMETERS = (
     "k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", *(f"offset_{axis}_g" for axis in AXES),
@@ -25,9 +26,11 @@ PARAMETERS = (
 """Columns of the parameters, in the order of PARAMETER_NAMES (whose kxy is row y, column x of K)."""
 COLUMNS = (
     "path", "outcome", "exit_code", "message", "model",
+    "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
+    "own_outcome", "own_message", "own_after_mg",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
     "format", "device_model", "device_serial", "device_firmware", "start_time", "duration_s",
-    "rate_hz", "rate_hz_measured", "samples", "gaps", "filled_samples",
+    "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
     *(f"{end}_{axis}_g" for axis in AXES for end in ("min", "max")),
     *(f"k_{row}{column}" for row in AXES for column in AXES),
@@ -77,13 +80,19 @@ def of_report(
     return dict.fromkeys(COLUMNS) | said | {name: value for part in parts for name, value in part.items()}
 
 
+def own(line: dict[str, Any]) -> dict[str, Any]:
+    """Columns that say what a recording's own result is worth, where another one took its place."""
+    return {f"own_{name}": line[name] for name in ("outcome", "message", "after_mg")}
+
+
 def _recording(report: dict[str, Any]) -> dict[str, Any]:
     held, health = report["recording"], report["file_health"]
-    same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256")
-    counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after", "rate_hz_measured")
+    same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256", "lsb_per_g", "range_g")
+    counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after")
+    figures = ("rate_hz_measured", "lost_percent")
     return {
         **{name: held[name] for name in same},
-        **{name: health[name] for name in (*counts, "lost_percent")},
+        **{name: health[name] for name in counts + figures},
         **{f"device_{name}": value for name, value in held["device"].items()},
         "rate_hz": held["sample_rate_hz"],
         "gaps": len(held["gaps"]) + held["gaps_omitted"],

@@ -2,39 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterable
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.names import printable
 from accelcal_cli.study import lock, summary
-from accelcal_cli.study.engine import Ended
-from accelcal_cli.study.engines import engine_of, threads_of, tidy
+from accelcal_cli.study.borrow import BORROWING
+from accelcal_cli.study.engines import threads_of
 from accelcal_cli.study.find import check
-from accelcal_cli.study.items import Entry, Item
+from accelcal_cli.study.items import Entry, Item, Standing
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import Plan, Study, ledger_of, plan
+from accelcal_cli.study.pool import POOLING, remove_pools
+from accelcal_cli.study.pooled import POOLED_ONES
+from accelcal_cli.study.rounds import Known, Later, Round, Watch, answers
 from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.work import BUG, Answer, Task, failure
-
-
-class Watch(Protocol):
-    """Who is told while a study runs."""
-
-    def begin(self, plan: Plan) -> None:
-        """Before the first recording."""
-
-    def moved(self, bytes_done: float) -> None:
-        """So many more bytes are done."""
-
-    def ended(self, item: Item, answer: Answer) -> None:
-        """A recording is done, was done before, or failed."""
-
-    def said(self, text: str) -> None:
-        """What a person should know meanwhile."""
+from accelcal_cli.study.work import Answer, Task, calibrated
 
 
 def run(study: Study, watch: Watch) -> Summary:
@@ -53,16 +37,13 @@ def run(study: Study, watch: Watch) -> Summary:
     base = study.shard.basename
     with lock.held(study.lock, lambda: _other_locks(study)), ledger_of(study) as ledger:
         found = plan(study, ledger)
-        entries = _carried_out(study, found, ledger, watch)
-        result = Summary(
-            rows=[entry.row for entry in entries if entry.row is not None],
-            settings=study.settings(),
-            waiting=len(found.waiting),
-            left_out=len(found.left_out),
-            up_to_date=len(found.done),
-        )
+        course = Course(study, ledger, watch)
+        course.run(found)
+        result = _summary(study, found, course)
         summary.write(result, study.out, base)
-        ledger.tidy([*entries, *found.left_out])
+        ledger.tidy([*course.entries(), *found.left_out])
+        if study.shard.whole:
+            remove_pools(study.out, keep=course.known.pools)
     return result
 
 
@@ -73,36 +54,142 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     return (study.out / "study.lock",)
 
 
-def _carried_out(study: Study, found: Plan, ledger: Ledger, watch: Watch) -> list[Entry]:
-    """Entries of all that is done, by name."""
-    watch.begin(found)
-    entries = {entry.name: entry for _, entry in found.done}
-    for item, entry in found.done:
-        watch.ended(item, Answer(entry, up_to_date=True))
-    for item, answer in _answers(study, found.todo, watch):
-        ledger.add(answer.entry)
-        entries[item.name] = answer.entry
-        watch.ended(item, answer)
-    return [entries[name] for name in sorted(entries)]
+def _summary(study: Study, found: Plan, course: Course) -> Summary:
+    standing, pools = course.known.standing, course.known.pools
+    last = [standing[name].last for name in sorted(standing)]
+    return Summary(
+        rows=[entry.row for entry in last if entry.row is not None],
+        settings=study.all_settings(),
+        waiting=len(found.waiting),
+        left_out=len(found.left_out),
+        up_to_date=len(set(standing) - course.worked),
+        pools={name: pools[name].row or {} for name in sorted(pools)},
+    )
 
 
-def _answers(study: Study, items: list[Item], watch: Watch) -> Iterable[tuple[Item, Answer]]:
-    """The largest first, so that the last to end is a small one."""
-    asked = study.asked()
-    ordered = sorted(items, key=lambda item: (-item.size, item.name))
-    request = replace(study.request, threads=threads_of(study, len(ordered)))
-    tasks = [Task(item, study.out, request, asked) for item in ordered]
-    engine = engine_of(study, len(tasks), lambda task, part: watch.moved(part * task.item.size), watch.said)
-    with contextlib.closing(engine.run(tasks)) as ended:
-        for one in ended:
-            yield one.task.item, _answer(one)
+def rounds(study: Study) -> tuple[Round, ...]:
+    """The rounds after that of the own results; a shard has none, since a device may have several shards."""
+    if not study.shard.whole:
+        return ()
+    return ((POOLING, POOLED_ONES) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
 
 
-def _answer(ended: Ended) -> Answer:
-    if ended.fault is None:
-        answer: Answer = ended.answer
-        return answer
-    task: Task = ended.task
-    tidy(task)
-    message = f"{printable(task.item.source)}: {ended.fault}"
-    return Answer(failure(task, BUG, message, again=ended.again))
+def preview(study: Study) -> dict[Item, str]:
+    """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
+
+    What a later round does is decided by what is known now; nothing is locked or written.
+    """
+    ledger = ledger_of(study)
+    found = plan(study, ledger)
+    known = Known({item.name: Standing(item, entry, entry) for item, entry in found.done})
+    states = dict.fromkeys(found.todo, "todo") | dict.fromkeys(found.waiting, "waiting")
+    for one in rounds(study):
+        for task in one.tasks(study, known):
+            entry = standing_entry(study, ledger, one, task)
+            if entry is None:
+                states |= {known.standing[name].item: "todo" for name in task.names}
+            elif one.of_pools:
+                known.pools[task.item.name] = entry
+            else:
+                known.standing[task.item.name] = replace(known.standing[task.item.name], last=entry)
+    rest = {one.item: (one.last.row or {})["outcome"] for one in known.standing.values()}
+    return rest | states
+
+
+def standing_entry(study: Study, ledger: Ledger, one: Round, task: Later) -> Entry | None:
+    """What an earlier run made of a task, if it still stands."""
+    entry = ledger.current(task.item, study.asked(), one.name)
+    if entry is None or entry.again or study.request.force or (study.retry_failed and entry.failed):
+        return None
+    return entry if task.stands(entry) else None
+
+
+class Course:
+    """A study under way.
+
+    Attributes:
+        worked: names of recordings that were given to a worker.
+    """
+
+    def __init__(self, study: Study, ledger: Ledger, watch: Watch) -> None:
+        self.study = study
+        self.known = Known()
+        self.worked: set[str] = set()
+        self._ledger = ledger
+        self._watch = watch
+        self._rounds = rounds(study)
+        self._answers: dict[str, Answer] = {}
+
+    def run(self, found: Plan) -> None:
+        """All rounds."""
+        for item, entry in found.done:
+            self._own(item, Answer(entry, up_to_date=True))
+        self._calibrate(found.todo)
+        for one in self._rounds:
+            tasks = list(one.tasks(self.study, self.known))
+            if one is self._rounds[-1]:
+                self._restore({task.item.name for task in tasks})
+            self._later(one, tasks)
+        if self._rounds:
+            self._restore(())
+            for name in sorted(self._answers):
+                self._watch.ended(self.known.standing[name].item, self._answers[name])
+
+    def entries(self) -> list[Entry]:
+        """What is to be remembered."""
+        standing = self.known.standing.values()
+        later = [one.last for one in standing if one.last is not one.own]
+        return [*(one.own for one in standing), *later, *self.known.pools.values()]
+
+    def _calibrate(self, items: Sequence[Item]) -> None:
+        study, asked = self.study, self.study.asked()
+        request = replace(study.request, threads=threads_of(study, len(items)))
+        tasks = [Task(item, study.out, request, asked) for item in items]
+        for item, answer in answers(self.study, calibrated, tasks, self._watch):
+            self.worked.add(item.name)
+            self._ledger.add(answer.entry)
+            self._own(item, answer)
+
+    def _own(self, item: Item, answer: Answer) -> None:
+        """An own result; it is told at once where no later round can replace it."""
+        self.known.standing[item.name] = Standing(item, answer.entry, answer.entry)
+        self._answers.pop(item.name, None)
+        if self._rounds and not answer.entry.failed:
+            self._answers[item.name] = answer
+        else:
+            self._watch.ended(item, answer)
+
+    def _restore(self, concerned: Collection[str]) -> None:
+        """Put own results back in place where an earlier run replaced them and this one does not.
+
+        It is done once all that is replaced is known, and before others' reports are read.
+        """
+        self._calibrate(
+            [
+                one.item
+                for name, one in sorted(self.known.standing.items())
+                if name not in concerned and one.last is one.own and not self._ledger.in_place(one.own)
+            ]
+        )
+
+    def _later(self, one: Round, tasks: Sequence[Later]) -> None:
+        """A later round: what stands from an earlier run, and what is to be done."""
+        todo = []
+        for task in tasks:
+            entry = standing_entry(self.study, self._ledger, one, task)
+            if entry is None:
+                todo.append(task)
+            else:
+                self._take(one, task.item, Answer(entry, up_to_date=True))
+        for item, answer in answers(self.study, one.work, todo, self._watch):
+            self._ledger.add(answer.entry)
+            self._take(one, item, answer)
+            self.worked |= set() if one.of_pools else {item.name}
+
+    def _take(self, one: Round, item: Item, answer: Answer) -> None:
+        """What came of a round for a recording, or for a pool."""
+        if one.of_pools:
+            self.known.pools[item.name] = answer.entry
+            return
+        self.known.standing[item.name] = replace(self.known.standing[item.name], last=answer.entry)
+        self._answers[item.name] = answer

@@ -9,7 +9,7 @@ import csv
 import io
 import json
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,7 @@ class Summary:
         waiting: recordings that were not tried yet: too new, too old, or another shard's.
         left_out: files that are no recordings.
         up_to_date: recordings of which nothing had to be done; not part of what is written.
+        pools: device, number of recordings, outcome and message of each pool, by name.
     """
 
     rows: list[dict[str, Any]]
@@ -37,6 +38,7 @@ class Summary:
     waiting: int = 0
     left_out: int = 0
     up_to_date: int = 0
+    pools: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def outcomes(self) -> dict[str, int]:
         """How many recordings had which outcome."""
@@ -51,6 +53,7 @@ class Summary:
             "models": dict(sorted(Counter(row["model"] for row in self.rows if row["model"]).items())),
             "waiting": self.waiting,
             "left_out": self.left_out,
+            "pools": self.pools,
             "settings": self.settings,
         }
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from accelcal_cli.core.errors import AccelcalError, OutputError
 from accelcal_cli.core.judgement import Outcome
@@ -24,6 +25,31 @@ BUG = 70
 TELL_S = 0.2
 STAGES = {"reading": 0.0, "writing": 0.5}
 """Where in the work a stage begins; each is half of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Common:
+    """What the tasks of a study share.
+
+    Attributes:
+        out: folder of the study's outputs.
+        asked: see `Entry`.
+    """
+
+    out: Path
+    request: Request
+    asked: str
+
+
+class Doing(Protocol):
+    """Something to do for one recording in one round; it can be pickled."""
+
+    @property
+    def item(self) -> Item:
+        """The recording."""
+
+    def failure(self, code: int, message: str, *, again: bool) -> Entry:
+        """What is remembered if it cannot be done."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +73,16 @@ class Task:
         """The item's job, with the name that its report gives the recording."""
         return self.item.job if self.said is None else replace(self.item.job, source=self.said)
 
+    @property
+    def common(self) -> Common:
+        """What it shares with others."""
+        return Common(self.out, self.request, self.asked)
+
+    def failure(self, code: int, message: str, *, again: bool) -> Entry:
+        """See `Doing`."""
+        item = self.item
+        return Entry(item.name, item.stamps, self.asked, row.failed(item, code, message), again=again)
+
 
 @dataclass(frozen=True, slots=True)
 class Answer:
@@ -66,71 +102,79 @@ class Answer:
 
 def calibrated(task: Task, told: Told) -> Answer:
     """Calibrate one recording; whatever happens is an answer."""
+    return guarded(task, lambda: _calibrated(task, told))
+
+
+def guarded(task: Doing, work: Callable[[], Answer]) -> Answer:
+    """The work's answer, or what befell it."""
     keep_freed_memory()
     try:
-        return _answer(task, calibrate(task.job, task.request, _Parts(told).stage, task.item.source))
+        return work()
     except AccelcalError as error:
         again = isinstance(error, OutputError)
-        return Answer(failure(task, error.exit_code, str(error), again=again))
+        return Answer(task.failure(error.exit_code, str(error), again=again))
     except MemoryError:
         message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
-        return Answer(failure(task, BUG, message, again=True))
+        return Answer(task.failure(BUG, message, again=True))
     except Exception as error:
         message = " ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split())
-        return Answer(failure(task, BUG, message), trace=traceback.format_exc())
+        return Answer(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
 
-def failure(task: Task, code: int, message: str, *, again: bool = False) -> Entry:
-    """The entry of a recording that gave no report."""
-    item = task.item
-    return Entry(item.name, item.stamps, task.asked, row.failed(item, code, message), again=again)
+def _calibrated(task: Task, told: Told) -> Answer:
+    result = calibrate(task.job, task.request, Parts(told).stage, task.item.source)
+    line, outputs = row_of(task.item, task.common, result), outputs_of(task.item, task.common, result)
+    entry = Entry(task.item.name, task.item.stamps, task.asked, line, outputs)
+    return Answer(entry, result.up_to_date, problems_of(result))
 
 
-def _answer(task: Task, result: Result) -> Answer:
-    names = {
-        "parquet": _under(task, result.job.parquet) if result.has_parquet else None,
-        "report": _under(task, result.job.report),
-    }
+def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
+    """A result's row in the summary."""
     code = REFUSED if result.outcome is Outcome.REFUSED else 0
-    line = row.of_report(task.item, code, result.report, _printable(names))
-    outputs = _stamped(task, [name for name in names.values() if name is not None])
-    found = result.report["file_health"]["problems"]
-    return Answer(
-        Entry(task.item.name, task.item.stamps, task.asked, line, outputs),
-        result.up_to_date,
-        tuple(f"{problem['code']}: {problem['message']}" for problem in found),
-    )
+    names = {
+        "parquet": _under(common, result.job.parquet) if result.has_parquet else None,
+        "report": _under(common, result.job.report),
+    }
+    shown = {kind: None if name is None else printable(name) for kind, name in names.items()}
+    return row.of_report(item, code, result.report, shown)
 
 
-def _under(task: Task, path: Path) -> str:
-    return path.relative_to(task.out).as_posix()
-
-
-def _printable(names: dict[str, str | None]) -> dict[str, str | None]:
-    return {kind: None if name is None else printable(name) for kind, name in names.items()}
-
-
-def _stamped(task: Task, names: list[str]) -> tuple[tuple[str, Stamp], ...]:
-    if task.request.integers and task.item.job.integers.exists():
-        names = [*names, _under(task, task.item.job.integers)]
-    found = [(name, stamp(task.out / name)) for name in names]
+def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, Stamp], ...]:
+    """Name under OUT and stamp of each file of a result."""
+    paths = [result.job.parquet] if result.has_parquet else []
+    paths.append(result.job.report)
+    if common.request.integers and item.job.integers.exists():
+        paths.append(item.job.integers)
+    found = [(_under(common, path), stamp(path)) for path in paths]
     return tuple((name, held) for name, held in found if held is not None)
 
 
-class _Parts:
+def problems_of(result: Result) -> tuple[str, ...]:
+    """Code and message of each problem of a result's file."""
+    found = result.report["file_health"]["problems"]
+    return tuple(f"{problem['code']}: {problem['message']}" for problem in found)
+
+
+def _under(common: Common, path: Path) -> str:
+    return path.relative_to(common.out).as_posix()
+
+
+class Parts:
     """Turns the bytes of each stage into the part of the work that is done."""
 
     def __init__(self, told: Told) -> None:
         self._told = told
         self._next: Any = 0.0
+        self._part = 0.0
 
     def stage(self, name: str, total: int) -> Progress:
-        """See `ProgressMaker`."""
+        """See `ProgressMaker`; a stage that comes again shows only when it is further than before."""
         start = STAGES.get(name, 0.5)
 
         def moved(done: int) -> None:
-            if time.monotonic() >= self._next:
-                self._next = time.monotonic() + TELL_S
-                self._told(start + 0.5 * min(1.0, done / max(total, 1)))
+            part = start + 0.5 * min(1.0, done / max(total, 1))
+            if part > self._part and time.monotonic() >= self._next:
+                self._next, self._part = time.monotonic() + TELL_S, part
+                self._told(part)
 
         return moved

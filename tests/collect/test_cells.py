@@ -118,6 +118,16 @@ def test_the_order_of_windows_does_not_matter(items: Windows, random: object) ->
     assert plain(one_by_one.points()) == plain(collected(items, temperature=True).points())
 
 
+@given(wear(), wear())
+def test_warm_and_cold_parts_merge_into_a_cold_whole(warm: Windows, cold: Windows) -> None:
+    merged = collector()
+    for part in (collected(warm, temperature=True), collected(cold)):
+        merged.merge(part)
+    both = collected(warm)
+    both.add(cold)
+    assert plain(merged.points()) == plain(both.points())
+
+
 def test_merging_leaves_the_other_collector_as_it_was() -> None:
     one, other = (collected(windows(LENGTH, [(256 * LENGTH, 0, 0)])) for _ in range(2))
     one.merge(other)

@@ -7,8 +7,10 @@ import pytest
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.judgement import Holdout
 from accelcal_cli.core.points import WEIGHT_ONE, Calibration, PointSet, TemperatureScale
-from accelcal_cli.judge.borrowed import applied, difference_mg, held_out, temperatures_c
+from accelcal_cli.judge.borrowed import applied, better, difference_mg, held_out, temperatures_c
+from accelcal_cli.judge.holdout import of_postures
 from accelcal_cli.judge.uncertainty import directions
 from tests.optimize.oracle import points
 
@@ -64,6 +66,18 @@ def test_offsets_are_in_standard_g_and_errors_in_local_ones() -> None:
     local = float(place.local_g())
     (x, _, _) = applied(points(AXES[:1]), Calibration("3", parameters(ox=0.125)), place)
     assert float(x[0]) == pytest.approx((local + 0.125) / local, abs=1e-15)
+
+
+def held(*after_mg: float) -> Holdout:
+    return of_postures("", len(after_mg), tuple((9.0, value) for value in after_mg))
+
+
+def test_better_is_lower_on_the_same_postures_by_more_than_the_uncertainty() -> None:
+    """Differences 3, 4, 5: 4 -+ 4.303 / sqrt(3) does not reach 0; 1, 4, 7: 4 -+ 3 * 4.303 / sqrt(3) does."""
+    assert better(held(1, 1, 1), held(4, 5, 6))
+    assert not better(held(1, 1, 1), held(2, 5, 8))
+    assert not better(held(4, 5, 6), held(1, 1, 1))
+    assert not better(held(1, 2), held(1, 2))
 
 
 def test_the_difference_of_two_calibrations_by_hand() -> None:

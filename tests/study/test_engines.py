@@ -15,13 +15,13 @@ from accelcal_cli.study.engines import engine_of, tidy
 from accelcal_cli.study.find import Where, files
 from accelcal_cli.study.plan import Study
 from accelcal_cli.study.shard import Shard
-from accelcal_cli.study.work import Task
+from accelcal_cli.study.work import Task, calibrated
 from accelcal_cli.study.workers import Crew
 from tests.cli.studies import study_folder
 
 
 def engine(study: Study) -> Crew | Cluster:
-    found = engine_of(study, 3, lambda _task, _part: None, lambda _text: None)
+    found = engine_of(study, calibrated, 3, lambda _task, _part: None, lambda _text: None)
     assert isinstance(found, Crew | Cluster)
     return found
 

@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import random
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
 import pytest
 
 from tests.cli.run import command, run_process
 from tests.cli.studies import results, study_folder
 from tests.recordings import directions, still_counts, write_raw
+from tests.study.processes import begun, lines, session, soon
 
 resource = pytest.importorskip("resource")
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
 NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(3))
-Found = TypeVar("Found")
 
 
 @pytest.fixture(scope="module")
@@ -33,35 +30,6 @@ def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[
     out = tmp_path_factory.mktemp("undisturbed")
     assert run_process("study", folder, "-d", out, "-j", 1).code == 0
     return results(out)
-
-
-def begun(folder: Path, out: Path) -> subprocess.Popen[bytes]:
-    words = command("study", folder, "-d", out, "-j", 2)
-    return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True)
-
-
-def soon(look: Callable[[], Found]) -> Found:
-    """What there is to see, within half a minute."""
-    for _ in range(6000):
-        if found := look():
-            return found
-        time.sleep(0.005)
-    raise AssertionError("nothing came")
-
-
-def session(leader: int) -> list[str]:
-    """Processes that a run started and that still live: those of its session (the 6th field, proc(5))."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with contextlib.suppress(OSError):
-            state, _, _, number = path.read_text().rpartition(")")[2].split()[:4]
-            found += [path.parent.name] if int(number) == leader and state != "Z" else []
-    return found
-
-
-def lines(out: Path) -> int:
-    ledger = out / "study.ledger"
-    return ledger.read_text().count('"row"') if ledger.exists() else 0
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,143 @@
+"""Several recordings of one device as one: their points together, one fit, one judgement, for all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
+from typing import Any
+
+from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.judgement import Judgement, Outcome
+from accelcal_cli.core.names import printable
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.windows import WindowCounts
+from accelcal_cli.judge.borrowed import held_out
+from accelcal_cli.judge.pooled import SEEN, worse
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.pool_report import Member, PoolInput, build_pool
+from accelcal_cli.output.report import WindowUse
+from accelcal_cli.pipeline.passes import Passes
+from accelcal_cli.pipeline.plan import Job
+from accelcal_cli.pipeline.profiles import CellProcedure, fitting, local_lsb_per_g, optimizer_json
+from accelcal_cli.pipeline.request import ProgressMaker, Request, no_progress
+from accelcal_cli.readers import open_recording
+
+FEWEST = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    """What one recording gives to a pool."""
+
+    member: Member
+    recording: Recording
+    samples: int
+    collector: CellCollector
+    counts: WindowCounts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fitted:
+    """Recordings and what they are together."""
+
+    parts: tuple[_Part, ...]
+    verdict: Judgement
+    windows: WindowUse
+
+
+def pool(
+    members: Sequence[Member], request: Request, progress: ProgressMaker = no_progress
+) -> dict[str, Any]:
+    """Fit and judge the points of several recordings as `calibrate` does those of one.
+
+    Their cells are added up as integers: neither their order nor how they are read makes a difference.
+    Temperature counts if all have it. A recording that its pool makes worse was hardly recorded by the same
+    device: it is left out, and the others are fitted again.
+
+    Args:
+        members: recordings of one device with the same counts per g and range, at least one.
+
+    Returns:
+        the pool's report without `provenance`.
+
+    Raises:
+        UsageError: they differ, or the profile keeps no cells.
+        UnreadableError: one cannot be read.
+    """
+    parts = [_part(member, request, progress) for member in members]
+    for part in parts[1:]:
+        _refuse_other(parts[0].recording, part.recording)
+    settings, found = request.settings, _fitted(parts, request.settings)
+    left_out: dict[_Part, str] = {}
+    while odd := {part: why for part in found.parts if (why := _odd(part, found.verdict, settings))}:
+        left_out |= odd
+        rest = [part for part in found.parts if part not in odd]
+        if len(rest) < FEWEST:
+            found = replace(found, verdict=_contradictory(found.verdict, odd))
+            break
+        found = _fitted(rest, settings)
+    return build_pool(_input(found, left_out, request))
+
+
+def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
+    """One fit and one judgement of the cells of several recordings."""
+    warm = all(part.collector.temperature for part in parts)
+    merged = CellCollector(local_lsb_per_g(parts[0].recording, settings), settings, temperature=warm)
+    for part in parts:
+        merged.merge(part.collector)
+    procedure = CellProcedure(merged)
+    windows = procedure.window_use(reduce(add, (part.counts for part in parts)))
+    return _Fitted(tuple(parts), procedure.judge(fitting(settings)), windows)
+
+
+def _odd(part: _Part, verdict: Judgement, settings: Settings) -> str | None:
+    """What speaks against a recording being one of the pool's device, or None."""
+    if verdict.calibration is None or verdict.holdout is None:
+        return None
+    points, degrees = part.collector.points(), settings.posture_degrees
+    held = held_out(points, verdict.calibration, settings.gravity, degrees, SEEN)
+    return None if held is None else worse(held, verdict.holdout.after.median, settings.max_error_mg)
+
+
+def _contradictory(verdict: Judgement, odd: Mapping[_Part, str]) -> Judgement:
+    which = next(iter(sorted(f"{part.member.path}: {why}" for part, why in odd.items())))
+    text = printable(f"its recordings contradict each other ({which})")
+    return Judgement(Outcome.REFUSED, text, verdict.coverage, verdict.trials)
+
+
+def _input(found: _Fitted, left_out: Mapping[_Part, str], request: Request) -> PoolInput:
+    parts, settings = found.parts, request.settings
+    return PoolInput(
+        members=tuple(part.member for part in parts),
+        left_out=tuple((part.member, why) for part, why in left_out.items() if part not in parts),
+        example=parts[0].recording,
+        bytes=sum(part.recording.total_bytes for part in parts),
+        samples=sum(part.samples for part in parts),
+        settings=request.effective_settings(request.options.layout),
+        judgement=found.verdict,
+        windows=found.windows,
+        optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
+    )
+
+
+def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
+    path = member.path
+    with open_recording(path, request.options) as reader:
+        passes = Passes(Job(path, path, path), request, progress, reader, path)
+        method = passes.method()
+        if not isinstance(method.procedure, CellProcedure):
+            raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")
+        facts = passes.survey(method)
+        return _Part(
+            member, reader.recording, facts.samples, method.procedure.collector, method.segmenter.counts
+        )
+
+
+def _refuse_other(one: Recording, other: Recording) -> None:
+    for name in ("lsb_per_g", "range_g"):
+        if getattr(one, name) != getattr(other, name):
+            raise UsageError(f"cannot be pooled with {one.path}: its {name} is another", path=other.path)

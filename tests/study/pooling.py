@@ -1,0 +1,19 @@
+"""Studies in which the recordings of a device are calibrated as one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from tests.cli.run import Ran, run_process
+
+
+def study(here: Path, *words: object, out: str = "out", pool: bool = True, jobs: int = 2) -> Ran:
+    more = ["--pool", "device"] if pool else []
+    return run_process("study", "in", "-d", out, "-j", jobs, *more, *words, cwd=here)
+
+
+def pool_of(out: Path) -> dict[str, Any]:
+    (path,) = out.glob("study.pool.A1-*.calibration.json")
+    return json.loads(path.read_text())
