@@ -10,7 +10,7 @@ import numpy as np
 from accelcal_cli.readers._csv.dates import year_first
 
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
-COLON_FRACTION = re.compile(rb"\d:\d\d:\d\d:\d{1,9}(?!\d|:)")
+COLON_FRACTION = re.compile(rb":(?<=\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
 COLON, POINT = b":."
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")

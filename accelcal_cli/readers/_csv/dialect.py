@@ -7,6 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 
 from accelcal_cli.core.formats import HEAD_BYTES
 from accelcal_cli.readers._csv.cells import COMMA_NUMBER, POINT_NUMBER, Kind, cell_kind, column_kind
@@ -92,8 +93,9 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
     mark = len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0
     lines = head[mark:].splitlines(keepends=True)
     raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
+    cleaners = _cleaners(b"".join(raw_lines))
     for tail in _tail_sizes(len(raw_lines)):
-        layouts = [_Layout.of(raw_lines, delimiter, tail) for delimiter in DELIMITERS]
+        layouts = [_Layout.of(raw_lines, cleaner, tail) for cleaner in cleaners]
         best = max(layouts, key=lambda layout: layout.score)
         least = 0.0 if tail >= SURE_LINES else 0.5
         if best.score > least and (dialect := best.dialect(offset)):
@@ -135,9 +137,10 @@ class _Layout:
     kinds: tuple[Kind, ...]
 
     @classmethod
-    def of(cls, raw_lines: list[bytes], delimiter: str, tail: int) -> _Layout:
-        cleaner = _cleaner_for(raw_lines, delimiter)
-        rows = _rows([line for line in raw_lines if line.strip()][-tail:], cleaner)
+    def of(cls, raw_lines: list[bytes], cleaner: Cleaner, tail: int) -> _Layout:
+        delimiter = cleaner.delimiter
+        last = _last(raw_lines, tail)
+        rows = _rows(last, cleaner) if any(_parts(line, delimiter) for line in last) else []
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if width < 3 or count < 0.9 * len(rows):
             return cls(raw_lines, cleaner, ())
@@ -218,17 +221,38 @@ def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[
     return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
 
 
-def _cleaner_for(raw_lines: list[bytes], delimiter: str) -> Cleaner:
-    head = b"".join(raw_lines)
-    mark = delimiter.encode()
-    return Cleaner(
-        delimiter,
-        padded=delimiter != " " and (b" " + mark in head or mark + b" " in head),
-        split_date=delimiter == " " and SPLIT_DATE.search(head) is not None,
-        slash_dates=SLASH_DATE.search(head) is not None,
+def _last(raw_lines: list[bytes], number: int) -> list[bytes]:
+    """The last lines that are not blank."""
+    return [*islice((line for line in reversed(raw_lines) if line.strip()), number)][::-1]
+
+
+def _parts(line: bytes, delimiter: str) -> bool:
+    """Whether a line may have several cells."""
+    return delimiter.encode() in line or (delimiter == " " and b"\t" in line)
+
+
+def _cleaners(head: bytes) -> list[Cleaner]:
+    """What each delimiter would need; the times are looked for once."""
+    split_date = SPLIT_DATE.search(head) is not None
+    any_delimiter = Cleaner(
+        "",
+        slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
         long_fraction=LONG_FRACTION.search(head) is not None,
         colon_fraction=COLON_FRACTION.search(head) is not None,
     )
+    return [
+        replace(
+            any_delimiter,
+            delimiter=delimiter,
+            padded=delimiter != " " and _padded(head, delimiter.encode()),
+            split_date=delimiter == " " and split_date,
+        )
+        for delimiter in DELIMITERS
+    ]
+
+
+def _padded(head: bytes, mark: bytes) -> bool:
+    return mark in head and b" " in head and (b" " + mark in head or mark + b" " in head)
 
 
 def _with_decimals(cleaner: Cleaner, rows: list[list[str]]) -> Cleaner:
