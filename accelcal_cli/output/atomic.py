@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
-import platform
 import secrets
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.processes import host, lives
+
+LONG_NAME = 160
+"""Bytes; most disks take names of 255."""
+
+_LISTED: dict[Path, tuple[list[str], float]] = {}
+"""Folders with what was found in them, and until when that will do."""
 
 
 def output_error(error: OSError, path: Path) -> OutputError:
@@ -74,12 +82,19 @@ def _name_beside(path: Path) -> Path:
         sweep(path)
     except OSError as error:
         raise output_error(error, path) from error
-    return path.with_name(f".{path.name}.{owner()}.{secrets.token_hex(6)}.tmp")
+    return path.with_name(f"{_start(path, owner())}{secrets.token_hex(6)}.tmp")
 
 
 def owner() -> str:
     """Whose the temporaries of this process are: `HOST.PROCESS`."""
-    return f"{platform.node() or 'host'}.{os.getpid()}"
+    return f"{host()}.{os.getpid()}"
+
+
+def _start(path: Path, whose: str) -> str:
+    """How someone's temporaries of a file begin; a long name would leave no room for the rest."""
+    name, encoded = path.name, os.fsencode(path.name)
+    short = name if len(encoded) <= LONG_NAME else hashlib.sha256(encoded).hexdigest()[:32]
+    return f".{short}.{whose}."
 
 
 def _create(path: Path) -> None:
@@ -90,21 +105,16 @@ def sweep(path: Path) -> None:
     """Remove temporaries of this file whose process on this machine was killed; raises OSError."""
     if os.name != "posix":
         return
-    start = f".{path.name}.{platform.node() or 'host'}."
-    for left in path.parent.iterdir():
-        owner = left.name.removeprefix(start).split(".")[0]
-        if (
-            left.name.startswith(start)
-            and left.suffix == ".tmp"
-            and owner.isdigit()
-            and not _runs(int(owner))
-        ):
-            left.unlink(missing_ok=True)
+    start = _start(path, host())
+    for name in _temporaries(path.parent):
+        process = name.removeprefix(start).split(".")[0]
+        if name.startswith(start) and process.isdigit() and not lives(int(process)):
+            path.with_name(name).unlink(missing_ok=True)
 
 
 def sweep_of(path: Path, lost: str) -> None:
     """Remove the temporaries of this file that an owner left, who is known to be gone; raises OSError."""
-    start = f".{path.name}.{lost}."
+    start = _start(path, lost)
     for left in path.parent.iterdir():
         if left.name.startswith(start) and left.suffix == ".tmp":
             left.unlink(missing_ok=True)
@@ -127,6 +137,21 @@ def _is_zombie(process: int) -> bool:
     except OSError:
         return False
     return text.rpartition(")")[2].split()[:1] == ["Z"]
+
+
+def _temporaries(folder: Path) -> list[str]:
+    """Names of what may be temporaries of ours.
+
+    A folder is not listed again before a hundred times as long as it took: in one with ten thousand
+    recordings that would be most of the work.
+    """
+    now = time.monotonic()
+    names, until = _LISTED.get(folder, ([], now))
+    if now >= until:
+        with os.scandir(folder) as found:
+            names = [one.name for one in found if one.name[0] == "." and one.name.endswith(".tmp")]
+        _LISTED[folder] = names, time.monotonic() + 100 * (time.monotonic() - now)
+    return names
 
 
 def _flush(path: Path) -> None:

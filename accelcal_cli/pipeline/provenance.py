@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import platform
 import sys
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -15,16 +17,19 @@ PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 
 def provenance(command: list[str]) -> dict[str, Any]:
     """The `provenance` object of a report."""
-    versions = {"python": platform.python_version()}
-    for name in PACKAGES:
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return {
         "command": [printable(word) for word in command],
-        "versions": versions,
+        "versions": dict(_versions()),
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
         "host": platform.node(),
         "platform": f"{sys.platform} {platform.machine()}",
     }
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    found = [("python", platform.python_version())]
+    for name in PACKAGES:
+        with contextlib.suppress(PackageNotFoundError):
+            found.append((name, version(name)))
+    return tuple(found)

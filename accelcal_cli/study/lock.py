@@ -5,13 +5,13 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import platform
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import LockedError
+from accelcal_cli.core.processes import host, lives
 from accelcal_cli.output.atomic import beside, output_error
 
 try:
@@ -51,7 +51,7 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
 
 
 def _me() -> dict[str, Any]:
-    return {"host": platform.node(), "pid": os.getpid(), "started": _started(os.getpid())}
+    return {"host": host(), "pid": os.getpid(), "started": _started(os.getpid())}
 
 
 def _take(path: Path, me: dict[str, Any]) -> None:
@@ -131,21 +131,9 @@ def _stale(path: Path, owner: dict[str, Any]) -> bool:
         with contextlib.suppress(OSError):
             return time.time() - path.stat().st_mtime > UNFINISHED_S
         return False
-    if owner.get("host") != platform.node():
+    if owner.get("host") != host():
         return False
-    return not _lives(owner["pid"]) or _started(owner["pid"]) != owner.get("started")
-
-
-def _lives(process: int) -> bool:
-    if os.name != "posix":
-        return True
-    try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
-    except PermissionError:
-        return True
-    return True
+    return not lives(owner["pid"]) or _started(owner["pid"]) != owner.get("started")
 
 
 def _started(process: int) -> str | None:
@@ -163,6 +151,6 @@ def _started(process: int) -> str | None:
 
 def _refusal(path: Path, owner: dict[str, Any]) -> LockedError:
     who = f"process {owner['pid']} on {owner.get('host')}" if owner else "another process"
-    elsewhere = owner and owner.get("host") != platform.node()
+    elsewhere = owner and owner.get("host") != host()
     hint = f"if it no longer runs there, remove {path.name}" if elsewhere else "wait for it to end"
     return LockedError(f"{who} is working in this folder", path=path, hint=hint)

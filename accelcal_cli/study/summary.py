@@ -77,8 +77,8 @@ def _kind(name: str) -> pa.DataType:
 
 
 def _table(rows: list[dict[str, Any]]) -> pa.Table:
-    schema = pa.schema([pa.field(name, _kind(name)) for name in COLUMNS])
-    return pa.Table.from_pylist(rows, schema=schema)
+    columns = [pa.array([row[name] for row in rows], _kind(name)) for name in COLUMNS]
+    return pa.Table.from_arrays(columns, COLUMNS)
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:
