@@ -71,6 +71,8 @@ class ParquetSink:
     ) -> None:
         """Open `path` for writing; errors speak of `shown`.
 
+        It is opened here because pyarrow takes names as UTF-8 alone.
+
         Args:
             threads: how many may work at a time.
 
@@ -87,8 +89,9 @@ class ParquetSink:
         encodings = dict.fromkeys(self.schema.names, "PLAIN") | {"time": "DELTA_BINARY_PACKED"}
         encodings |= dict.fromkeys(columns.split, "BYTE_STREAM_SPLIT")
         try:
+            self._file = path.open("wb")
             self._writer = pq.ParquetWriter(
-                path,
+                self._file,
                 self.schema,
                 compression="zstd",
                 compression_level=1,
@@ -161,6 +164,7 @@ class ParquetSink:
         self._wait()
         try:
             self._writer.close()
+            self._file.close()
         except OSError as error:
             raise output_error(error, self.shown) from error
 
@@ -176,6 +180,8 @@ class ParquetSink:
         self._thread.shutdown()
         with contextlib.suppress(OSError):
             self._writer.close()
+        with contextlib.suppress(OSError):
+            self._file.close()
 
 
 def metadata_of(path: Path) -> dict[str, Any]:
@@ -183,7 +189,8 @@ def metadata_of(path: Path) -> dict[str, Any]:
     try:
         if not path.is_file():
             return {}
-        held = (pq.read_schema(path).metadata or {}).get(METADATA_KEY, b"{}")
+        with path.open("rb") as file:
+            held = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
         metadata = json.loads(held)
     except (OSError, ValueError, pa.ArrowException):
         return {}

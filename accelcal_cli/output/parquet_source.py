@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from itertools import zip_longest
 from pathlib import Path
 from types import TracebackType
@@ -27,10 +28,12 @@ class ParquetSource:
             UnreadableError: it is no Parquet file, or cannot be read.
         """
         self.path = path
-        try:
-            self._file = pq.ParquetFile(path)
-        except (OSError, pa.ArrowException) as error:
-            raise self._unreadable(error) from error
+        with contextlib.ExitStack() as stack:
+            try:
+                self._file = pq.ParquetFile(stack.enter_context(path.open("rb")))
+            except (OSError, pa.ArrowException) as error:
+                raise self._unreadable(error) from error
+            self._open = stack.pop_all()
         self.names: list[str] = self._file.schema_arrow.names
         self.rows: int = self._file.metadata.num_rows
         self._batches = self._file.iter_batches(SOURCE_ROWS)
@@ -78,6 +81,7 @@ class ParquetSource:
         trace: TracebackType | None,
     ) -> None:
         self._file.close()
+        self._open.close()
 
 
 def _values(column: pa.Array) -> NDArray[Any]:

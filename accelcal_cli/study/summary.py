@@ -64,8 +64,8 @@ def write(summary: Summary, out: Path, name: str) -> None:
     Raises:
         OutputError: one cannot be written.
     """
-    with replacing(out / f"{name}.parquet") as temporary:
-        pq.write_table(_table(summary.rows), temporary, compression="zstd")
+    with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
+        pq.write_table(_table(summary.rows), file, compression="zstd")
     write_text(out / f"{name}.csv", _csv(summary.rows))
     write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
 
