@@ -26,6 +26,8 @@ def output_error(error: OSError, path: Path) -> OutputError:
     hint = "check the folder and its permissions, or choose another with -d"
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
         hint = "free some space or choose another disk with -d"
+    if error.errno == errno.ENAMETOOLONG:
+        hint = "rename the recording"
     return OutputError(f"cannot be written ({error.strerror or error})", path=path, hint=hint)
 
 

@@ -30,8 +30,11 @@ class Job:
 
 
 def real(path: Path) -> Path:
-    """The absolute path without links; a loop of links stays as it is."""
-    return Path(os.path.realpath(path))
+    """The absolute path without links; a loop of links, or a path in a working folder that is gone, stays."""
+    try:
+        return Path(os.path.realpath(path))
+    except FileNotFoundError:
+        return path
 
 
 def stem(path: Path) -> str:
