@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import io
 import os
 import signal
 import sys
@@ -21,6 +22,7 @@ SOME_FAILED = 1
 REFUSED = 4
 BUG = 70
 INTERRUPTED = 130
+STDERR = 2
 
 
 class InterruptedBySignalError(BaseException):
@@ -33,10 +35,12 @@ def run_safely(command: Callable[[], Any]) -> int:
     The command returns its exit code, or None for 0.
     """
     _watch_signals()
+    lost = _open_standard_files()
     try:
         code = command()
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        sys.stdout.flush()
+        if lost is not None and lost.lines:
+            raise OutputError("standard output is closed: what should have been printed is lost")
     except click.ClickException as error:
         error.show()
         code = error.exit_code
@@ -54,6 +58,28 @@ def run_safely(command: Callable[[], Any]) -> int:
     except Exception:
         code = report_bug()
     return code if isinstance(code, int) else OK
+
+
+class _Lost(io.StringIO):
+    """Stands for a standard output that was closed before this process began; the work goes on."""
+
+    lines = False
+
+    def write(self, text: str) -> int:
+        self.lines = self.lines or text != ""
+        return len(text)
+
+
+def _open_standard_files() -> _Lost | None:
+    """Fill the places of standard files that are closed, so that no output of ours comes to lie there."""
+    while (handle := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+        pass
+    os.close(handle)
+    if sys.stdout is not None:
+        return None
+    lost = _Lost()
+    sys.stdout = lost
+    return lost
 
 
 def _output_failed(error: OSError) -> int:
