@@ -16,6 +16,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
 
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.study._meeting import short_lived
 from accelcal_cli.study.engine import Ended, Moved, Work
 
 POLL_S = 1.0
@@ -55,22 +57,43 @@ class Crew:
     _busy: list[_Worker] = field(default_factory=list)
 
     def run(self, tasks: list[Any]) -> Generator[Ended, None, None]:
-        """Do all tasks; yields each as it ends. All workers are gone when the iteration is."""
+        """Do all tasks; yields each as it ends. All workers are gone when the iteration is.
+
+        Raises:
+            OutputError: there is no worker left, and none can be started.
+        """
         waiting = list(reversed(tasks))
         try:
             while waiting or self._busy:
                 while waiting and len(self._busy) < self.number:
-                    self._give(waiting.pop())
+                    self._give(waiting)
                 yield from self._listen()
         finally:
             self._dismiss()
 
-    def _give(self, task: Any) -> None:
-        worker = self._idle.pop() if self._idle else _start(self.work, self.preload or self.work.__module__)
+    def _give(self, waiting: list[Any]) -> None:
+        """Give the last of them to a worker; fewer work from now on if none can be started."""
+        try:
+            worker = self._idle.pop() if self._idle else self._start()
+        except OutputError:
+            if not self._busy:
+                raise
+            self.number = len(self._busy)
+            return
+        task = waiting.pop()
         worker.task, worker.began, worker.part = task, time.monotonic(), 0.0
         self._busy.append(worker)
         with contextlib.suppress(OSError):
             worker.pipe.send(task)
+
+    def _start(self) -> _Worker:
+        try:
+            return _started(self.work, self.preload or self.work.__module__)
+        except (OSError, EOFError) as error:
+            raise OutputError(
+                f"no process can be started for the work ({getattr(error, 'strerror', None) or error})",
+                hint="see that the working folder and that of temporary files exist, or use fewer --jobs",
+            ) from error
 
     def _listen(self) -> Iterator[Ended]:
         """What the busy workers have to say within a moment."""
@@ -138,14 +161,20 @@ def _end(workers: list[_Worker]) -> None:
         worker.pipe.close()
 
 
-def _start(work: Work, preload: str) -> _Worker:
+def _started(work: Work, preload: str) -> _Worker:
     """A new process, with nothing of this one's state but the pipe."""
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
     ours, theirs = multiprocessing.Pipe()
     process = _process(theirs, work, preload)
-    process.start()
-    theirs.close()
+    try:
+        with short_lived():
+            process.start()
+    except (OSError, EOFError):
+        ours.close()
+        raise
+    finally:
+        theirs.close()
     return _Worker(process, ours)
 
 
