@@ -19,7 +19,7 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.sections import coefficients_json
 from accelcal_cli.pipeline.donor import Link, applied, link, need_temperature, settings_for
 from accelcal_cli.pipeline.existing import prepare, up_to_date
-from accelcal_cli.pipeline.identity import hashing
+from accelcal_cli.pipeline.identity import hashing, seen
 from accelcal_cli.pipeline.passes import Passes
 from accelcal_cli.pipeline.plan import Job, real
 from accelcal_cli.pipeline.remarks import sentence
@@ -44,6 +44,7 @@ def apply(
     """
     path, donor = source or job.source, request.coefficients
     assert donor is not None
+    before = seen(path)
     with open_recording(path, request.options) as reader:
         found = link(donor, reader.recording, path, request)
         request = replace(request, settings=settings_for(donor, found, request.settings))
@@ -52,7 +53,7 @@ def apply(
         prepare(job, force=request.force)
         if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
             return held
-        passes = Passes(job, request, progress, reader, path)
+        passes = Passes(job, request, progress, reader, path, before)
         return passes.write(judged(passes, donor, found))
 
 

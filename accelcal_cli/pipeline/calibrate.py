@@ -10,7 +10,7 @@ from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.output.integers import integers_json
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.existing import prepare, up_to_date
-from accelcal_cli.pipeline.identity import hashing
+from accelcal_cli.pipeline.identity import hashing, seen
 from accelcal_cli.pipeline.passes import Passes
 from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.profiles import fitting
@@ -30,11 +30,12 @@ def calibrate(
         AccelcalError: it cannot be read, or its outputs cannot be written.
     """
     path = source or job.source
+    before = seen(path)
     with open_recording(path, request.options) as reader:
         prepare(job, force=request.force)
         if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
             return held
-        passes = Passes(job, request, progress, reader, path)
+        passes = Passes(job, request, progress, reader, path, before)
         data, points = judged(passes)
         return passes.write(data, integers_json(data, points) if request.integers else None)
 

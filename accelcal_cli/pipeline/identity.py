@@ -27,6 +27,29 @@ def sha256(path: Path) -> str:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
 
 
+Seen = tuple[int, int]
+"""Size [bytes] and time of the last change [ns since 1970] of a file."""
+
+
+def seen(path: Path) -> Seen | None:
+    """How a file is found; None where it cannot be looked at."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns
+
+
+def same(path: Path, before: Seen | None) -> None:
+    """Raise UnreadableError if a file changed, or went, since it was seen: what was read does not agree."""
+    if before is not None and seen(path) != before:
+        raise UnreadableError(
+            "changed while it was read",
+            path=path,
+            hint="try again when it is complete (study --settle SECONDS leaves it until then)",
+        )
+
+
 @contextlib.contextmanager
 def hashing(path: Path) -> Iterator[Future[str]]:
     """The hash of a file, computed beside the work in the block."""

@@ -17,6 +17,7 @@ from accelcal_cli.output.atomic import replacing, write_text
 from accelcal_cli.output.parquet import Columns, ParquetSink
 from accelcal_cli.pipeline.applying import Applier, Target, applier, beyond, calibrated, write_calibrated
 from accelcal_cli.pipeline.existing import remove, remove_stale_parquet
+from accelcal_cli.pipeline.identity import Seen, same
 from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.profiles import Method, make_method, optimizer_json
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result
@@ -30,6 +31,7 @@ class Passes:
 
     Attributes:
         bytes_at: where the recording's bytes are; the job's source but for standard input.
+        before: how it was before it was opened; None if it may change while it is read.
     """
 
     job: Job
@@ -37,6 +39,7 @@ class Passes:
     progress: ProgressMaker
     reader: Reader
     bytes_at: Path
+    before: Seen | None = None
 
     def method(self) -> Method:
         """How the settings find and judge the recording's stillness."""
@@ -66,7 +69,12 @@ class Passes:
         """Parquet first, the report last: it is the commit mark.
 
         The report of an earlier result is removed only when the new Parquet is complete.
+
+        Raises:
+            UnreadableError: the recording changed between the passes or within one.
+            OutputError: a file cannot be written.
         """
+        same(self.bytes_at, self.before)
         if writes_parquet(data):
             data = replace(data, clipped_after=self._write_parquet(data))
         else:
@@ -92,6 +100,7 @@ class Passes:
             target = Target(applier_of(data), sink, facts.utc_offset_s or 0, threads)
             over = write_calibrated(recording, chunks, target, shown)
             sink.close()
+            same(self.bytes_at, self.before)
             remove(self.job.report)
             return over
 
