@@ -44,10 +44,18 @@ def command(*words: object) -> list[str]:
     return [sys.executable, "-m", "accelcal_cli", *map(str, words)]
 
 
-def run_process(*words: object, stdin: bytes | None = None, cwd: Path | None = None) -> Ran:
+def run_process(
+    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float = 120
+) -> Ran:
     """Run in a process of its own."""
     done = subprocess.run(
-        command(*words), input=stdin, capture_output=True, cwd=cwd, env=os.environ, timeout=120, check=False
+        command(*words),
+        input=stdin,
+        capture_output=True,
+        cwd=cwd,
+        env=os.environ,
+        timeout=timeout,
+        check=False,
     )
     return Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
 
