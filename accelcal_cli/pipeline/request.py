@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.limits import cpus
+from accelcal_cli.core.names import printable
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.output.coefficients import Coefficients
 from accelcal_cli.pipeline.identity import sha256
@@ -87,7 +88,7 @@ class Request:
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
     """The `input` object of a report's settings: what the user said of the recording."""
     told = asdict(options)
-    told["layout"] = None if companion is None else companion.name
+    told["layout"] = None if companion is None else printable(companion.name)
     told["layout_sha256"] = None if companion is None else sha256(companion)
     told["columns"] = None if options.columns is None else list(options.columns)
     return told
