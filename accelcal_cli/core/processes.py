@@ -26,7 +26,10 @@ def host() -> str:
 
 
 def lives(process: int) -> bool:
-    """Whether a process of this host lives; yes where it cannot be told."""
+    """Whether a process of this host lives; yes where it cannot be told.
+
+    One that ended and that nobody asked about yet is dead (state Z in proc(5)).
+    """
     if os.name != "posix":
         return True
     try:
@@ -35,4 +38,11 @@ def lives(process: int) -> bool:
         return False
     except PermissionError:
         return True
-    return True
+    return _state(process) != "Z"
+
+
+def _state(process: int) -> str:
+    try:
+        return Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return ""

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.processes import host
 from accelcal_cli.output.atomic import replacing, write_text
 
 
@@ -65,3 +70,41 @@ def test_the_file_has_the_usual_permissions(tmp_path: Path) -> None:
     finally:
         os.umask(mask)
     assert stat.S_IMODE((tmp_path / "a.txt").stat().st_mode) == 0o640
+
+
+@pytest.mark.parametrize("name", ["x" * 255, "é" * 127])
+def test_a_name_of_the_longest_kind_leaves_room_for_the_temporary(tmp_path: Path, name: str) -> None:
+    write_text(tmp_path / name, "x")
+    assert names(tmp_path) == [name]
+    with pytest.raises(OutputError, match="rename the recording"):
+        write_text(tmp_path / (name + "xx"), "x")
+
+
+def test_what_a_killed_process_left_is_removed_with_the_next_writing(tmp_path: Path) -> None:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    dead, living = process.pid, os.getpid()
+    kept = [
+        f".a.txt.{host()}.{living}.0123456789ab.tmp",
+        f".a.txt.elsewhere.{dead}.0123456789ab.tmp",
+        f".b.txt.{host()}.{dead}.0123456789ab.tmp",
+    ]
+    for name in [*kept, f".a.txt.{host()}.{dead}.0123456789ab.tmp"]:
+        (tmp_path / name).write_text("half")
+    write_text(tmp_path / "a.txt", "x")
+    assert names(tmp_path) == sorted([*kept, "a.txt"])
+
+
+def test_a_large_folder_is_not_listed_for_each_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    listed: list[object] = []
+
+    def slow(folder: Path) -> Iterator[os.DirEntry[str]]:
+        listed.append(folder)
+        time.sleep(0.05)
+        return plain(folder)
+
+    plain = os.scandir
+    monkeypatch.setattr("accelcal_cli.output.atomic.os.scandir", slow)
+    for number in range(20):
+        write_text(tmp_path / f"{number}.txt", "x")
+    assert listed == [tmp_path]
