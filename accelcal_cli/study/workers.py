@@ -22,7 +22,14 @@ from accelcal_cli.study.engine import Ended, Moved, Work
 
 POLL_S = 1.0
 GRACE_S = 10.0
+TRIES = 5
+GONE_S = 0.1
+"""A server that was killed is known to be gone only a moment later."""
+
 TERMINATED = 143
+UNTOLD = 255
+"""What multiprocessing says of a process whose server is gone."""
+
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Libraries that would start as many threads as there are CPUs, in every worker."""
 
@@ -87,8 +94,14 @@ class Crew:
             worker.pipe.send(task)
 
     def _start(self) -> _Worker:
+        """A new worker; from another server if the first was killed."""
+        preload = self.preload or self.work.__module__
         try:
-            return _started(self.work, self.preload or self.work.__module__)
+            for _ in range(TRIES):
+                with contextlib.suppress(EOFError, ConnectionError):
+                    return _started(self.work, preload)
+                time.sleep(GONE_S)
+            return _started(self.work, preload)
         except (OSError, EOFError) as error:
             raise OutputError(
                 f"no process can be started for the work ({getattr(error, 'strerror', None) or error})",
@@ -139,8 +152,10 @@ class Crew:
 
 def _fallen(worker: _Worker) -> Ended:
     code = worker.process.exitcode
-    code = -signal.SIGTERM if code == TERMINATED else code
     worker.pipe.close()
+    if code == UNTOLD:
+        return Ended(worker.task, fault="its process ended, and the one that could say why, too", again=True)
+    code = -signal.SIGTERM if code == TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name
         reason = ", perhaps for want of memory" if name == "SIGKILL" else ""
