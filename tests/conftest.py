@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,3 +31,13 @@ def real_data() -> Path:
     if folder is None:
         pytest.skip("real recordings are absent (set ACCELCAL_REAL_DATA)")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _temporaries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Temporary files of the package, such as traces of the bugs that tests make, lie among the tests'."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = str(tmp_path_factory.mktemp("temporary"))
+        patch.setenv("TMPDIR", folder)
+        patch.setattr(tempfile, "tempdir", folder)
+        yield
