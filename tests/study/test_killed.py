@@ -20,7 +20,7 @@ from tests.cli.studies import results, study_folder
 from tests.study.processes import begun, session, soon
 
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(4))
+NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(3))
 TIMES = [pytest.param(5, 1, id="5"), pytest.param(50, None, id="50", marks=pytest.mark.nightly)]
 
 

@@ -15,7 +15,7 @@ from tests.cli.studies import results, rows
 from tests.study.mixture import mixture
 
 SIZES = [
-    pytest.param((5, 10, 5), id="20"),
+    pytest.param((3, 11, 6), id="20"),
     pytest.param((185, 10, 5), id="200", marks=pytest.mark.nightly),
 ]
 CODES = {"calibrated": "0", "refused": "4", "failed": "3"}
@@ -71,6 +71,7 @@ def test_a_rerun_does_nothing_and_is_quick(done: Done) -> None:
     assert took_s < 3
 
 
+@pytest.mark.nightly
 def test_two_workers_give_the_same_bytes(done: Done, tmp_path: Path) -> None:
     assert study(done.folder, tmp_path / "out", "--jobs", 2).code == 1
     assert results(tmp_path / "out") == results(done.out)
