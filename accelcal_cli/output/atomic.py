@@ -122,25 +122,6 @@ def sweep_of(path: Path, lost: str) -> None:
             left.unlink(missing_ok=True)
 
 
-def _runs(process: int) -> bool:
-    try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return not _is_zombie(process)
-
-
-def _is_zombie(process: int) -> bool:
-    """Whether a process has ended and nobody has asked for its exit code yet (field 3 of proc(5) stat)."""
-    try:
-        text = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
-    except OSError:
-        return False
-    return text.rpartition(")")[2].split()[:1] == ["Z"]
-
-
 def _temporaries(folder: Path) -> list[str]:
     """Names of what may be temporaries of ours.
 
