@@ -7,9 +7,11 @@ row come from runs in turn on the same machine; what matters are the ratios.
 from __future__ import annotations
 
 import argparse
+import gzip
 import json
 import os
 import platform
+import shutil
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -86,8 +88,17 @@ def recording(case: Case, options: argparse.Namespace) -> Path:
     if not path.exists():
         folder.mkdir(parents=True, exist_ok=True)
         made = ["--format", case.format, "--days", f"{options.days:g}", "--rate", f"{options.rate:g}"]
-        run([*ACCELCAL, "simulate", str(path), *made, "--seed", "3", "--force", "-q"])
+        packed = path.with_name(path.name + ".gz") if case.suffix == ".csv" else path
+        run([*ACCELCAL, "simulate", str(packed), *made, "--seed", "3", "--force", "-q"])
+        if packed != path:
+            _unpack(packed, path)
     return path
+
+
+def _unpack(packed: Path, path: Path) -> None:
+    with gzip.open(packed) as source, path.open("wb") as target:
+        shutil.copyfileobj(source, target, 1 << 20)
+    packed.unlink()
 
 
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:

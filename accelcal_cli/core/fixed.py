@@ -36,7 +36,9 @@ def checked(values: Fixed, what: str, limit: int = LIMIT) -> Fixed:
 
 def narrow(values: Fixed, bits: int = FRACTION_BITS) -> Fixed:
     """Drop `bits` fraction bits, rounding half up."""
-    return (values + (1 << (bits - 1))) >> bits
+    narrowed = values + (1 << (bits - 1))
+    narrowed >>= bits
+    return narrowed
 
 
 def to_fixed(value: Fraction | float) -> int:

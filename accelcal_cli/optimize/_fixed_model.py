@@ -20,6 +20,9 @@ MAX_POINTS = 8192
 _LOW_HALF = (1 << FRACTION_BITS) - 1
 _WEIGHT_BITS = WEIGHT_ONE.bit_length() - 1
 _HEAD_ROOM_BITS = 10
+_ROWS = [0, 1, 2, 1, 2, 2]
+_COLUMNS = [0, 1, 2, 0, 0, 1]
+"""Of the entries of K, in the order of the parameters."""
 
 
 class Tally:
@@ -41,18 +44,20 @@ class Tally:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The model at one set of parameters: u = v + o + s tau, a = K u, r = |a|^2 - 1."""
+    """The model at one set of parameters: u = v + o + s tau, a = K u, r = |a|^2 - 1.
 
-    shifted: tuple[Fixed, Fixed, Fixed]
-    calibrated: tuple[Fixed, Fixed, Fixed]
+    Attributes:
+        shifted, calibrated: u and a, (3, n) or (3, k, n).
+        residual: (n,) or (k, n).
+    """
+
+    shifted: Fixed
+    calibrated: Fixed
     residual: Fixed
 
 
 def evaluate(points: PointSet, parameters: Fixed, tally: Tally) -> State:
     """Apply (12,) or (k, 12) parameters to n points (F eq. 7-9).
-
-    Returns:
-        a state of (n,) or (k, n) arrays.
 
     Raises:
         FixedPointOverflowError: a parameter, a point or a residual leaves its range, or there are
@@ -61,27 +66,22 @@ def evaluate(points: PointSet, parameters: Fixed, tally: Tally) -> State:
     if len(points) > MAX_POINTS:
         raise FixedPointOverflowError(f"{len(points)} points are more than the {MAX_POINTS} that sums hold")
     p = np.moveaxis(checked(parameters, "a parameter", VALUE_LIMIT), -1, 0)[..., np.newaxis]
-    x, y, z = (_shifted(points, p, axis) for axis in range(3))
-    calibrated = (
-        _calibrated(p[0] * x),
-        _calibrated(p[3] * x + p[1] * y),
-        _calibrated(p[4] * x + p[5] * y + p[2] * z),
-    )
+    shifted = _shifted(points, p)
+    products = p[:3] * shifted
+    products[1] += p[3] * shifted[0]
+    products[2] += p[4] * shifted[0] + p[5] * shifted[1]
+    calibrated = checked(narrow(products), "a calibrated point", VALUE_LIMIT)
     squared = calibrated[0] ** 2 + calibrated[1] ** 2 + calibrated[2] ** 2
     residual = checked(narrow(squared - (ONE << FRACTION_BITS)), "a residual", RESIDUAL_LIMIT)
     tally.count(9, 9, residual.size)
-    return State((x, y, z), calibrated, residual)
+    return State(shifted, calibrated, residual)
 
 
-def _shifted(points: PointSet, p: Fixed, axis: int) -> Fixed:
-    shifted = points.xyz[:, axis] + p[6 + axis]
+def _shifted(points: PointSet, p: Fixed) -> Fixed:
+    shifted = points.xyz.T.reshape(3, *(1,) * (p.ndim - 2), -1) + p[6:9]
     if points.tau is not None:
-        shifted = shifted + narrow(p[9 + axis] * points.tau)
+        shifted += narrow(p[9:] * points.tau)
     return checked(shifted, "a shifted point", VALUE_LIMIT)
-
-
-def _calibrated(product: Fixed) -> Fixed:
-    return checked(narrow(product), "a calibrated point", VALUE_LIMIT)
 
 
 def cost(points: PointSet, state: State, tally: Tally) -> list[int]:
@@ -104,21 +104,21 @@ def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) ->
     with r a tau.
     """
     weighted = narrow(state.residual * points.weights, _WEIGHT_BITS)
-    force = [narrow(weighted * value) for value in state.calibrated]
-    pairs = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
-    scale = [_sum_of_products(force[i], state.shifted[j]) for i, j in pairs]
-    plain = [int(value.sum()) for value in force]
-    warm = [0, 0, 0] if points.tau is None else [_sum_of_products(f, points.tau) for f in force]
+    force = narrow(weighted * state.calibrated)
+    scale = _sums_of_products(force[_ROWS], state.shifted[_COLUMNS])
+    plain = force.sum(axis=1).tolist()
+    warm = [0, 0, 0] if points.tau is None else _sums_of_products(force, points.tau)
     tally.count(9, 10, len(points))
     k = [int(value) for value in parameters[:6]]
     sums = scale + _turned_back(k, plain) + _turned_back(k, warm)
     return [_mean_of_four(value, points) for value in sums]
 
 
-def _sum_of_products(left: Fixed, right: Fixed) -> int:
-    """Sum of left * right in units of 2**-29, with head room for MAX_POINTS."""
-    total = int(narrow(left * right, _HEAD_ROOM_BITS).sum())
-    return total >> (FRACTION_BITS - _HEAD_ROOM_BITS)
+def _sums_of_products(left: Fixed, right: Fixed) -> list[int]:
+    """Sums over the points of left * right in units of 2**-29, with head room for MAX_POINTS."""
+    totals = narrow(left * right, _HEAD_ROOM_BITS).sum(axis=1)
+    found: list[int] = (totals >> (FRACTION_BITS - _HEAD_ROOM_BITS)).tolist()
+    return found
 
 
 def _turned_back(k: list[int], force: list[int]) -> list[int]:
