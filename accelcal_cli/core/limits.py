@@ -8,7 +8,7 @@ from math import ceil
 from pathlib import Path
 
 WORKER_BYTES = 300_000_000
-"""What one worker needs at most: peak memory of `calibrate` is 225 MB, whatever the recording's length."""
+"""What one worker needs at most: peak memory of `calibrate` is 256 MB (HDF5), whatever the length."""
 
 CGROUPS = Path("/sys/fs/cgroup")
 PROCESS = Path("/proc/self/cgroup")
