@@ -11,7 +11,7 @@ import threading
 import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass, field
-from multiprocessing import connection
+from multiprocessing import connection, forkserver, resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -184,6 +184,7 @@ def _started(work: Work, preload: str) -> _Worker:
     process = _process(theirs, work, preload)
     try:
         with short_lived():
+            _deaf_server()
             process.start()
     except (OSError, EOFError):
         ours.close()
@@ -200,6 +201,18 @@ def _process(pipe: Connection, work: Work, preload: str) -> BaseProcess:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload([preload])
     return context.Process(target=_serve, args=(pipe, work), daemon=True)
+
+
+def _deaf_server() -> None:
+    """Start the server of workers, if there is one, deaf to Ctrl-C: it would tell what it was importing."""
+    if sys.platform != "linux":
+        return
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _serve(pipe: Connection, work: Work) -> None:

@@ -41,6 +41,15 @@ def session(leader: int) -> list[str]:
     return found
 
 
+def commands(leader: int) -> list[bytes]:
+    """The command lines of what `session` finds."""
+    found = []
+    for pid in session(leader):
+        with contextlib.suppress(OSError):
+            found.append(Path(f"/proc/{pid}/cmdline").read_bytes())
+    return found
+
+
 def lines(out: Path) -> int:
     """Recordings in the ledger, once for each round."""
     ledger = out / "study.ledger"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import random
 import signal
 import subprocess
@@ -13,7 +14,7 @@ import pytest
 from tests.cli.run import command, run_process
 from tests.cli.studies import results, study_folder
 from tests.recordings import directions, still_counts, write_raw
-from tests.study.processes import begun, lines, session, soon
+from tests.study.processes import begun, commands, lines, session, soon
 
 resource = pytest.importorskip("resource")
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
@@ -84,6 +85,19 @@ def test_interrupted_it_leaves_nothing_half_written(folder: Path, tmp_path: Path
     assert said.decode() == "accelcal: interrupted; nothing half-written was left\n"
     soon(lambda: not session(process.pid))
     assert not [path for path in out.rglob("*") if path.suffix in (".tmp", ".lock")]
+
+
+def test_interrupted_at_the_terminal_while_workers_start_it_says_so_in_one_line(
+    folder: Path, tmp_path: Path
+) -> None:
+    """Ctrl-C reaches all processes, also the one that is still importing what workers need."""
+    process = begun(folder, tmp_path / "out")
+    soon(lambda: any(b"forkserver" in words for words in commands(process.pid)))
+    time.sleep(0.2)
+    os.killpg(process.pid, signal.SIGINT)
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert said.decode() == "accelcal: interrupted; nothing half-written was left\n"
 
 
 def test_of_two_at_once_the_second_leaves(
