@@ -12,7 +12,9 @@ import click
 from accelcal_cli.cli import exits
 from accelcal_cli.cli.options import (
     Positive,
+    damage_option,
     method_options,
+    precision_option,
     read_options,
     reading_options,
     saying_options,
@@ -67,10 +69,12 @@ FOLDER = click.Path(path_type=Path, readable=False)
     help="Where a recording cannot be calibrated, or poorly, use the coefficients of the nearest good one of "
     "its device, if they prove themselves on its own stillness.",
 )
+@precision_option
 @click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
 @click.option("--integers", is_flag=True, help="Also write each fit's points and result as integers.")
 @saying_options
 @reading_options
+@damage_option
 @method_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
     """Calibrate all recordings in each FOLDER and below, in parallel.
@@ -104,6 +108,8 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
     )
+    if values["shard"] and values["collect"]:
+        raise UsageError("--shard does a part, --collect sums up all parts", hint="give one of them")
     newer: datetime | None = values["newer_than"]
     if values["pool"] and request.settings.profile != DEFAULT.profile:
         raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")

@@ -1,0 +1,43 @@
+"""What `study` takes from `calibrate`: how far damage may go, and the grid of the values."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run import run
+from tests.cli.studies import NAMES, rows, study, study_folder
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_the_grid_of_the_values_is_that_of_calibrate(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
+    words = ("--precision", 0.25)
+    assert run(capsys, "calibrate", folder / NAMES[0], "-d", tmp_path / "one", *words).code == 0
+    assert study(capsys, folder).code == 0
+    exact = (out / "north/a.calibrated.parquet").read_bytes()
+    assert "unchanged" not in study(capsys, folder, *words).err
+    coarse = (out / "north/a.calibrated.parquet").read_bytes()
+    assert coarse == (tmp_path / "one/a.calibrated.parquet").read_bytes()
+    assert len(coarse) < 0.8 * len(exact)
+    assert "1 unchanged" in study(capsys, folder, *words).err
+
+
+def test_what_damage_took_too_much_of_is_refused(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
+    path = folder / NAMES[0]
+    path.write_bytes(path.read_bytes()[:-1])
+    assert study(capsys, folder).code == 0
+    assert float(rows(out)[0]["lost_percent"]) > 0
+    assert study(capsys, folder, "--max-damage", 0).code == 4
+    assert "--max-damage" in rows(out)[0]["message"]
+    assert not (out / "north/a.calibrated.parquet").exists()
+
+
+def test_one_part_does_not_sum_up_all(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    ran = study(capsys, folder, "--shard", "1/2", "--collect")
+    assert (ran.code, "give one of them" in ran.err) == (2, True)
+    assert not (tmp_path / "out").exists()
