@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import stat
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,9 +15,9 @@ from accelcal_cli.pipeline.plan import INTEGERS_SUFFIX, PARQUET_SUFFIX, REPORT_S
 from accelcal_cli.readers import all_formats, named_format
 from accelcal_cli.readers._layout.find import FOLDER_NAME, SUFFIX, folder_layout, named_layout
 from accelcal_cli.study.items import Item, stamp
+from accelcal_cli.study.own_files import of_a_study
 
 OURS = (PARQUET_SUFFIX, REPORT_SUFFIX, INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
-STUDYS = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
 TABLES = "csv"
 """The one format whose suffixes other files often have."""
 
@@ -83,19 +82,18 @@ def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
         if base != folder and real(base) == out:
             folders.clear()
             continue
-        summed = any(STUDYS.fullmatch(name) and name.endswith(".ledger") for name in names)
         for name in names:
             below = (base / name).relative_to(folder)
-            if not _never(name, summed=summed) and _chosen(where, below.as_posix()) and _plain(base / name):
+            if not _never(base / name) and _chosen(where, below.as_posix()) and _plain(base / name):
                 yield _item(where, base / name, place + below.as_posix())
     for error in unlisted:
         yield _unlisted(where, folder, place, error)
 
 
-def _never(name: str, *, summed: bool) -> bool:
+def _never(path: Path) -> bool:
     """Whether a file is certainly no recording: hidden, of ours, or a layout."""
-    ours = name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME
-    return ours or (summed and STUDYS.fullmatch(name) is not None)
+    name = path.name
+    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or of_a_study(path)
 
 
 def _chosen(where: Where, below: str) -> bool:

@@ -105,6 +105,10 @@ class Plan:
     waiting: list[Item] = field(default_factory=list)
     left_out: list[Entry] = field(default_factory=list)
 
+    def sources(self) -> list[Path]:
+        """The files of all recordings."""
+        return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
+
 
 def plan(study: Study, ledger: Ledger) -> Plan:
     """Look at all files; nothing is written.

@@ -13,6 +13,7 @@ from accelcal_cli.study.engines import threads_of
 from accelcal_cli.study.find import check
 from accelcal_cli.study.items import Entry, Item, Standing
 from accelcal_cli.study.ledger import Ledger
+from accelcal_cli.study.own_files import refuse_foreign
 from accelcal_cli.study.plan import Plan, Study, ledger_of, plan
 from accelcal_cli.study.pool import POOLING, remove_pools
 from accelcal_cli.study.pooled import POOLED_ONES
@@ -27,7 +28,7 @@ def run(study: Study, watch: Watch) -> Summary:
     Raises:
         UsageError: see `plan`.
         LockedError: another run works in the output folder.
-        OutputError: the folder or the summary cannot be written.
+        OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
     check(study.where)
     try:
@@ -37,6 +38,7 @@ def run(study: Study, watch: Watch) -> Summary:
     base = study.shard.basename
     with lock.held(study.lock, lambda: _other_locks(study)), ledger_of(study) as ledger:
         found = plan(study, ledger)
+        refuse_foreign(study.out, base, found.sources(), force=study.request.force)
         course = Course(study, ledger, watch)
         course.run(found)
         result = _summary(study, found, course)

@@ -1,0 +1,69 @@
+"""A study whose outputs lie among its recordings, and files there that have the names of its summary."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.run import run
+from tests.cli.studies import NAMES, results, rows, study, study_folder
+from tests.recordings import directions, still_counts
+
+Capture = pytest.CaptureFixture[str]
+
+
+def test_the_first_run_and_later_ones_find_the_same(tmp_path: Path, capsys: Capture) -> None:
+    """The lock and, without a ledger, the summary are no files of the study either."""
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    assert run(capsys, "study", folder, "-d", folder).code == 0
+    first = results(folder)
+    assert json.loads((folder / "study.json").read_text())["left_out"] == 1
+    (folder / "study.ledger").unlink()
+    for _ in range(2):
+        assert run(capsys, "study", folder, "-d", folder).code == 0
+        assert results(folder) == first
+    (folder / "study.ledger").unlink()
+    above = run(capsys, "study", tmp_path, "-d", tmp_path / "out", "--dry-run")
+    assert above.lines == [f"{folder / NAMES[0]}\ttodo"]
+
+
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_a_recording_of_the_summarys_name_is_not_overwritten(
+    tmp_path: Path, capsys: Capture, force: tuple[str, ...]
+) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    counts = still_counts(directions(60))
+    text = "x,y,z\n" + "".join(f"{x},{y},{z}\n" for x, y, z in counts / 256)
+    (folder / "study.csv").write_text(text)
+    ran = run(capsys, "study", folder, "-d", folder, "--rate", 25, "--unit", "g", *force)
+    assert (ran.code, ran.out) == (5, "")
+    assert f"{folder / 'study.csv'}: is in the way of the study's summary" in ran.err
+    assert (folder / "study.csv").read_text() == text
+    assert not list(folder.rglob("*.calibrated.parquet"))
+    assert study(capsys, folder, "--rate", 25, "--unit", "g").code == 0
+    assert [row["path"] for row in rows(tmp_path / "out")] == [NAMES[0], "study.csv"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("study.csv", "path,age\n1,2\n"),
+        ("study.json", '{"mine": 1}'),
+        ("study.json", "["),
+        ("study.parquet", ""),
+    ],
+)
+def test_anothers_file_is_replaced_with_force_only(
+    tmp_path: Path, capsys: Capture, name: str, content: str
+) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text(content)
+    ran = study(capsys, folder)
+    assert (ran.code, "was not written by accelcal" in ran.err) == (5, True)
+    assert [path.name for path in out.iterdir()] == [name]
+    assert (out / name).read_text() == content
+    assert study(capsys, folder, "--force").code == 0
+    assert len(rows(out)) == 1
