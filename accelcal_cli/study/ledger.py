@@ -10,7 +10,7 @@ import json
 import os
 import sys
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TextIO
@@ -45,6 +45,11 @@ class Ledger:
         held = self._entries.get((item.name, name), ())
         same = [one for one in held if one.stamps == item.stamps and one.asked == asked]
         return next((one for one in same if self.in_place(one)), same[0] if same else None)
+
+    def as_it_was(self, item: Item, asked: str) -> Item:
+        """The item with the stamps of its last own result, if it has one; as it is, if not."""
+        held = [one for one in self._entries.get((item.name, OWN), ()) if one.asked == asked and one.row]
+        return replace(item, stamps=held[-1].stamps) if held else item
 
     def current(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
         """The entry that still stands: it is known, and its outputs are there."""

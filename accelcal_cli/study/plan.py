@@ -98,12 +98,14 @@ class Plan:
         todo: recordings to work on.
         waiting: recordings that are not begun.
         left_out: entries of files that are no recordings.
+        late: names of all that is left for a later run, done before or not.
     """
 
     done: list[tuple[Item, Entry]] = field(default_factory=list)
     todo: list[Item] = field(default_factory=list)
     waiting: list[Item] = field(default_factory=list)
     left_out: list[Entry] = field(default_factory=list)
+    late: set[str] = field(default_factory=set)
 
     def sources(self) -> list[Path]:
         """The files of all recordings."""
@@ -124,13 +126,18 @@ def plan(study: Study, ledger: Ledger) -> Plan:
         )
     for item in recordings:
         if study.shard.owns(item.name):
-            _place(study, item, _standing(study, ledger, item), found)
+            begin = not study.collect and item.name not in found.late
+            _place(study, item, _standing(study, ledger, item), found, begin=begin)
     return found
 
 
 def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterator[Item]:
     """The recordings among the files; which are none is remembered, too."""
-    for item in files(study.where):
+    for now in files(study.where):
+        item = now
+        if _left_for_later(study, now):
+            found.late.add(now.name)
+            item = ledger.as_it_was(now, asked)
         entry = ledger.known(item, asked)
         if entry is not None and not entry.failed and (entry.row is not None or not study.where.include):
             recording = entry.row is not None
@@ -161,25 +168,22 @@ def _replaced(study: Study, ledger: Ledger, item: Item) -> bool:
     return any(entry is not None and not entry.failed for entry in later)
 
 
-def _place(study: Study, item: Item, entry: Entry | None, found: Plan) -> None:
+def _place(study: Study, item: Item, entry: Entry | None, found: Plan, *, begin: bool) -> None:
     again = (
         entry is not None
         and item.refusal is None
         and (study.request.force or entry.again or (study.retry_failed and entry.failed))
     )
-    begin = not study.collect and not _too_new(study, item) and not _too_old(study, item)
     if entry is not None and not (again and begin):
         found.done.append((item, entry))
     else:
         (found.todo if begin else found.waiting).append(item)
 
 
-def _too_new(study: Study, item: Item) -> bool:
-    return study.settle_s > 0 and time.time() - item.changed_s < study.settle_s
-
-
-def _too_old(study: Study, item: Item) -> bool:
-    return study.newer_than_s is not None and item.changed_s < study.newer_than_s
+def _left_for_later(study: Study, item: Item) -> bool:
+    """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile."""
+    too_new = study.settle_s > 0 and time.time() - item.changed_s < study.settle_s
+    return too_new or (study.newer_than_s is not None and item.changed_s < study.newer_than_s)
 
 
 def ledger_of(study: Study) -> Ledger:

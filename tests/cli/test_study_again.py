@@ -97,6 +97,19 @@ def test_what_is_still_being_copied_waits(tmp_path: Path, capsys: Capture) -> No
     assert "3 unchanged" in study(capsys, folder, "--newer-than", "2100-01-01").err
 
 
+def test_what_is_copied_again_keeps_its_result_until_it_has_settled(tmp_path: Path, capsys: Capture) -> None:
+    folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
+    assert study(capsys, folder).code == 0
+    before = (out / "study.csv").read_bytes()
+    whole = (folder / NAMES[0]).read_bytes()
+    (folder / NAMES[0]).write_bytes(whole[:100])
+    ran = study(capsys, folder, "--settle", 600)
+    assert (ran.code, (out / "study.csv").read_bytes()) == (0, before)
+    (folder / NAMES[0]).write_bytes(whole)
+    assert study(capsys, folder).code == 0
+    assert (out / "study.csv").read_bytes() == before
+
+
 def test_a_living_run_is_not_disturbed(tmp_path: Path, capsys: Capture) -> None:
     folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
     out.mkdir()

@@ -142,3 +142,11 @@ def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(base: Path, he
     soon(lambda: not session(process.pid))
     assert study(here).code == 1
     assert results(here / "out") == results(base / "out")
+
+
+def test_a_lender_that_waits_lends_as_before(here: Path) -> None:
+    before = rows(here / "out")
+    for name in LONG:
+        (here / "in" / name).touch()
+    study(here, "--settle", 3600)
+    assert rows(here / "out") == before
