@@ -44,7 +44,9 @@ class Timing:
 
 
 def run(command: Sequence[str]) -> Run:
-    """Run a command to its end; raises CalledProcessError if it fails."""
+    """Run a command to its end, once the disk has what the one before wrote; raises CalledProcessError."""
+    if hasattr(os, "sync"):
+        os.sync()
     start = time.perf_counter()
     process = subprocess.Popen(
         list(command), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, env=_environment()
