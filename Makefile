@@ -25,7 +25,7 @@ demo: $(READY)
 	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
 
 test: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
+	$(BIN)/python -m pytest -n auto -m 'not nightly'
 
 nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly
