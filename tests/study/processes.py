@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import signal
 import subprocess
 import time
 from collections.abc import Callable
@@ -15,10 +16,15 @@ Found = TypeVar("Found")
 
 
 def begun(folder: Path, out: Path, *more: object, cwd: Path | None = None) -> subprocess.Popen[bytes]:
-    """A study in a session of its own."""
+    """A study in a session of its own, which hears Ctrl-C even where the tests run in the background."""
     words = command("study", folder, "-d", out, "-j", 2, *more)
     return subprocess.Popen(
-        words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, start_new_session=True, cwd=cwd
+        words,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        cwd=cwd,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
 
 
