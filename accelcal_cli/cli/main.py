@@ -10,6 +10,7 @@ import click
 from accelcal_cli import __version__
 from accelcal_cli.cli.exits import run_safely
 from accelcal_cli.cli.lazy import LazyGroup
+from accelcal_cli.core.linear import hold_to_one_thread
 from accelcal_cli.core.memory import keep_freed_memory
 
 COMMANDS = {
@@ -44,5 +45,6 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Console entry point: runs the command and exits with its code."""
+    hold_to_one_thread()
     keep_freed_memory()
     sys.exit(run_safely(lambda: cli.main(prog_name="accelcal", standalone_mode=False)))

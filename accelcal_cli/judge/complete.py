@@ -56,4 +56,4 @@ def _errors(fitted: Fitted) -> FitErrors:
         mean(list(per_posture(deviations_mg(fitted.points, p), fitted.points.weights, fitted.label).values()))
         for p in (IDENTITY, fitted.found.parameters)
     )
-    return FitErrors(len(fitted.points), len(np.unique(fitted.label)), before, after)
+    return FitErrors(len(fitted.points), len(set(fitted.label.tolist())), before, after)

@@ -36,7 +36,7 @@ def per_posture(
 ) -> dict[int, float]:
     """Weighted mean error of each posture."""
     means = {}
-    for posture in np.unique(label).tolist():
+    for posture in sorted(set(label.tolist())):
         at = label == posture
         held = [float(w) for w in weights[at]]
         means[posture] = fsum(w * float(e) for w, e in zip(held, errors[at], strict=True)) / fsum(held)

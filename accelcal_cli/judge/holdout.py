@@ -40,7 +40,7 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Hold
     blocks: dict[int, float] = {}
     before: dict[int, float] = {}
     after: dict[int, float] = {}
-    for held in np.unique(fold).tolist():
+    for held in sorted(set(fold.tolist())):
         seen, unseen = points.select(fold != held), points.select(fold == held)
         where, weights, block = label[fold == held], unseen.weights, sample.block[fold == held]
         found = fit(seen, model).parameters

@@ -43,7 +43,7 @@ def judge(
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, seen, ())
     label = postures(points, settings.posture_degrees) if label is None else label
-    number = len(np.unique(label))
+    number = len(set(label.tolist()))
     if number < settings.min_postures:
         text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())

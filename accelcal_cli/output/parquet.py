@@ -21,9 +21,11 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output.atomic import output_error
+from accelcal_cli.output.behind import Behind
 
 ROW_GROUP_ROWS = 1 << 20
 WRITE_BATCH_ROWS = 1 << 16
+PORTION_BYTES = 1 << 20
 METADATA_KEY = b"accelcal"
 
 
@@ -89,7 +91,7 @@ class ParquetSink:
         encodings = dict.fromkeys(self.schema.names, "PLAIN") | {"time": "DELTA_BINARY_PACKED"}
         encodings |= dict.fromkeys(columns.split, "BYTE_STREAM_SPLIT")
         try:
-            self._file = path.open("wb")
+            self._file = _opened(path, threads)
             self._writer = pq.ParquetWriter(
                 self._file,
                 self.schema,
@@ -138,8 +140,9 @@ class ParquetSink:
             self._wait()
 
     def _encode(self, group: list[NDArray[Any]], rows: int) -> None:
+        """Write a row group from where its columns lie; `pa.array` would load pandas."""
         columns = [
-            pa.array(values[:rows], from_pandas=False).view(kind)
+            pa.Array.from_buffers(kind, rows, [None, pa.py_buffer(values)])
             for values, (_, kind) in zip(group, self._kinds(), strict=True)
         ]
         self._writer.write_batch(pa.record_batch(columns, schema=self.schema), ROW_GROUP_ROWS)
@@ -182,6 +185,12 @@ class ParquetSink:
             self._writer.close()
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+def _opened(path: Path, threads: int) -> pa.NativeFile:
+    """A new file; what is encoded gathers first, since every portion takes Python's lock."""
+    file = path.open("wb")
+    return pa.BufferedOutputStream(pa.PythonFile(Behind(file) if threads > 1 else file, "w"), PORTION_BYTES)
 
 
 def metadata_of(path: Path) -> dict[str, Any]:

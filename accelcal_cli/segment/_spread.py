@@ -88,7 +88,7 @@ class LeastSpread:
         counted[at] = np.where((found[at] > 0) & (found[at] < NEVER), found[at], NEVER)
         least = np.minimum(np.minimum.accumulate(counted), self._least)
         step = self._steps(columns, at, len(found))
-        floors = {value: self._floor(value) for value in np.unique(step).tolist()}
+        floors = {value: self._floor(value) for value in set(step.tolist())}
         held = np.array([floors[value] for value in step.tolist()], np.int64)
         self._least, self.step = int(least[-1]), int(step[-1])
         return np.maximum(least, held)

@@ -17,6 +17,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.linear import hold_to_one_thread
 from accelcal_cli.study._meeting import short_lived
 from accelcal_cli.study.engine import Ended, Moved, Work
 
@@ -29,9 +30,6 @@ GONE_S = 0.1
 TERMINATED = 143
 UNTOLD = 255
 """What multiprocessing says of a process whose server is gone."""
-
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Libraries that would start as many threads as there are CPUs, in every worker."""
 
 
 @dataclass(slots=True)
@@ -178,8 +176,7 @@ def _end(workers: list[_Worker]) -> None:
 
 def _started(work: Work, preload: str) -> _Worker:
     """A new process, with nothing of this one's state but the pipe."""
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")
+    hold_to_one_thread()
     ours, theirs = multiprocessing.Pipe()
     process = _process(theirs, work, preload)
     try:

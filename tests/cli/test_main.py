@@ -65,3 +65,16 @@ def test_a_bug_is_one_line_and_the_traceback_is_kept(
 
 def test_an_unknown_command_is_wrong_usage(capsys: Capture) -> None:
     assert run(capsys, "calibrat").code == 2
+
+
+def test_a_recording_is_calibrated_without_loading_what_only_others_need(tmp_path: Path) -> None:
+    recording = ROOT / "sample_data" / "recording.bin"
+    words = ["calibrate", str(recording), "-d", str(tmp_path), "-q"]
+    code = (
+        "import sys; from accelcal_cli.cli.main import cli\n"
+        f"cli.main({words!r}, standalone_mode=False)\n"
+        "sys.exit(f'imported {heavy}' if (heavy := {'pandas', 'numpy.ma'} & set(sys.modules)) else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert next(tmp_path.glob("*.parquet"))
