@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 from typing import NoReturn
 
@@ -47,4 +48,6 @@ def main() -> NoReturn:
     """Console entry point: runs the command and exits with its code."""
     hold_to_one_thread()
     keep_freed_memory()
-    sys.exit(run_safely(lambda: cli.main(prog_name="accelcal", standalone_mode=False)))
+    code = run_safely(lambda: cli.main(prog_name="accelcal", standalone_mode=False))
+    gc.freeze()  # else the interpreter looks through all that is loaded once more before it ends
+    sys.exit(code)

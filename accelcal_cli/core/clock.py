@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,13 +89,17 @@ class PageClock:
         return self._uneven(pages, rows, skipped)
 
     def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
-        """Times of all rows of pages that hold `rows` rows each, one page after the other."""
-        into = np.outer(self.span_us[pages], np.arange(rows, dtype=np.int64))
-        into *= 2
+        """Times of all rows of pages that hold `rows` rows each, one page after the other.
+
+        Pages short enough for it are computed in 32 bits, in half the time.
+        """
+        span = self.span_us[pages]
+        short = 2 * rows * (int(np.abs(span).max()) + 1) < 1 << 31
+        kind = np.dtype(np.int32 if short else np.int64)
+        into: NDArray[Any] = np.outer(span.astype(kind), 2 * np.arange(rows, dtype=kind))
         into += rows
         into //= 2 * rows
-        into += self.time_us[pages, np.newaxis]
-        return into.reshape(-1)
+        return np.asarray(into + self.time_us[pages, np.newaxis]).reshape(-1)
 
     def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:
         """Times of the first `rows[j]` rows of each page j, in the first one after `skipped` others."""

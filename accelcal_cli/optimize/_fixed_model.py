@@ -111,7 +111,8 @@ def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) ->
     tally.count(9, 10, len(points))
     k = [int(value) for value in parameters[:6]]
     sums = scale + _turned_back(k, plain) + _turned_back(k, warm)
-    return [_mean_of_four(value, points) for value in sums]
+    weight = int(points.weights.sum())
+    return [_mean_of_four(value, weight) for value in sums]
 
 
 def _sums_of_products(left: Fixed, right: Fixed) -> list[int]:
@@ -131,5 +132,5 @@ def _turned_back(k: list[int], force: list[int]) -> list[int]:
     ]
 
 
-def _mean_of_four(total: int, points: PointSet) -> int:
-    return rounded_quotient(4 * total * WEIGHT_ONE, int(points.weights.sum()))
+def _mean_of_four(total: int, weight: int) -> int:
+    return rounded_quotient(4 * total * WEIGHT_ONE, weight)

@@ -154,7 +154,9 @@ def rows(
     chunk: Chunk, xyz: list[NDArray[np.float32]], recording: Recording, names: list[str], offset_s: int
 ) -> list[NDArray[Any]]:
     """One array a column, in the order of the schema's names; times in UTC by the clock's offset."""
-    times = chunk.clock.times(0, len(chunk)) - offset_s * MICROSECONDS
+    times = chunk.clock.times(0, len(chunk))
+    if offset_s:
+        times = times - offset_s * MICROSECONDS
     columns: list[NDArray[Any]] = [times, *xyz]
     if "temperature" in names:
         columns.append(_temperature(chunk))
