@@ -1,7 +1,14 @@
-"""One file a format. Formats are found by listing this folder: nothing registers itself."""
+"""One file a format. Formats are found by listing this folder: nothing registers itself.
+
+Every start of the command imports all these files, for their suffixes and `sniff`. So each imports no more
+than that takes; what reads lies in a folder of the format's own (`_NAME/opening.py` and what it needs) and is
+imported by the first file that is opened.
+"""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -16,6 +23,12 @@ from accelcal_cli.core.recording import Reader
 def all_formats() -> tuple[Format, ...]:
     """Every format, by name. A module whose name starts with `_` is a helper, not a format."""
     return tuple(bound(__name__, __path__, "FORMAT"))
+
+
+def load_all() -> None:
+    """Import what reads, of every format: once, where many processes are forked to open files."""
+    for module in pkgutil.walk_packages(__path__, f"{__name__}."):
+        importlib.import_module(module.name)
 
 
 def find_format(path: Path, options: ReadOptions) -> Format:

@@ -11,6 +11,6 @@ import accelcal_cli.study.work
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import report_schema
-from accelcal_cli.readers import all_formats
+from accelcal_cli.readers import load_all
 
-READY = (pandas, accelcal_cli.study.work, all_formats(), named_optimizer(DEFAULT.optimizer), report_schema())
+READY = (pandas, accelcal_cli.study.work, load_all(), named_optimizer(DEFAULT.optimizer), report_schema())

@@ -8,7 +8,8 @@ import pytest
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.readers._layout.find import find_layout, load_layout, named_layout
+from accelcal_cli.readers._layout.find import find_layout, named_layout
+from accelcal_cli.readers._layout.load import load_layout
 from accelcal_cli.readers._layout.model import Checksum, Field, Sequence, Stamp, StartTime
 
 FULL = """

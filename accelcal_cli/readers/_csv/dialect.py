@@ -12,6 +12,7 @@ from itertools import islice
 from accelcal_cli.core.formats import HEAD_BYTES
 from accelcal_cli.readers._csv.cells import COMMA_NUMBER, POINT_NUMBER, Kind, cell_kind, column_kind
 from accelcal_cli.readers._csv.clean import COLON_FRACTION, LONG_FRACTION, SPLIT_DATE, Cleaner
+from accelcal_cli.readers._csv.text import is_text
 from accelcal_cli.readers._csv.units import is_unit_cell
 
 DELIMITERS = (",", ";", "\t", "|", " ")
@@ -82,11 +83,6 @@ def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
     """One column's cells in some lines."""
     rows = _rows(data.splitlines(keepends=True), dialect.cleaner)
     return [row[column] for row in rows if column < len(row)]
-
-
-def is_text(head: bytes) -> bool:
-    """Whether all bytes are such as text has."""
-    return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
 
 
 def _dialect_of(head: bytes, preamble: int) -> Dialect | None:

@@ -14,7 +14,8 @@ from accelcal_cli.core.plugins import bound
 from accelcal_cli.core.recording import Device
 from accelcal_cli.readers._csv import vendors
 from accelcal_cli.readers._csv.dates import ORDERS, read_date, unclear_date
-from accelcal_cli.readers._csv.dialect import BYTE_ORDER_MARK, decode, is_text
+from accelcal_cli.readers._csv.dialect import BYTE_ORDER_MARK, decode
+from accelcal_cli.readers._csv.text import is_text
 
 HEAD_LINES = 200
 DAY_US = 86_400 * MICROSECONDS

@@ -6,7 +6,7 @@ from collections.abc import Generator, Iterator
 
 import numpy as np
 
-from accelcal_cli.readers._cwa.sector import SECTOR_BYTES
+from accelcal_cli.readers._cwa.signature import SECTOR_BYTES
 from accelcal_cli.readers._pages.blocks import PagedFile, RawBlock
 from accelcal_cli.readers._stream import ByteSource
 

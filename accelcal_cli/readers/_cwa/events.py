@@ -19,7 +19,7 @@ from accelcal_cli.readers._cwa.decode import (
     SectorBlock,
 )
 from accelcal_cli.readers._cwa.links import Links
-from accelcal_cli.readers._cwa.sector import SECTOR_BYTES
+from accelcal_cli.readers._cwa.signature import SECTOR_BYTES
 from accelcal_cli.readers._pages.blocks import PagedFile, RawBlock, is_erased
 from accelcal_cli.readers._pages.pages import BadRun, bad_runs
 from accelcal_cli.readers._pages.problems import Event

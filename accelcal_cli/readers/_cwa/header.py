@@ -10,11 +10,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from accelcal_cli.core.recording import Device
-from accelcal_cli.readers._cwa.sector import MAGIC, SECTOR_BYTES, Settings, rate_of
-
-HEADER_BYTES = 1024
-HEADER_MAGIC = b"MD" + struct.pack("<H", HEADER_BYTES - 4)
-SECTOR_MAGIC = struct.pack("<I", MAGIC)
+from accelcal_cli.readers._cwa.sector import Settings, rate_of
+from accelcal_cli.readers._cwa.signature import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
 NO_DEVICE = Device()
 AX3, AX6 = "AX3", "AX6"

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SECTOR_BYTES = 512
+from accelcal_cli.readers._cwa.signature import SECTOR_MAGIC
+
 SAMPLE_BYTES = 480
-MAGIC = 0x5841 | 508 << 16
-"""The first four bytes of a data sector: the letters AX and the length of what follows."""
+MAGIC = int.from_bytes(SECTOR_MAGIC, "little")
 
 SECTOR = np.dtype(
     [

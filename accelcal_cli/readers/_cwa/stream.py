@@ -16,7 +16,8 @@ from accelcal_cli.readers._cwa.blocks import sector_blocks
 from accelcal_cli.readers._cwa.decode import SectorBlock, decode
 from accelcal_cli.readers._cwa.events import EventMaker
 from accelcal_cli.readers._cwa.links import Linker
-from accelcal_cli.readers._cwa.sector import SECTOR_BYTES, Settings
+from accelcal_cli.readers._cwa.sector import Settings
+from accelcal_cli.readers._cwa.signature import SECTOR_BYTES
 from accelcal_cli.readers._cwa.temperature import Thermometer
 from accelcal_cli.readers._cwa.times import NO_SPANS, Spans, Timeline
 from accelcal_cli.readers._pages.blocks import PagedFile, RawBlock

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from fractions import Fraction
 
 from accelcal_cli.core.recording import Device
+from accelcal_cli.readers._flash.signature import HEADER_MAGIC, PAGE_BYTES
 
-PAGE_BYTES = 512
-HEADER_MAGIC = b"\x89ACL\r\n\x1a\n"
 VERSION = 1
 FLAG_TEMPERATURE = 1
 FLAG_CLOCK_NEVER_SET = 2

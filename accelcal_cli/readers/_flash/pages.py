@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.readers._crc import crc32_pages
-from accelcal_cli.readers._flash.header import PAGE_BYTES
+from accelcal_cli.readers._flash.signature import PAGE_BYTES, PAGE_MAGIC
 from accelcal_cli.readers._pages.blocks import RawBlock, erased_pages
 from accelcal_cli.readers._pages.pages import (
     CHECKSUM,
@@ -21,7 +21,6 @@ from accelcal_cli.readers._pages.pages import (
     bad_runs,
 )
 
-PAGE_MAGIC = b"ACLP"
 SAMPLES = 80
 NOT_MEASURED = -32768
 FLAG_FRESH = 1
@@ -109,3 +108,10 @@ def first_recording_id(pages: NDArray[np.uint8]) -> int | None:
     good = sensible(fields)
     good[good] = crc32_pages(pages[good], 0, CRC_AT) == fields["crc"][good]
     return int(fields["recording_id"][good][0]) if good.any() else None
+
+
+def recording_id_in(data: bytes) -> int | None:
+    """Recording number of the first valid data page among whole pages."""
+    whole = len(data) // PAGE_BYTES
+    pages = np.frombuffer(data, np.uint8, whole * PAGE_BYTES).reshape(whole, PAGE_BYTES)
+    return first_recording_id(pages) if whole else None

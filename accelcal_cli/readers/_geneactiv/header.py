@@ -12,10 +12,10 @@ from fractions import Fraction
 
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.zones import WIDEST_OFFSET_H
-from accelcal_cli.readers._geneactiv.page import MARK, number
+from accelcal_cli.readers._geneactiv.page import number
 from accelcal_cli.readers._geneactiv.scale import Factory
+from accelcal_cli.readers._geneactiv.signature import MARK
 
-HEADER_MAGIC = b"Device Identity"
 HEADER_LIMIT = 1 << 16
 CALIBRATION = "Calibration Data"
 RESET_DATE = "2010-09-16"

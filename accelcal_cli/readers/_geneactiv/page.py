@@ -15,9 +15,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.readers._geneactiv.signature import MARK
 from accelcal_cli.readers._pages.pages import NO_TEMPERATURE
 
-MARK = b"Recorded Data"
 SAMPLES = 300
 SAMPLE_DIGITS = 12
 BODY_DIGITS = SAMPLES * SAMPLE_DIGITS

@@ -9,11 +9,11 @@ from accelcal_cli.readers._geneactiv.page import (
     BODY_DIGITS,
     HEAD,
     LONGEST_BYTES,
-    MARK,
     SAMPLE_DIGITS,
     SAMPLES,
     SHORTEST_BYTES,
 )
+from accelcal_cli.readers._geneactiv.signature import MARK
 from accelcal_cli.readers._pages.pages import GOOD, LENGTH, NO_PAGE, TEXT
 
 _BLANK = re.compile(rb"\s+")

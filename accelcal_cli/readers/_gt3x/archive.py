@@ -5,7 +5,6 @@ Source: PKWARE's APPNOTE.TXT 6.3, 4.3.7 (local headers) and 4.5.3 (sizes of 64 b
 
 from __future__ import annotations
 
-import re
 import struct
 import zipfile
 from dataclasses import dataclass
@@ -14,16 +13,14 @@ from typing import BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Problem
+from accelcal_cli.readers._gt3x.signature import ACTIVITY, INFO, LOG, MAGIC, NAMED, holds_samples
 
-INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
 WANTED = (INFO, LOG, ACTIVITY)
 STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
 ENCRYPTED = 99
 """Stands for any encryption; the method that zip files name for it."""
 
-MAGIC = b"PK\x03\x04"
 _LOCAL = struct.Struct("<4s5HIIIHH")
-_NAMED = re.compile(rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin)", re.DOTALL)
 _LONGEST_MATCH = _LOCAL.size + len(ACTIVITY)
 _END = b"PK\x05\x06"
 _LONGEST_END = 22 + 0xFFFF
@@ -77,11 +74,6 @@ class Archive:
     problems: tuple[Problem, ...] = ()
 
 
-def names_in(head: bytes) -> set[str]:
-    """Names of the parts that begin within the first bytes of a file."""
-    return {found[2].decode() for found in _NAMED.finditer(head)}
-
-
 def open_archive(path: Path) -> Archive:
     """Find the parts by the directory at the end of the file, else by the header before each.
 
@@ -114,7 +106,7 @@ def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool]:
         placed = {entry.filename: _placed(file, entry) for entry in entries}
     except _BROKEN:
         return {}, False
-    sound = all(true for _, true in placed.values()) and not placed.keys().isdisjoint((LOG, ACTIVITY))
+    sound = all(true for _, true in placed.values()) and holds_samples(set(placed))
     return {name: member for name, (member, _) in placed.items()}, sound
 
 
@@ -142,7 +134,7 @@ def by_headers(file: BinaryIO) -> dict[str, Member]:
     file.seek(0)
     while block := file.read(_SCAN_BYTES):
         base, data = base + max(0, len(data) - _LONGEST_MATCH), data[-_LONGEST_MATCH:] + block
-        for match in _NAMED.finditer(data):
+        for match in NAMED.finditer(data):
             name = match[2].decode()
             if int.from_bytes(match[1], "little") == len(name) and name not in found:
                 found[name] = _by_header(file, base + match.start(), name)

@@ -1,101 +1,160 @@
-"""What is known of a recording before its samples are read: info.txt, and the beginning of log.bin."""
+"""An open .gt3x file of either kind: what is known of the recording, and its rows."""
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 
-import numpy as np
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.readers._gt3x.archive import Archive, open_archive
+from accelcal_cli.readers._gt3x.beginning import look_inside, read_info, span_of
+from accelcal_cli.readers._gt3x.info import Info
+from accelcal_cli.readers._gt3x.old import OldFile, has_samples
+from accelcal_cli.readers._gt3x.settings import COPY_AGAIN, NO_IMU, imu_of, old_scale, primary_of
+from accelcal_cli.readers._gt3x.signature import ACTIVITY, LOG
+from accelcal_cli.readers._gt3x.stream import LogFile
 
-from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.recording import Problem
-from accelcal_cli.readers._gt3x.archive import INFO, LOG, Archive
-from accelcal_cli.readers._gt3x.framing import Batch
-from accelcal_cli.readers._gt3x.imu import ACCELEROMETER, Schema, parse_schema
-from accelcal_cli.readers._gt3x.info import Info, parse_info
-from accelcal_cli.readers._gt3x.layout import SENSOR_DATA, SENSOR_SCHEMA
-from accelcal_cli.readers._gt3x.member import MemberStream
-from accelcal_cli.readers._gt3x.page import ANY_TIME, Span
-from accelcal_cli.readers._gt3x.parameters import START_TIME, Key, in_utc, parameters_in, payloads
-from accelcal_cli.readers._gt3x.primary import DOCKED_BYTES, KINDS, samples_in
-from accelcal_cli.readers._gt3x.stream import batches
-
-INFO_BYTES = 1 << 20
-DAY_S = 86_400
-LONGEST_S = 366 * DAY_S
-NO_INFO = "info.txt is missing from the zip file"
-BAD_INFO = "info.txt in the zip file is damaged and was not used"
+IMU = "imu"
+SENSORS = ("accelerometer", IMU)
+START_SAMPLES = 1
+UNPACK = "unpack the .gz; a .gt3x is a zip file already"
+NO_START = "info.txt does not tell when the recording began: times count from its start"
 
 
-def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
-    """info.txt, and what is wrong with it; a damaged one is not used at all."""
-    member = archive.members.get(INFO)
-    if member is None:
-        return Info(), (Problem("damaged_header", NO_INFO, None, 0),)
-    try:
-        with MemberStream(archive, member) as stream:
-            data = stream.read(INFO_BYTES)
-            damaged = stream.fault is not None
-    except UnreadableError:
-        damaged = True
-    return (Info(), (Problem("damaged_header", BAD_INFO, None, 0),)) if damaged else (parse_info(data), ())
+class Gt3xReader(Reader):
+    """Streams a recording; each call of `chunks` reads the zip file from its beginning."""
+
+    def __init__(self, recording: Recording, file: LogFile | OldFile) -> None:
+        self.recording = recording
+        self._file = file
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order."""
+        return self._file.stream(chunk_samples)
 
 
-@dataclass(slots=True)
-class Beginning:
-    """What the first records of log.bin say, up to the first samples.
-
-    Attributes:
-        rate: samples that most records of the first piece with any hold; None without any.
-        first_s: second of the first samples.
-        imu: the device's second sensor recorded too.
-    """
-
-    parameters: dict[Key, int] = field(default_factory=dict)
-    utc: bool = False
-    schema: Schema | None = None
-    rate: int | None = None
-    first_s: int | None = None
-    imu: bool = False
-
-    def take(self, batch: Batch) -> None:
-        """Look at the next records."""
-        self.parameters = parameters_in(batch) | self.parameters
-        self.utc |= in_utc(batch)
-        self.imu |= bool((batch.records.kind == SENSOR_DATA).any())
-        if self.schema is None:
-            schemas = [parse_schema(data) for data in payloads(batch, SENSOR_SCHEMA)]
-            usable = [schema for schema in schemas if schema and schema.axes(ACCELEROMETER)]
-            self.schema = usable[0] if usable else None
-        self._take_samples(batch)
-
-    def _take_samples(self, batch: Batch) -> None:
-        records = batch.records
-        held = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
-        rows = samples_in(held)
-        if self.rate is None and rows.any():
-            self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
-            self.first_s = int(held.second[rows > 0][0])
-
-
-def look_inside(archive: Archive, *, imu: bool) -> Beginning:
-    """Read log.bin until there are samples, of the second sensor with its schema if that is wanted.
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a recording.
 
     Raises:
-        UnreadableError: the disk fails, or log.bin is packed in an unusual way.
+        UnreadableError: it is not of this format, or holds no samples.
+        UsageError: the rates contradict each other, or there is no such sensor.
     """
-    beginning = Beginning()
-    with MemberStream(archive, archive.members[LOG]) as stream:
-        for batch in batches(stream, ANY_TIME):
-            beginning.take(batch)
-            if beginning.imu and beginning.schema if imu else beginning.rate:
-                break
-    return beginning
+    if options.sensor not in (None, *SENSORS):
+        known = ", ".join(SENSORS)
+        raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=f"one of {known}")
+    if probe_file(path, options).compressed:
+        raise UnreadableError("is packed twice", path=path, hint=UNPACK)
+    archive = open_archive(path)
+    info, problems = read_info(archive)
+    if LOG in archive.members:
+        return open_log(archive, info, options, archive.problems + problems)
+    if ACTIVITY in archive.members:
+        return open_old(archive, info, options, archive.problems + problems)
+    raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
 
 
-def span_of(info: Info, beginning: Beginning) -> Span:
-    """Between which times records are expected."""
-    start_us = info.start_us
-    start_s = beginning.parameters.get(START_TIME) if start_us is None else start_us // 1_000_000
-    first_s = beginning.first_s if start_s is None else start_s
-    return ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
+def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
+    """Open the newer kind.
+
+    Raises:
+        UnreadableError: it holds no samples, or nothing says their scale.
+        UsageError: the rates contradict each other, or the wanted sensor did not record.
+    """
+    beginning = look_inside(archive, imu=options.sensor == IMU)
+    if options.sensor == IMU:
+        known = imu_of(beginning, options, archive.path)
+    else:
+        known = primary_of(info, beginning, options, archive.path)
+    file = LogFile(archive, archive.members[LOG], known.sensor, span_of(info, beginning), problems)
+    start_us = first_time(file)
+    recording = Recording(
+        path=archive.path,
+        format="gt3x",
+        rate_hz=agreed_rate(options, float(known.sensor.rate), archive.path),
+        lsb_per_g=known.scale.lsb_per_g,
+        total_bytes=archive.size,
+        device=info.device,
+        range_g=known.scale.range_g,
+        start_us=start_us,
+        timezone=options.timezone or ("UTC" if beginning.utc else None),
+        duration_s=lasted_s(info, start_us),
+        has_temperature=known.has_temperature,
+        gyro_dps_per_lsb=known.gyro_dps_per_lsb,
+        notes=known.notes + (() if beginning.utc else zone_note(info, options)),
+    )
+    return Gt3xReader(recording, file)
+
+
+def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
+    """Open the older kind.
+
+    Raises:
+        UnreadableError: it holds no sample, or nothing says the rate.
+        UsageError: the rates contradict each other, or the wanted sensor is not in such devices.
+    """
+    if options.sensor == IMU:
+        raise UsageError(NO_IMU, path=archive.path, hint="leave --sensor out")
+    rate = old_rate(info, options, archive.path)
+    if info.start_us is None:
+        problems += (Problem("no_start_time", NO_START, None, 0),)
+    file = OldFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
+    if not has_samples(file):
+        raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
+    scale = old_scale(info)
+    recording = Recording(
+        path=archive.path,
+        format="gt3x",
+        rate_hz=agreed_rate(options, float(rate), archive.path),
+        lsb_per_g=options.lsb_per_g or scale.lsb_per_g,
+        total_bytes=archive.size,
+        device=info.device,
+        range_g=scale.range_g,
+        start_us=info.start_us,
+        timezone=options.timezone,
+        samples=file.samples,
+        duration_s=None if file.samples is None else file.samples / rate,
+        notes=zone_note(info, options),
+    )
+    return Gt3xReader(recording, file)
+
+
+def old_rate(info: Info, options: ReadOptions, path: Path) -> int:
+    """Samples in a second of the older kind, which only info.txt tells."""
+    rate = info.rate_hz or options.rate_hz
+    if rate is None or rate != int(rate):
+        raise UnreadableError(
+            "does not say its rate: info.txt is missing or damaged", path=path, hint="give --rate, such as 30"
+        )
+    return int(rate)
+
+
+def first_time(file: LogFile) -> int:
+    """Time of the first sample [us], as `chunks` gives it.
+
+    Raises:
+        UnreadableError: there is no sample.
+    """
+    with closing(file.stream(START_SAMPLES)) as chunks:
+        for chunk in chunks:
+            if len(chunk):
+                return int(chunk.clock.times(0, 1)[0])
+    raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=COPY_AGAIN)
+
+
+def lasted_s(info: Info, start_us: int) -> float | None:
+    """Length by the time of the last sample in info.txt, None where it makes no sense."""
+    if info.last_us is None or info.last_us <= start_us:
+        return None
+    return (info.last_us - start_us) / MICROSECONDS
+
+
+def zone_note(info: Info, options: ReadOptions) -> tuple[str, ...]:
+    """How to make the local times those of a zone."""
+    if info.zone is None or options.timezone is not None:
+        return ()
+    return (f"the clock shows local time, {info.zone} from UTC at the start (--timezone {info.zone})",)

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.readers._gt3x.beginning import Beginning
 from accelcal_cli.readers._gt3x.imu import ACCELEROMETER, GYROSCOPE, TEMPERATURE, Imu
 from accelcal_cli.readers._gt3x.info import Info
-from accelcal_cli.readers._gt3x.opening import Beginning
 from accelcal_cli.readers._gt3x.parameters import (
     ACCEL_SCALE,
     IMU_TEMPERATURE_OFFSET,

@@ -1,0 +1,66 @@
+"""What a run imports: no more than the one format and the outputs that it is about."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.readers import all_formats
+from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
+
+READERS = "accelcal_cli.readers."
+SHARED = {"_crc", "_pages", "_stream"}
+OWN = {"opal": {"_hdf5"}, "raw": {"_raw", "_layout"}}
+"""Where the helpers of a format lie, if not in the folder of its name."""
+
+
+@cache
+def imported(code: str) -> frozenset[str]:
+    """All modules that are there after running code in a process of its own."""
+    code += "\nimport json, sys; print('\\n' + json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return frozenset(json.loads(done.stdout.splitlines()[-1]))
+
+
+def calibrating(path: Path, *words: str) -> frozenset[str]:
+    words = ("calibrate", str(path), "-d", str(path.parent / "out"), "-q", *words)
+    found = imported(
+        "from accelcal_cli.cli.main import cli\n"
+        f"assert cli.main({list(words)!r}, 'accelcal', standalone_mode=False) == 0"
+    )
+    assert list((path.parent / "out").glob("*.json"))
+    return found
+
+
+def listing() -> frozenset[str]:
+    return imported("from accelcal_cli.readers import all_formats; all_formats()")
+
+
+def helpers(modules: frozenset[str]) -> set[str]:
+    """The helpers of `readers`, by file or folder."""
+    names = {name.removeprefix(READERS).split(".")[0] for name in modules if name.startswith(READERS)}
+    return {name for name in names if name.startswith("_")}
+
+
+def test_listing_the_formats_imports_nothing_that_reads() -> None:
+    found = listing()
+    assert {READERS + item.name for item in all_formats()} <= found
+    assert not {name for name in found if name.startswith(READERS) and name.endswith(".opening")}
+    assert not found & {"zipfile", "tomllib", "csv", "pyarrow", READERS + "_pages", READERS + "_stream"}
+
+
+@pytest.mark.parametrize("name", [item.name for item in all_formats()])
+def test_calibrating_imports_what_reads_this_format_alone(name: str, tmp_path: Path) -> None:
+    maker = importlib.import_module(f"tests.readers.make_{name}")
+    made = maker.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
+    sensor = made.options.sensor
+    words = () if sensor is None else ("--sensor", sensor)
+    more = helpers(calibrating(made.path, "--report-only", *words) - listing())
+    assert more - SHARED <= OWN.get(name, {f"_{name}"})
