@@ -7,8 +7,6 @@ import io
 import os
 import signal
 import sys
-import tempfile
-import traceback
 from collections.abc import Callable
 from types import FrameType
 from typing import Any
@@ -99,6 +97,8 @@ def say(message: str) -> None:
 
 def report_bug() -> int:
     """Keep the traceback of the current exception in a file, and say where."""
+    import traceback
+
     kind, value, _ = sys.exc_info()
     name = "error" if kind is None else kind.__name__
     text = " ".join(f"{name}: {value}".split())
@@ -108,6 +108,8 @@ def report_bug() -> int:
 
 def keep_trace(text: str) -> str:
     """Write a traceback into a temporary file; returns its name."""
+    import tempfile  # here and above: a run without a bug need not wait for them
+
     with tempfile.NamedTemporaryFile(
         "w", prefix="accelcal-bug-", suffix=".txt", delete=False, encoding="utf-8"
     ) as file:

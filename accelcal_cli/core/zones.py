@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+from datetime import UTC, datetime, timedelta, tzinfo
 
 from accelcal_cli.core.errors import UsageError
 
@@ -39,6 +38,8 @@ def utc_offset_s(zone: str | None, start_us: int) -> int | None:
     if fixed is not None and int(fixed[2]) <= WIDEST_OFFSET_H and int(fixed[3] or 0) < 60:
         seconds = int(fixed[2]) * 3600 + int(fixed[3] or 0) * 60
         return -seconds if fixed[1] == "-" else seconds
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # few recordings name a region and place
+
     try:
         if "/" not in zone:
             raise ZoneInfoNotFoundError(zone)
@@ -85,6 +86,8 @@ def zone_change(zone: str | None, start_us: int, end_us: int) -> ZoneChange | No
     """
     if zone is None or "/" not in zone:
         return None
+    from zoneinfo import ZoneInfo
+
     try:
         before_s = utc_offset_s(zone, start_us) or 0
         low_s = start_us // MICROSECONDS - before_s
@@ -101,7 +104,7 @@ def zone_change(zone: str | None, start_us: int, end_us: int) -> ZoneChange | No
     return None
 
 
-def _first_other(place: ZoneInfo, low_s: int, high_s: int, offset_s: int) -> int:
+def _first_other(place: tzinfo, low_s: int, high_s: int, offset_s: int) -> int:
     """The first second with another offset, between one that has it and one that has not."""
     while high_s - low_s > 1:
         middle = (low_s + high_s) // 2
@@ -109,7 +112,7 @@ def _first_other(place: ZoneInfo, low_s: int, high_s: int, offset_s: int) -> int
     return high_s
 
 
-def _offset_at(place: ZoneInfo, utc_s: int) -> int:
+def _offset_at(place: tzinfo, utc_s: int) -> int:
     offset = datetime.fromtimestamp(utc_s, place).utcoffset()
     return 0 if offset is None else round(offset.total_seconds())
 

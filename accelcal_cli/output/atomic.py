@@ -6,7 +6,6 @@ import contextlib
 import errno
 import hashlib
 import os
-import secrets
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -84,7 +83,7 @@ def _name_beside(path: Path) -> Path:
         sweep(path)
     except OSError as error:
         raise output_error(error, path) from error
-    return path.with_name(f"{_start(path, owner())}{secrets.token_hex(6)}.tmp")
+    return path.with_name(f"{_start(path, owner())}{os.urandom(6).hex()}.tmp")
 
 
 def owner() -> str:

@@ -19,14 +19,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output.atomic import output_error
 from accelcal_cli.output.behind import Behind
+from accelcal_cli.output.parquet_metadata import METADATA_KEY
 
 ROW_GROUP_ROWS = 1 << 20
 WRITE_BATCH_ROWS = 1 << 16
 PORTION_BYTES = 1 << 20
-METADATA_KEY = b"accelcal"
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,35 +190,3 @@ def _opened(path: Path, threads: int) -> pa.NativeFile:
     """A new file; what is encoded gathers first, since every portion takes Python's lock."""
     file = path.open("wb")
     return pa.BufferedOutputStream(pa.PythonFile(Behind(file) if threads > 1 else file, "w"), PORTION_BYTES)
-
-
-def metadata_of(path: Path) -> dict[str, Any]:
-    """What a Parquet file of ours says of itself; empty for any other file, or none."""
-    try:
-        if not path.is_file():
-            return {}
-        with path.open("rb") as file:
-            held = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
-        metadata = json.loads(held)
-    except (OSError, ValueError, pa.ArrowException):
-        return {}
-    return metadata if isinstance(metadata, dict) else {}
-
-
-def written_by_us(path: Path) -> bool:
-    """Whether a Parquet file carries our metadata."""
-    return bool(metadata_of(path))
-
-
-def refuse_foreign(path: Path) -> None:
-    """Raise OutputError if a Parquet file exists that accelcal did not write."""
-    try:
-        there = path.exists()
-    except OSError as error:
-        raise output_error(error, path) from error
-    if there and not written_by_us(path):
-        raise OutputError(
-            "exists and was not written by accelcal",
-            path=path,
-            hint="move it away, or use --force to replace it",
-        )

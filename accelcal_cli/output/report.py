@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +177,8 @@ def dumps(report: dict[str, Any], *, pretty: bool) -> str:
 @cache
 def report_schema() -> dict[str, Any]:
     """The JSON Schema of the report."""
+    from importlib import resources  # only what is there already is held against it
+
     text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema
@@ -197,6 +198,8 @@ def load(path: Path) -> dict[str, Any] | None:
 def load_report(path: Path) -> dict[str, Any] | None:
     """A report of ours that says whose it is, or None where the file is anything else."""
     report, needed = load(path), ("path", "sha256", "bytes")
+    if report is None:
+        return None
     known = report_schema()["properties"]["recording"]["properties"]
     asked = {"type": "object", "required": needed, "properties": {name: known[name] for name in needed}}
-    return report if report and fault(report.get("recording"), asked) is None else None
+    return report if fault(report.get("recording"), asked) is None else None

@@ -1,4 +1,4 @@
-"""The second pass: raw counts to calibrated values, and into Parquet."""
+"""The second pass: raw counts to calibrated values."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.output.parquet import ParquetSink
-from accelcal_cli.pipeline.ahead import ahead
 from accelcal_cli.pipeline.request import Progress
 from accelcal_cli.pipeline.survey import with_clipping
 
@@ -98,21 +96,6 @@ def applier(calibration: Calibration, lsb_per_g: float, precision_mg: float | No
     )
 
 
-@dataclass(frozen=True, slots=True)
-class Target:
-    """Where calibrated rows go.
-
-    Attributes:
-        offset_s: seconds that the device's clock is ahead of the times to write.
-        threads: how many may work at a time.
-    """
-
-    apply: Applier
-    sink: ParquetSink
-    offset_s: int
-    threads: int
-
-
 def calibrated(
     recording: Recording, chunks: Iterable[Chunk], apply: Applier, progress: Progress
 ) -> Iterator[tuple[Chunk, list[NDArray[np.float32]]]]:
@@ -122,24 +105,6 @@ def calibrated(
         if len(chunk):
             yield chunk, apply.apply(chunk)
         progress(chunk.end_byte)
-
-
-def write_calibrated(
-    recording: Recording, chunks: Iterable[Chunk], target: Target, progress: Progress
-) -> int:
-    """Write a recording's chunks calibrated.
-
-    Returns:
-        how many calibrated samples lie beyond the sensor's range.
-
-    Raises:
-        OutputError: the output cannot be written.
-    """
-    total, names = 0, target.sink.schema.names
-    for chunk, xyz in ahead(calibrated(recording, chunks, target.apply, progress), target.threads):
-        total += beyond(xyz, recording.range_g)
-        target.sink.write(rows(chunk, xyz, recording, names, target.offset_s))
-    return total
 
 
 def beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:

@@ -11,7 +11,7 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.names import printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.atomic import output_error
-from accelcal_cli.output.parquet import metadata_of, refuse_foreign, written_by_us
+from accelcal_cli.output.parquet_metadata import metadata_of, refuse_foreign, written_by_us
 from accelcal_cli.output.report import load, load_report, report_schema
 from accelcal_cli.output.schema import fault
 from accelcal_cli.pipeline.identity import sha256

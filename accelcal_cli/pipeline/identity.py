@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import shutil
-import tempfile
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -64,6 +62,9 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
     Raises:
         OutputError: there is no room for it.
     """
+    import shutil  # few runs read standard input
+    import tempfile
+
     with tempfile.TemporaryDirectory(prefix="accelcal-") as folder:
         path = Path(folder) / "stdin"
         try:

@@ -6,16 +6,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.atomic import replacing, write_text
-from accelcal_cli.output.parquet import Columns, ParquetSink
-from accelcal_cli.pipeline.applying import Applier, Target, applier, beyond, calibrated, write_calibrated
+from accelcal_cli.pipeline.applying import Applier, applier, beyond, calibrated
 from accelcal_cli.pipeline.existing import remove, remove_stale_parquet
 from accelcal_cli.pipeline.identity import Seen, same
 from accelcal_cli.pipeline.plan import Job
@@ -89,6 +86,10 @@ class Passes:
 
     def _write_parquet(self, data: reports.ReportInput) -> int:
         """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
+        # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
+        from accelcal_cli.output.parquet import ParquetSink
+        from accelcal_cli.pipeline.writing import Target, columns_of, write_calibrated
+
         facts, recording = data.facts, data.recording
         columns, threads = columns_of(data), self.request.threads
         shown, metadata = self.progress("writing", recording.total_bytes), reports.parquet_metadata(data)
@@ -119,24 +120,6 @@ class Passes:
 def writes_parquet(data: reports.ReportInput) -> bool:
     """Whether calibrated data belong to a result."""
     return data.judgement.calibration is not None and not data.settings["report_only"]
-
-
-def columns_of(data: reports.ReportInput) -> Columns:
-    """The columns of a result's Parquet file."""
-    facts, utc = data.facts, data.facts.utc_offset_s is not None
-    return Columns(facts.has_temperature, facts.has_gyroscope, utc, split_columns(data))
-
-
-def split_columns(data: reports.ReportInput) -> tuple[str, ...]:
-    """Axes whose values are finer than one count, or lie on a coarse grid whose low bytes are zero.
-
-    An axis of one count, or two, has values that come again and again; one of all three has not.
-    """
-    if data.settings["precision_mg"] is not None:
-        return ("x", "y", "z")
-    assert data.judgement.calibration is not None
-    mixed = np.count_nonzero(data.judgement.calibration.gain(), axis=1) == 3
-    return tuple(name for name, all_three in zip("xyz", mixed, strict=True) if all_three)
 
 
 def applier_of(data: reports.ReportInput) -> Applier:

@@ -7,7 +7,6 @@ import platform
 import sys
 from datetime import UTC, datetime
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from accelcal_cli.core.names import printable
@@ -28,6 +27,8 @@ def provenance(command: list[str]) -> dict[str, Any]:
 
 @cache
 def _versions() -> tuple[tuple[str, str], ...]:
+    from importlib.metadata import PackageNotFoundError, version  # only who writes a report needs it
+
     found = [("python", platform.python_version())]
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):

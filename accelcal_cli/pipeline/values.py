@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.output.document import Document
-from accelcal_cli.output.parquet import metadata_of
+from accelcal_cli.output.parquet_metadata import metadata_of
 from accelcal_cli.output.parquet_source import ParquetSource
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.applying import calibrated, rows
 from accelcal_cli.pipeline.compare import differing
-from accelcal_cli.pipeline.passes import Passes, applier_of, columns_of
+from accelcal_cli.pipeline.passes import Passes, applier_of
 from accelcal_cli.pipeline.plan import PARQUET_SUFFIX, REPORT_SUFFIX
+from accelcal_cli.pipeline.writing import columns_of
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.readers import all_formats
+from tests.readers import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
 READERS = "accelcal_cli.readers."
@@ -29,10 +30,10 @@ def imported(code: str) -> frozenset[str]:
     return frozenset(json.loads(done.stdout.splitlines()[-1]))
 
 
-def calibrating(path: Path, *words: str) -> frozenset[str]:
-    words = ("calibrate", str(path), "-d", str(path.parent / "out"), "-q", *words)
+def calibrating(path: Path, *words: str, first: str = "") -> frozenset[str]:
+    words = ("calibrate", str(path), "-d", str(path.parent / "out"), "-q", "--force", *words)
     found = imported(
-        "from accelcal_cli.cli.main import cli\n"
+        f"{first}\nfrom accelcal_cli.cli.main import cli\n"
         f"assert cli.main({list(words)!r}, 'accelcal', standalone_mode=False) == 0"
     )
     assert list((path.parent / "out").glob("*.json"))
@@ -64,3 +65,16 @@ def test_calibrating_imports_what_reads_this_format_alone(name: str, tmp_path: P
     words = () if sensor is None else ("--sensor", sensor)
     more = helpers(calibrating(made.path, "--report-only", *words) - listing())
     assert more - SHARED <= OWN.get(name, {f"_{name}"})
+
+
+def test_a_report_alone_is_written_without_pyarrow(tmp_path: Path) -> None:
+    made = make_flash.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
+    assert "pyarrow" not in calibrating(made.path, "--report-only")
+    assert "pyarrow" in calibrating(made.path)
+
+
+def test_what_workers_are_forked_from_has_all_that_a_recording_needs(tmp_path: Path) -> None:
+    made = make_flash.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
+    ready = "import accelcal_cli.study.preload, accelcal_cli.cli.calibrate, accelcal_cli.cli.main"
+    more = calibrating(made.path, first=ready) - imported(ready)
+    assert more - {"difflib"} == set()  # click looks for the nearest option to `-d`
