@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from typing import Any
 
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
 """Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
@@ -22,10 +23,21 @@ def keep_freed_memory() -> bool:
     Returns:
         whether the C library took it.
     """
-    if sys.platform != "linux":
-        return False
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is None:
-        return False
+    mallopt = _of_glibc("mallopt")
     wanted = ((MMAP_THRESHOLD, LARGEST_KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES))
-    return all(mallopt(name, value) for name, value in wanted)
+    return mallopt is not None and all(mallopt(name, value) for name, value in wanted)
+
+
+def give_back_freed_memory() -> bool:
+    """Return to the system what is kept: what comes next needs arrays of other sizes.
+
+    Returns:
+        whether there was something that could be returned.
+    """
+    trim = _of_glibc("malloc_trim")
+    return trim is not None and bool(trim(0))
+
+
+def _of_glibc(name: str) -> Any:
+    """A function that only glibc has, or None."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None

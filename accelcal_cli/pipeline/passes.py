@@ -8,6 +8,7 @@ from typing import Any
 
 from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.judgement import Judgement
+from accelcal_cli.core.memory import give_back_freed_memory
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output import report as reports
@@ -20,6 +21,10 @@ from accelcal_cli.pipeline.profiles import Method, make_method, optimizer_json
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result
 from accelcal_cli.pipeline.save import save_report, with_provenance
 from accelcal_cli.pipeline.survey import survey
+
+SURVEYED_AT_ONCE = 4
+"""Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
+threads that each take Python's lock for longer wait less for each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +51,10 @@ class Passes:
         """First pass: facts, and still windows into the method."""
         recording, request = self.reader.recording, self.request
         shown = self.progress("reading", recording.total_bytes)
-        return survey(recording, self.reader.chunks(request.chunk_samples), method, shown, request.threads)
+        chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
+        facts = survey(recording, chunks, method, shown, request.threads)
+        give_back_freed_memory()
+        return facts
 
     def found(self, method: Method, facts: Facts, judgement: Judgement, sha256: str) -> reports.ReportInput:
         """Everything the report says but what the second pass counts."""
