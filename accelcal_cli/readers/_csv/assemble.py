@@ -121,14 +121,14 @@ class Assembler:
         return [problem for log in logs for problem in log.finish()]
 
     def _fault_problems(self, rows: Rows) -> list[tuple[int, Problem]]:
-        good = rows.fault == Fault.NONE
-        sample = self.samples + np.cumsum(good) - good
-        found: list[tuple[int, Problem]] = []
-        for fault, log in self._faults.items():
-            found += log.add(Marks(rows.fault == fault, rows.row, rows.line, sample))
+        flags = [(log, rows.fault == fault) for fault, log in self._faults.items()]
         if rows.filled is not None:
-            found += self._asleep.add(Marks(rows.filled, rows.row, rows.line, sample))
-        return found
+            flags.append((self._asleep, rows.filled))
+        if not any(log.concerned(flag) for log, flag in flags):
+            return []
+        good, row = rows.fault == Fault.NONE, rows.row
+        sample = self.samples + np.cumsum(good) - good
+        return [item for log, flag in flags for item in log.add(Marks(flag, row, rows.line, sample))]
 
     def _kept(self, rows: Rows) -> _Kept:
         if not rows.fault.any():
@@ -150,7 +150,7 @@ class Assembler:
         if not len(kept.row):
             return np.empty(0, np.int64), []
         first = self._last_row < 0
-        rows = np.diff(kept.row, prepend=kept.row[0] - 1 if first else self._last_row)
+        rows = self._strides(kept)
         broken = rows > 1
         self._last_row = int(kept.row[-1])
         if kept.time_us is None or not self._stamped:
@@ -161,9 +161,18 @@ class Assembler:
         jumps = self._jumps(kept, steps, (ahead, steps < 0))
         return np.flatnonzero(broken | ahead | (steps < 0)), jumps
 
+    def _strides(self, kept: _Kept) -> NDArray[np.int64]:
+        """How many rows of the file each is after the good one before: (n,), or (1,) where all are alike."""
+        before = int(kept.row[0]) - 1 if self._last_row < 0 else self._last_row
+        if kept.keep is None and kept.row[0] == before + 1:
+            return np.ones(1, np.int64)
+        return np.diff(kept.row, prepend=before)
+
     def _jumps(
         self, kept: _Kept, steps: NDArray[np.int64], flags: tuple[NDArray[np.bool_], NDArray[np.bool_]]
     ) -> list[tuple[int, Problem]]:
+        if not any(log.concerned(flag) for flag, log in zip(flags, self._clocks, strict=True)):
+            return []
         sample = self.samples + np.arange(len(kept.row), dtype=np.int64)
         size = steps.astype(np.float64)
         found: list[tuple[int, Problem]] = []

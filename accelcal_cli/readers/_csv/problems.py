@@ -57,9 +57,13 @@ class RunLog:
         self._open: Run | None = None
         self._rest = Run(0, 0, 0.0, 0, False)
 
+    def concerned(self, flag: NDArray[np.bool_]) -> bool:
+        """Whether rows with these flags change anything."""
+        return self._open is not None or bool(flag.any())
+
     def add(self, marks: Marks) -> list[tuple[int, Problem]]:
         """Take the next rows; gives the runs that ended, each with the row that ended it."""
-        if self._open is None and not marks.flag.any():
+        if not self.concerned(marks.flag):
             return []
         done = []
         edges = np.flatnonzero(np.diff(marks.flag.astype(np.int8), prepend=np.int8(self._open is not None)))
