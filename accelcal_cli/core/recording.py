@@ -135,9 +135,13 @@ class Reader:
 
     A format subclasses this. `chunks` may be called several times; each call starts from the
     beginning, and the rows do not depend on `chunk_samples`. Problems travel with the chunks.
+
+    Attributes:
+        threads: how many may work at a time; a format may leave them unused.
     """
 
     recording: Recording
+    threads: int = 1
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, about `chunk_samples` at a time (whole pages, at least one).

@@ -45,7 +45,7 @@ def apply(
     path, donor = source or job.source, request.coefficients
     assert donor is not None
     before = seen(path)
-    with open_recording(path, request.options) as reader:
+    with open_recording(path, request.options, request.threads) as reader:
         found = link(donor, reader.recording, path, request)
         request = replace(request, settings=settings_for(donor, found, request.settings))
         calibration = applied(donor, request.settings)

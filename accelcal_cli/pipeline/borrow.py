@@ -65,7 +65,7 @@ def borrow(
     Raises:
         AccelcalError: the recording or a report cannot be read, or the outputs cannot be written.
     """
-    with open_recording(job.source, request.options) as reader:
+    with open_recording(job.source, request.options, request.threads) as reader:
         prepare(job, force=request.force)
         passes = Passes(job, request, progress, reader, job.source)
         own = _own(passes) if must_be_better else None

@@ -31,7 +31,7 @@ def calibrate(
     """
     path = source or job.source
     before = seen(path)
-    with open_recording(path, request.options) as reader:
+    with open_recording(path, request.options, request.threads) as reader:
         prepare(job, force=request.force)
         if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
             return held

@@ -126,7 +126,7 @@ def _input(found: _Fitted, left_out: Mapping[_Part, str], request: Request) -> P
 
 def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
     path = member.path
-    with open_recording(path, request.options) as reader:
+    with open_recording(path, request.options, request.threads) as reader:
         passes = Passes(Job(path, path, path), request, progress, reader, path)
         method = passes.method()
         if not isinstance(method.procedure, CellProcedure):

@@ -34,7 +34,7 @@ def apply_pool(
     Raises:
         AccelcalError: it or the pool's report cannot be read, or the outputs cannot be written.
     """
-    with open_recording(job.source, request.options) as reader:
+    with open_recording(job.source, request.options, request.threads) as reader:
         prepare(job, force=request.force)
         passes = Passes(job, request, progress, reader, job.source)
         data, held = judged(passes, document)

@@ -76,7 +76,7 @@ def _request(
 def _of_recording(
     document: Document, request: Request, recording: Path, wanted: Wanted, progress: ProgressMaker
 ) -> tuple[dict[str, Any], ParquetCheck | None]:
-    with open_recording(recording, request.options) as reader:
+    with open_recording(recording, request.options, request.threads) as reader:
         passes = Passes(Job(recording, recording, document.path), request, progress, reader, recording)
         data = passes.count_beyond(_judged(passes, request.coefficients, pool_of(document)))
         made = (passes, data) if writes_parquet(data) else None

@@ -59,14 +59,18 @@ def named_format(name: str) -> Format:
     return found or named(name, all_formats(), "format")
 
 
-def open_recording(path: Path, options: ReadOptions) -> Reader:
+def open_recording(path: Path, options: ReadOptions, threads: int = 1) -> Reader:
     """Open a recording of any format for streaming.
+
+    Args:
+        threads: how many may work at a time on reading it.
 
     Raises:
         UnreadableError, UsageError: see `find_format` and the format's own `open`.
     """
     item = find_format(path, options)
     reader = item.open(path, options)
+    reader.threads = threads
     unused = [name for name in item.ignores if getattr(options, name) is not None]
     if unused:
         words = ", ".join("--" + name.replace("_", "-") for name in unused)

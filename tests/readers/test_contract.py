@@ -85,6 +85,19 @@ def test_the_rows_do_not_depend_on_the_chunk_size(made: tuple[Format, Expected],
     assert [p for c in one for p in c.problems] == [p for c in other for p in c.problems]
 
 
+@pytest.mark.parametrize("chunk_samples", [7, 1000])
+def test_the_rows_do_not_depend_on_the_threads(made: tuple[Format, Expected], chunk_samples: int) -> None:
+    _, expected = made
+    with open_recording(expected.path, expected.options) as one:
+        alone = whole(one, chunk_samples)
+    with open_recording(expected.path, expected.options, threads=3) as several:
+        together = whole(several, chunk_samples)
+        assert several.threads == 3
+    assert (rows(alone) == rows(together)).all()
+    assert (times(alone) == times(together)).all()
+    assert [len(chunk) for chunk in alone] == [len(chunk) for chunk in together]
+
+
 def test_chunks_follow_one_another(made: tuple[Format, Expected]) -> None:
     item, expected = made
     with item.open(expected.path, expected.options) as reader:

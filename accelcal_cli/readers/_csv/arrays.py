@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 def filled(column: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
     """A chunked column of numbers of eight bytes, (n,), with `null` where a cell is empty."""
     parts = [_filled(chunk, kind, null) for chunk in column.chunks if len(chunk)]
+    if len(parts) == 1:
+        return parts[0]
     return np.concatenate(parts) if parts else np.empty(0, kind)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ class Block:
         line: number of its first line, from 1.
         lines: how many lines `data` has.
         offset: byte at which it begins, in the uncompressed stream.
+        end: byte behind its last line end.
         end_byte: how far the file on the disk has been read.
         last: nothing follows.
         broken: the compressed data ended early or is damaged.
@@ -39,14 +40,19 @@ class Block:
     line: int
     lines: int
     offset: int
+    end: int
     end_byte: int
     last: bool
     broken: bool
 
+    def without_lines(self) -> Block:
+        """Where it lies, without the memory of its lines."""
+        return replace(self, data=b"")
+
 
 def lone_block(data: bytes, line: int, offset: int) -> Block:
     """Some lines of a file, looked at by themselves."""
-    return Block(data, b"", line, count_lines(data), offset, 0, False, False)
+    return Block(data, b"", line, count_lines(data), offset, offset + len(data), 0, False, False)
 
 
 class LineFile:
@@ -62,11 +68,14 @@ class LineFile:
 
     def read(self, count: int) -> bytes:
         """At least `count` bytes, fewer only at the end of the data."""
+        return b"".join(self._pieces(count))
+
+    def _pieces(self, count: int) -> list[bytes]:
         parts: list[bytes] = []
         while count > 0 and (part := self._piece()):
             parts.append(part)
             count -= len(part)
-        return b"".join(parts)
+        return parts
 
     def _piece(self) -> bytes:
         piece = self._source.read(PIECE_BYTES)
@@ -79,11 +88,11 @@ class LineFile:
         Raises:
             UnreadableError: a line does not end within 1 MiB, or the disk fails.
         """
-        fresh = self.read(start + block_bytes)[start:]
+        fresh = [self.read(start + block_bytes)[start:]]
         tail, offset, last = b"", start, False
         while not last:
-            data, tail = _cut(tail, fresh)
-            fresh = self.read(block_bytes)
+            data, tail = _cut([tail, *fresh])
+            fresh = self._pieces(block_bytes)
             last = not fresh
             if len(tail) > LONGEST_LINE and not data:
                 raise UnreadableError(
@@ -91,19 +100,20 @@ class LineFile:
                 )
             if data or last:
                 rest, lines = tail if last else b"", count_lines(data)
-                yield Block(
-                    data, rest, line, lines, offset, self._source.disk_position(), last, self._source.broken
-                )
+                disk, broken = self._source.disk_position(), self._source.broken
+                yield Block(data, rest, line, lines, offset, offset + len(data), disk, last, broken)
                 line += lines
                 offset += len(data)
 
 
-def _cut(tail: bytes, fresh: bytes) -> tuple[bytes, bytes]:
-    """All whole lines of two pieces that follow each other, and what is left."""
-    cut = fresh.rfind(b"\n") + 1
-    if not cut:
-        return b"", tail + fresh
-    return b"".join((tail, memoryview(fresh)[:cut])), fresh[cut:]
+def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:
+    """All whole lines of pieces that follow each other, and what is left."""
+    for number in reversed(range(len(pieces))):
+        piece = pieces[number]
+        if cut := piece.rfind(b"\n") + 1:
+            whole = b"".join((*pieces[:number], memoryview(piece)[:cut]))
+            return whole, b"".join((piece[cut:], *pieces[number + 1 :]))
+    return b"", b"".join(pieces)
 
 
 def count_lines(data: bytes) -> int:

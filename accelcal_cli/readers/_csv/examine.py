@@ -14,6 +14,7 @@ from accelcal_cli.readers._csv.columns import Roles, column_name, find_roles
 from accelcal_cli.readers._csv.dated import dated
 from accelcal_cli.readers._csv.dialect import Dialect, find_dialect
 from accelcal_cli.readers._csv.rate import Pace, agreeing_pace, find_pace
+from accelcal_cli.readers._csv.rows import HOTTEST_C
 from accelcal_cli.readers._csv.sheet import Cells, Sheet
 from accelcal_cli.readers._csv.time import NO_TIME, find_time_format
 from accelcal_cli.readers._csv.units import Scale, check_unit, guess_unit, said_unit, scale_for
@@ -167,7 +168,7 @@ def _first_temperature(cells: Cells) -> float | None:
     """The first temperature in the head; None where the column is absent or empty there."""
     if cells.temperature is None:
         return None
-    known = cells.temperature[np.isfinite(cells.temperature)]
+    known = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
     return float(known[0]) if len(known) else None
 
 

@@ -16,6 +16,7 @@ from accelcal_cli.readers._csv.assemble import Assembler
 from accelcal_cli.readers._csv.blocks import Block, LineFile
 from accelcal_cli.readers._csv.examine import HEAD_BYTES, Opened, examine
 from accelcal_cli.readers._csv.fills import FillFinder
+from accelcal_cli.readers._csv.join import block_bytes, joined
 from accelcal_cli.readers._csv.last import last_time
 from accelcal_cli.readers._csv.rows import RowMaker, Rows
 from accelcal_cli.readers._csv.spread import Spreader
@@ -38,7 +39,7 @@ class CsvReader(Reader):
         assembler = self._assembler()
         notice = self._notices()
         end_byte = 0
-        for rows, block in self._settled(chunk_samples):
+        for rows, block in joined(self._settled(chunk_samples), chunk_samples):
             end_byte = block.end_byte
             for chunk in assembler.chunks(rows, end_byte, chunk_samples):
                 if len(chunk) or chunk.problems or notice:
@@ -64,11 +65,12 @@ class CsvReader(Reader):
             stages.append(Spreader(opened.pace))
         if opened.known.repeats_idle:
             stages.append(FillFinder(round(opened.pace.rate_hz)))
-        block_bytes = max(1, int(0.95 * chunk_samples * opened.line_bytes))
+        size = block_bytes(chunk_samples, opened.line_bytes)
         file = LineFile(self._path, dialect.bare_returns)
         try:
-            for block in file.blocks(dialect.offset, dialect.skipped + 1, block_bytes):
-                rows = maker.rows(block)
+            blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
+            for made, block in maker.rows(blocks, self.threads):
+                rows = made
                 for stage in stages:
                     rows = stage.add(rows, block.last)
                 yield rows, block
@@ -82,14 +84,13 @@ class CsvReader(Reader):
         return (Problem("no_start_time", text, None, 0),)
 
     def _end_problems(self, block: Block, samples: int) -> list[Problem]:
-        end = block.offset + len(block.data)
         if block.broken:
             text = "the compressed data ends early or is damaged; the rows before that were read"
-            return [Problem("truncated", text, end, samples, lost_bytes=len(block.tail))]
+            return [Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail))]
         if block.tail.strip():
             line = block.line + block.lines
             text = f"line {line}, the last one, has no end: it may be cut off and was left out"
-            return [Problem("truncated", text, end, samples, lost_bytes=len(block.tail))]
+            return [Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail))]
         return []
 
     def _refuse_mostly_unusable(self, assembler: Assembler) -> None:

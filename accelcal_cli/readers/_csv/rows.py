@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,10 +13,13 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.readers._csv.blocks import Block
 from accelcal_cli.readers._csv.sheet import Sheet
+from accelcal_cli.readers._csv.side_by_side import side_by_side
 from accelcal_cli.readers._csv.time import NO_TIME
 from accelcal_cli.readers._csv.units import Scale
 
 HOTTEST_C = 1000.0
+UNKNOWN_MC = np.iinfo(np.int32).min
+"""Stands for a temperature that only rows before can tell."""
 
 
 class Fault(IntEnum):
@@ -61,23 +65,28 @@ class Rows:
             *(None if item is None else item[start:stop] for item in self._spare),
         )
 
-    def then(self, other: Self) -> Rows:
+    def then(self, other: Rows) -> Rows:
         """These rows and the next ones of the same file."""
-        return Rows(
-            self.first_row,
-            np.concatenate((self.line, other.line)),
-            np.concatenate((self.counts, other.counts)),
-            np.concatenate((self.fault, other.fault)),
-            *(
-                None if one is None or two is None else np.concatenate((one, two))
-                for one, two in zip(self._spare, other._spare, strict=True)
-            ),
-        )
+        return joined_rows([self, other])
 
     @property
     def _spare(self) -> tuple[NDArray[Any] | None, ...]:
         """The columns that not every file has."""
         return self.time_us, self.temperature_mc, self.filled
+
+
+def joined_rows(parts: list[Rows]) -> Rows:
+    """Rows of the same file that follow each other, at least one stretch of them."""
+    if len(parts) == 1:
+        return parts[0]
+    spare = zip(*(part._spare for part in parts), strict=True)
+    return Rows(
+        parts[0].first_row,
+        np.concatenate([part.line for part in parts]),
+        np.concatenate([part.counts for part in parts]),
+        np.concatenate([part.fault for part in parts]),
+        *(None if any(item is None for item in items) else np.concatenate(items) for items in spare),
+    )
 
 
 class RowMaker:
@@ -90,24 +99,42 @@ class RowMaker:
     def __init__(self, sheet: Sheet, scale: Scale, temperature_c: float | None) -> None:
         self._sheet = sheet
         self._scale = scale
-        self._temperature_c = temperature_c
+        self._warm = temperature_c is not None
+        self._last_mc = round(1000 * (temperature_c or 0.0))
         self._next_row = 0
 
-    def rows(self, block: Block) -> Rows:
-        """The rows of the next block.
+    def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[Rows, Block]]:
+        """The rows of blocks that follow each other, and each block without its lines.
+
+        Args:
+            threads: how many may work at a time.
 
         Raises:
             UnreadableError: a line is no row of the file, or counts are not whole.
         """
+        for rows, block in side_by_side(self._parsed, blocks, threads):
+            yield self._placed(rows), block
+
+    def _placed(self, rows: Rows) -> Rows:
+        """The next rows, with their number in the file, and temperatures from before them."""
+        first, self._next_row = self._next_row, self._next_row + len(rows)
+        warmth = rows.temperature_mc
+        if warmth is not None and len(warmth):
+            np.copyto(warmth, self._last_mc, where=warmth == UNKNOWN_MC)
+            self._last_mc = int(warmth[-1])
+        return replace(rows, first_row=first)
+
+    def _parsed(self, block: Block) -> tuple[Rows, Block]:
+        """The rows of a block by themselves; does not depend on what was done before."""
         cells = self._sheet.cells(block)
         if self._scale.unit == "counts":
             self._refuse_fractions(cells.values, cells.line)
         counts, fault = self._counts(cells.values)
         if cells.time_us is not None:
             fault[cells.time_us == NO_TIME] = Fault.MISSING
-        spare = None if self._temperature_c is None else self._held(cells.temperature)
-        first, self._next_row = self._next_row, self._next_row + len(counts)
-        return Rows(first, cells.line, counts, fault, cells.time_us, spare)
+        warmth = cells.temperature if self._warm else None
+        spare = None if warmth is None else _millidegrees(warmth)
+        return Rows(0, cells.line, counts, fault, cells.time_us, spare), block.without_lines()
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         scaled = self._scale.counts(values)
@@ -118,18 +145,6 @@ class RowMaker:
             fault[np.isnan(scaled).any(axis=1)] = Fault.MISSING
             scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
         return scaled.astype(np.int32), fault
-
-    def _held(self, temperature: NDArray[np.float64] | None) -> NDArray[np.int32] | None:
-        """Every row's temperature [mC]: where a cell is empty, the last one that was measured."""
-        if temperature is None or self._temperature_c is None:
-            return None
-        known = np.concatenate(([self._temperature_c], temperature))
-        usable = np.abs(known) < HOTTEST_C
-        last = np.maximum.accumulate(np.where(usable, np.arange(len(known)), 0))
-        held = known[last]
-        self._temperature_c = float(held[-1])
-        millidegrees: NDArray[np.int32] = np.rint(held[1:] * 1000).astype(np.int32)
-        return millidegrees
 
     def _refuse_fractions(self, values: NDArray[np.float64], line: NDArray[np.int64]) -> None:
         broken = (np.rint(values) != values) & np.isfinite(values)
@@ -142,3 +157,13 @@ class RowMaker:
             line=int(line[row]),
             hint="give the unit of the values with --unit g, mg or m/s2",
         )
+
+
+def _millidegrees(temperature: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Every row's temperature [mC]: where a cell is empty, the last one that was measured, if any was."""
+    usable = np.abs(temperature) < HOTTEST_C
+    if not usable.all():
+        last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
+        temperature = np.where(last < 0, UNKNOWN_MC / 1000, temperature[last])
+    millidegrees: NDArray[np.int32] = np.rint(temperature * 1000).astype(np.int32)
+    return millidegrees
