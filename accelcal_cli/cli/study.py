@@ -30,7 +30,8 @@ from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study.find import Where
 from accelcal_cli.study.items import FAILED
 from accelcal_cli.study.plan import Study
-from accelcal_cli.study.run import preview, run
+from accelcal_cli.study.preview import preview
+from accelcal_cli.study.run import run
 from accelcal_cli.study.shard import shard
 from accelcal_cli.study.summary import Summary
 

@@ -17,6 +17,7 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline import apply, calibrate
 from accelcal_cli.pipeline.donor import Link, applied, link, need_temperature, settings_for
 from accelcal_cli.pipeline.existing import prepare
+from accelcal_cli.pipeline.identity import Seen
 from accelcal_cli.pipeline.passes import Passes
 from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result, no_progress
@@ -51,6 +52,7 @@ def borrow(
     progress: ProgressMaker = no_progress,
     *,
     must_be_better: bool,
+    before: Seen | None = None,
 ) -> Loan:
     """Apply the coefficients of the first report that stands the test.
 
@@ -61,13 +63,14 @@ def borrow(
         reports: of recordings of the same device, found with the request's settings.
         must_be_better: also less than that of the recording's own calibration, by more than the
             uncertainty.
+        before: how the recording was when its own result was found; None if that does not matter.
 
     Raises:
-        AccelcalError: the recording or a report cannot be read, or the outputs cannot be written.
+        AccelcalError: the recording or a report cannot be read, or changed; or the outputs cannot be written.
     """
     with open_recording(job.source, request.options, request.threads) as reader:
         prepare(job, force=request.force)
-        passes = Passes(job, request, progress, reader, job.source)
+        passes = Passes(job, request, progress, reader, job.source, before)
         own = _own(passes) if must_be_better else None
         reasons: list[str] = []
         for path in reports:

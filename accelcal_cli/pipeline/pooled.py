@@ -16,7 +16,7 @@ from accelcal_cli.output.document import Document, check_sections
 from accelcal_cli.output.pool_report import TAKEN, of_member
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.existing import prepare
-from accelcal_cli.pipeline.identity import hashing
+from accelcal_cli.pipeline.identity import Seen, hashing
 from accelcal_cli.pipeline.passes import Passes
 from accelcal_cli.pipeline.plan import Job
 from accelcal_cli.pipeline.request import ProgressMaker, Request, Result, no_progress
@@ -24,19 +24,27 @@ from accelcal_cli.readers import open_recording
 
 
 def apply_pool(
-    job: Job, request: Request, document: Document, progress: ProgressMaker = no_progress
+    job: Job,
+    request: Request,
+    document: Document,
+    progress: ProgressMaker = no_progress,
+    before: Seen | None = None,
 ) -> Result | str:
     """Apply a pool's coefficients to one of its recordings.
+
+    Args:
+        before: how the recording was when the pool was made; None if that does not matter.
 
     Returns:
         the result, or why the recording keeps its own: they make it worse.
 
     Raises:
-        AccelcalError: it or the pool's report cannot be read, or the outputs cannot be written.
+        AccelcalError: it or the pool's report cannot be read, or it changed; or the outputs cannot be
+            written.
     """
     with open_recording(job.source, request.options, request.threads) as reader:
         prepare(job, force=request.force)
-        passes = Passes(job, request, progress, reader, job.source)
+        passes = Passes(job, request, progress, reader, job.source, before)
         data, held = judged(passes, document)
         why = _why_not(data, document, held)
         return passes.write(data) if why is None else why

@@ -117,7 +117,8 @@ def _borrowed(task: Borrowing, told: Told) -> Answer:
     assert task.own.row is not None
     item, request, shown = task.item, task.common.request, Parts(told).stage
     poorer = task.own.row["outcome"] != Outcome.REFUSED
-    loan = borrow(item.job, request, [one.report for one in task.lenders], shown, must_be_better=poorer)
+    reports = [one.report for one in task.lenders]
+    loan = borrow(item.job, request, reports, shown, must_be_better=poorer, before=item.stamps[0])
     if loan.result is None:
         held = calibrate(item.job, request, shown)
         line = task.kept("; ".join(loan.reasons))

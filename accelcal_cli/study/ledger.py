@@ -56,6 +56,11 @@ class Ledger:
         entry = self.known(item, asked, name)
         return entry if entry is not None and self.in_place(entry) else None
 
+    def latest(self, name: str, asked: str, which: str) -> Entry | None:
+        """The last entry of a round whose outputs are there, whatever became of the file since."""
+        held = [one for one in self._entries.get((name, which), ()) if one.asked == asked and not one.failed]
+        return next((one for one in reversed(held) if self.in_place(one)), None)
+
     def in_place(self, entry: Entry) -> bool:
         """Whether the outputs that lie there are those of an entry."""
         return all(stamp(self.out / name) == found for name, found in entry.outputs)

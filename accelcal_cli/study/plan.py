@@ -79,9 +79,9 @@ class Study:
         return {**self.settings(), "pool": self.pool, "borrow": self.borrow}
 
     @property
-    def replacing(self) -> bool:
-        """Whether a recording's own result may be replaced by that of a later round."""
-        return self.pool or self.borrow
+    def replacing(self) -> tuple[str, ...]:
+        """The later rounds whose results may replace a recording's own."""
+        return ((POOLED,) if self.pool else ()) + ((BORROW,) if self.borrow else ())
 
     def asked(self) -> str:
         """A hash of settings and version: an earlier entry with another no longer stands."""
@@ -99,6 +99,7 @@ class Plan:
         waiting: recordings that are not begun.
         left_out: entries of files that are no recordings.
         late: names of all that is left for a later run, done before or not.
+        changing: of these the ones whose file is not that of the earlier result; it may be half there.
     """
 
     done: list[tuple[Item, Entry]] = field(default_factory=list)
@@ -106,6 +107,7 @@ class Plan:
     waiting: list[Item] = field(default_factory=list)
     left_out: list[Entry] = field(default_factory=list)
     late: set[str] = field(default_factory=set)
+    changing: set[str] = field(default_factory=set)
 
     def sources(self) -> list[Path]:
         """The files of all recordings."""
@@ -127,7 +129,8 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     for item in recordings:
         if study.shard.owns(item.name):
             begin = not study.collect and item.name not in found.late
-            _place(study, item, _standing(study, ledger, item), found, begin=begin)
+            names = study.replacing if item.name in found.changing else REPLACING if study.replacing else ()
+            _place(study, item, _standing(study, ledger, item, names), found, begin=begin)
     return found
 
 
@@ -138,6 +141,7 @@ def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterat
         if _left_for_later(study, now):
             found.late.add(now.name)
             item = ledger.as_it_was(now, asked)
+            found.changing |= {now.name} if item.stamps != now.stamps else set()
         entry = ledger.known(item, asked)
         if entry is not None and not entry.failed and (entry.row is not None or not study.where.include):
             recording = entry.row is not None
@@ -151,20 +155,21 @@ def _recordings(study: Study, ledger: Ledger, asked: str, found: Plan) -> Iterat
             found.left_out.append(Entry(item.name, item.stamps, asked, None))
 
 
-def _standing(study: Study, ledger: Ledger, item: Item) -> Entry | None:
-    """The entry of a recording's own result; what a later round made of it may lie in its place."""
+def _standing(study: Study, ledger: Ledger, item: Item, replacing: tuple[str, ...]) -> Entry | None:
+    """The entry of a recording's own result; what one of these rounds made of it may lie in its place."""
     asked = study.asked()
     if item.refusal is None:
         own = ledger.known(item, asked)
-        return own if own is not None and (ledger.in_place(own) or _replaced(study, ledger, item)) else None
+        there = own is not None and (ledger.in_place(own) or _replaced(ledger, item, asked, replacing))
+        return own if there else None
     code = WRONG_USE if item.source.is_file() else UNREADABLE
     said = row.failed(item, code, f"{printable(item.source)}: {item.refusal}")
     return Entry(item.name, item.stamps, asked, said, again=True)
 
 
-def _replaced(study: Study, ledger: Ledger, item: Item) -> bool:
+def _replaced(ledger: Ledger, item: Item, asked: str, replacing: tuple[str, ...]) -> bool:
     """Whether the outputs are those of a later round."""
-    later = [ledger.current(item, study.asked(), name) for name in REPLACING] if study.replacing else []
+    later = [ledger.current(item, asked, name) for name in replacing]
     return any(entry is not None and not entry.failed for entry in later)
 
 

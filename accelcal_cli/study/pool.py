@@ -13,12 +13,13 @@ from typing import Any
 from accelcal_cli.output.pool_report import Member
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline.existing import refuse_foreign_report, remove
+from accelcal_cli.pipeline.identity import same
 from accelcal_cli.pipeline.plan import REPORT_SUFFIX, Job
 from accelcal_cli.pipeline.pool import pool
 from accelcal_cli.pipeline.save import save_report, with_provenance
 from accelcal_cli.study.devices import Row, identity, pools
 from accelcal_cli.study.engine import Told
-from accelcal_cli.study.items import FAILED, Entry, Item, Standing, stamp
+from accelcal_cli.study.items import FAILED, Entry, Item, Stamp, Standing, stamp
 from accelcal_cli.study.plan import POOL, Study
 from accelcal_cli.study.rounds import Known, Round, common_of
 from accelcal_cli.study.work import Answer, Common, Parts, guarded
@@ -33,6 +34,7 @@ class Pool:
     Attributes:
         item: stands for all of them; its report is the pool's.
         names: of the members.
+        stamps: of the members' files when their own results were found.
         inputs: identities of the members' own results, by name.
     """
 
@@ -40,6 +42,7 @@ class Pool:
     common: Common
     names: tuple[str, ...]
     members: tuple[Member, ...]
+    stamps: tuple[Stamp | None, ...]
     serial: str
     inputs: tuple[str, ...]
 
@@ -83,8 +86,8 @@ def pool_of(study: Study, known: Known, names: list[str]) -> Pool:
         ((sum(one.item.size for one in held), 0),),
     )
     members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(held, rows, strict=True))
-    inputs = tuple(identity(line) for line in rows)
-    return Pool(stands_for, common_of(study), tuple(names), members, rows[0]["device_serial"], inputs)
+    stamps, inputs = tuple(one.item.stamps[0] for one in held), tuple(identity(line) for line in rows)
+    return Pool(stands_for, common_of(study), tuple(names), members, stamps, rows[0]["device_serial"], inputs)
 
 
 def _name(line: Row) -> str:
@@ -104,6 +107,8 @@ def _make_pool(task: Pool, told: Told) -> Answer:
     if not request.force:
         refuse_foreign_report(task.item.job.report)
     report = pool(task.members, request, Parts(told).stage)
+    for member, before in zip(task.members, task.stamps, strict=True):
+        same(member.path, before)
     save_report(task.item.job.report, with_provenance(report, request.command))
     return Answer(task.entry({"outcome": report["outcome"], "message": report["message"]}))
 

@@ -88,7 +88,7 @@ def pooled(task: Pooled, told: Told) -> Answer:
 
 def _pooled(task: Pooled, told: Told) -> Answer:
     item, request, shown = task.item, task.common.request, Parts(told).stage
-    found = apply_pool(item.job, request, read_document(task.report), shown)
+    found = apply_pool(item.job, request, read_document(task.report), shown, item.stamps[0])
     if isinstance(found, str):
         return _answer(task, calibrate(item.job, request, shown), task.kept(printable(found)))
     return _answer(task, found, row_of(item, task.common, found) | _instead(task, found))

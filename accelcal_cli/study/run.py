@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.study import lock, summary
-from accelcal_cli.study.borrow import BORROWING
+from accelcal_cli.study.choice import Choice, rounds
 from accelcal_cli.study.engines import threads_of
 from accelcal_cli.study.find import check
 from accelcal_cli.study.items import Entry, Item, Standing
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.own_files import refuse_foreign
 from accelcal_cli.study.plan import Plan, Study, ledger_of, plan
-from accelcal_cli.study.pool import POOLING, remove_pools
-from accelcal_cli.study.pooled import POOLED_ONES
+from accelcal_cli.study.pool import remove_pools
 from accelcal_cli.study.rounds import Known, Later, Round, Watch, answers
 from accelcal_cli.study.summary import Summary
 from accelcal_cli.study.work import Answer, Task, calibrated
@@ -69,43 +68,6 @@ def _summary(study: Study, found: Plan, course: Course) -> Summary:
     )
 
 
-def rounds(study: Study) -> tuple[Round, ...]:
-    """The rounds after that of the own results; a shard has none, since a device may have several shards."""
-    if not study.shard.whole:
-        return ()
-    return ((POOLING, POOLED_ONES) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
-
-
-def preview(study: Study) -> dict[Item, str]:
-    """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
-
-    What a later round does is decided by what is known now; nothing is locked or written.
-    """
-    ledger = ledger_of(study)
-    found = plan(study, ledger)
-    known = Known({item.name: Standing(item, entry, entry) for item, entry in found.done})
-    states = dict.fromkeys(found.todo, "todo") | dict.fromkeys(found.waiting, "waiting")
-    for one in rounds(study):
-        for task in one.tasks(study, known):
-            entry = standing_entry(study, ledger, one, task)
-            if entry is None:
-                states |= {known.standing[name].item: "todo" for name in task.names}
-            elif one.of_pools:
-                known.pools[task.item.name] = entry
-            else:
-                known.standing[task.item.name] = replace(known.standing[task.item.name], last=entry)
-    rest = {one.item: (one.last.row or {})["outcome"] for one in known.standing.values()}
-    return rest | states
-
-
-def standing_entry(study: Study, ledger: Ledger, one: Round, task: Later) -> Entry | None:
-    """What an earlier run made of a task, if it still stands."""
-    entry = ledger.current(task.item, study.asked(), one.name)
-    if entry is None or entry.again or study.request.force or (study.retry_failed and entry.failed):
-        return None
-    return entry if task.stands(entry) else None
-
-
 class Course:
     """A study under way.
 
@@ -120,10 +82,12 @@ class Course:
         self._ledger = ledger
         self._watch = watch
         self._rounds = rounds(study)
+        self._choice = Choice(study, ledger)
         self._answers: dict[str, Answer] = {}
 
     def run(self, found: Plan) -> None:
         """All rounds."""
+        self._choice.untouched |= found.changing
         for item, entry in found.done:
             self._own(item, Answer(entry, up_to_date=True))
         self._calibrate(found.todo)
@@ -133,7 +97,7 @@ class Course:
                 self._restore({task.item.name for task in tasks})
             self._later(one, tasks)
         if self._rounds:
-            self._restore(())
+            self._restore(frozenset())
             for name in sorted(self._answers):
                 self._watch.ended(self.known.standing[name].item, self._answers[name])
 
@@ -161,7 +125,7 @@ class Course:
         else:
             self._watch.ended(item, answer)
 
-    def _restore(self, concerned: Collection[str]) -> None:
+    def _restore(self, concerned: Set[str]) -> None:
         """Put own results back in place where an earlier run replaced them and this one does not.
 
         It is done once all that is replaced is known, and before others' reports are read.
@@ -170,19 +134,17 @@ class Course:
             [
                 one.item
                 for name, one in sorted(self.known.standing.items())
-                if name not in concerned and one.last is one.own and not self._ledger.in_place(one.own)
+                if name not in concerned | self._choice.untouched
+                and one.last is one.own
+                and not self._ledger.in_place(one.own)
             ]
         )
 
     def _later(self, one: Round, tasks: Sequence[Later]) -> None:
         """A later round: what stands from an earlier run, and what is to be done."""
-        todo = []
-        for task in tasks:
-            entry = standing_entry(self.study, self._ledger, one, task)
-            if entry is None:
-                todo.append(task)
-            else:
-                self._take(one, task.item, Answer(entry, up_to_date=True))
+        todo, taken = self._choice.of(one, tasks)
+        for task, entry in taken:
+            self._take(one, task.item, Answer(entry, up_to_date=True))
         for item, answer in answers(self.study, one.work, todo, self._watch):
             self._ledger.add(answer.entry)
             self._take(one, item, answer)

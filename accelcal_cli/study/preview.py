@@ -1,0 +1,32 @@
+"""What a study would do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from accelcal_cli.study.choice import Choice, rounds
+from accelcal_cli.study.items import Item, Standing
+from accelcal_cli.study.plan import Study, ledger_of, plan
+from accelcal_cli.study.rounds import Known
+
+
+def preview(study: Study) -> dict[Item, str]:
+    """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
+
+    What a later round does is decided by what is known now; nothing is locked or written.
+    """
+    ledger = ledger_of(study)
+    found = plan(study, ledger)
+    known = Known({item.name: Standing(item, entry, entry) for item, entry in found.done})
+    states = dict.fromkeys(found.todo, "todo") | dict.fromkeys(found.waiting, "waiting")
+    choice = Choice(study, ledger, found.changing)
+    for one in rounds(study):
+        todo, taken = choice.of(one, one.tasks(study, known))
+        states |= {known.standing[name].item: "todo" for task in todo for name in task.names}
+        for task, entry in taken:
+            if one.of_pools:
+                known.pools[task.item.name] = entry
+            else:
+                known.standing[task.item.name] = replace(known.standing[task.item.name], last=entry)
+    rest = {one.item: (one.last.row or {})["outcome"] for one in known.standing.values()}
+    return rest | states
