@@ -1,6 +1,7 @@
 """What was done before: one line a recording, in OUT. A memory that saves work, never the result itself.
 
-Without it, or where it does not fit, a worker looks at the outputs and hashes the recording.
+Without it, or where it does not fit, a worker looks at the outputs and hashes the recording. Each line begins
+with its checksum: what is damaged, cut short or of another make is not read.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ import contextlib
 import json
 import os
 import sys
+import zlib
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -101,14 +103,19 @@ def _key(entry: Entry) -> tuple[str, str]:
 
 
 def _line(entry: Entry) -> str:
-    return json.dumps({one.name: getattr(entry, one.name) for one in fields(entry)}) + "\n"
+    text = json.dumps({one.name: getattr(entry, one.name) for one in fields(entry)})
+    return f"{_checksum(text.encode())} {text}\n"
+
+
+def _checksum(data: bytes) -> str:
+    return f"{zlib.crc32(data):08x}"
 
 
 def _read(path: Path) -> list[Entry]:
     try:
-        with path.open(encoding="utf-8") as lines:
-            return [entry for line in lines if (entry := _parsed(line)) is not None]
-    except (OSError, UnicodeDecodeError):
+        with path.open("rb") as lines:
+            return [entry for line in lines if (entry := _parsed(line.strip())) is not None]
+    except OSError:
         return []
 
 
@@ -117,9 +124,12 @@ def _shared(row: dict[str, Any]) -> dict[str, Any]:
     return {sys.intern(name): value for name, value in row.items()}
 
 
-def _parsed(line: str) -> Entry | None:
+def _parsed(line: bytes) -> Entry | None:
+    checksum, _, text = line.partition(b" ")
+    if checksum != _checksum(text).encode():
+        return None
     try:
-        held: dict[str, Any] = json.loads(line)
+        held: dict[str, Any] = json.loads(text)
         return Entry(
             name=held["name"],
             stamps=tuple(None if one is None else (one[0], one[1]) for one in held["stamps"]),

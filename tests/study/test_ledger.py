@@ -1,0 +1,68 @@
+"""A ledger that is damaged costs what it saved, no more."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.study.ledger import Ledger
+from tests.cli.run import run, run_process
+from tests.cli.studies import results, study_folder
+
+Capture = pytest.CaptureFixture[str]
+NAMES = ("a.raw", "b.raw", "c.raw")
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("ledger")
+    study_folder(base / "in", NAMES)
+    assert run_process("study", base / "in", "-d", base / "out").code == 0
+    return base
+
+
+def changed(line: str, **said: object) -> str:
+    """A line whose content was changed by hand."""
+    return line[:9] + json.dumps(json.loads(line[9:]) | said)
+
+
+@pytest.mark.parametrize(
+    ("damage", "unchanged"),
+    [
+        (lambda line: changed(line, row={}), 2),
+        (lambda line: changed(line, name=[]), 2),
+        (lambda line: changed(line, outputs=[["a\0b", [1, 2]]]), 2),
+        (lambda line: line.replace('"calibrated"', '"calibrbted"'), 2),
+        (lambda line: line.replace('"samples": 4', '"samples": 5'), 2),
+        (lambda line: "[" * 100_000, 2),
+        (lambda line: "\udcff\0\n" + line, 3),
+        (lambda line: line[:200] + "\n" + line, 3),
+        (lambda line: "", 2),
+    ],
+)
+def test_a_damaged_line_is_not_read_and_the_others_are(
+    base: Path, tmp_path: Path, capsys: Capture, damage: Callable[[str], str], unchanged: int
+) -> None:
+    out = shutil.copytree(base / "out", tmp_path / "out")
+    lines = (out / "study.ledger").read_text().splitlines()
+    spoilt = [damage(line) if '"a.raw"' in line else line for line in lines]
+    assert spoilt != lines
+    (out / "study.ledger").write_bytes("\n".join(spoilt).encode("utf-8", "surrogateescape"))
+    ran = run(capsys, "study", base / "in", "-d", out)
+    assert (ran.code, f"{unchanged} unchanged" in ran.err) == (0, True), ran.err
+    assert results(out) == results(base / "out")
+    assert (out / "study.ledger").read_text().splitlines() == lines
+
+
+def test_a_line_is_its_checksum_and_its_json(base: Path) -> None:
+    lines = (base / "out/study.ledger").read_bytes().splitlines()
+    assert len(lines) == len(NAMES) + 1
+    for line in lines:
+        assert int(line[:8], 16) == zlib.crc32(line[9:])
+        assert json.loads(line[9:])["round"] == "own"
+    assert len(Ledger(base / "out/study.ledger")._entries) == len(lines)
