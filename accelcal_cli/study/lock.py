@@ -33,7 +33,7 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
 
     Raises:
         LockedError: a living process holds one of them, or one on another host that cannot be asked.
-        OutputError: the lock cannot be written.
+        OutputError: the lock cannot be written, or another one not be read.
     """
     me = _me()
     try:
@@ -42,12 +42,22 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
         raise output_error(error, path) from error
     try:
         for other in others():
-            if other != path and (owner := _read(other)) is not None and not _stale(other, owner):
-                raise _refusal(other, owner)
+            if other != path:
+                _check_free(other)
         yield
     finally:
         if _read(path) == me:
             path.unlink(missing_ok=True)
+
+
+def _check_free(path: Path) -> None:
+    """Raise where a living process holds a lock, or where that cannot be seen."""
+    try:
+        owner = _read(path)
+    except OSError as error:
+        raise output_error(error, path) from error
+    if owner is not None and not _stale(path, owner):
+        raise _refusal(path, owner)
 
 
 def _me() -> dict[str, Any]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.core.errors import LockedError
+from accelcal_cli.core.errors import LockedError, OutputError
 from accelcal_cli.study import lock
 from accelcal_cli.study.lock import held
 
@@ -92,6 +92,17 @@ def test_others_locks_count(tmp_path: Path, dead: int) -> None:
     assert not (tmp_path / "study.lock").exists()
     with held(tmp_path / "study.lock", lambda: (gone,)):
         pass
+
+
+def test_a_lock_that_cannot_be_read_is_said(tmp_path: Path) -> None:
+    folder = tmp_path / "study.1-of-2.lock"
+    folder.mkdir()
+    with (
+        pytest.raises(OutputError, match=r"study\.1-of-2\.lock: "),
+        held(tmp_path / "study.lock", lambda: (folder,)),
+    ):
+        pass
+    assert list(tmp_path.iterdir()) == [folder]
 
 
 def test_a_disk_without_links_is_served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
