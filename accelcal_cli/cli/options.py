@@ -14,8 +14,10 @@ from accelcal_cli.cli.within import Within
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.names import printable
 from accelcal_cli.core.settings import DEFAULT, PROFILES, STILLNESS, Settings
 from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -220,8 +222,15 @@ method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
 
 
 def read_options(values: dict[str, Any]) -> ReadOptions:
-    """What the user said about the recording; raises UsageError for a zone that does not exist."""
+    """What the user said about the recording.
+
+    Raises:
+        UsageError: a zone does not exist, or a name is not UTF-8 and could not stand in a report.
+    """
     utc_offset_s(values["timezone"], 0)
+    for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
+        if text is not None and not _utf8(text):
+            raise UsageError(f"{printable(text)!r} is not UTF-8", hint="name columns by number, or rename it")
     return ReadOptions(
         format=values["format_name"],
         rate_hz=values["rate_hz"],
@@ -234,6 +243,14 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         layout=values["layout"],
         sensor=values["sensor"],
     )
+
+
+def _utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def settings(values: dict[str, Any]) -> Settings:
@@ -250,8 +267,13 @@ def settings(values: dict[str, Any]) -> Settings:
 
 
 def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Settings:
-    """Settings with what the user said of the fit and of the place."""
+    """Settings with what the user said of the fit and of the place.
+
+    Raises:
+        UsageError: there is no such optimizer, or an altitude without a latitude.
+    """
     changed = _changed(chosen, values, ("optimizer", "model"))
+    named_optimizer(changed.optimizer)
     place = gravity(values)
     warm = changed.temperature and not values["no_temperature"]
     precision = values.get("precision_mg")

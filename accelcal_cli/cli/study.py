@@ -111,7 +111,6 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     )
     if values["shard"] and values["collect"]:
         raise UsageError("--shard does a part, --collect sums up all parts", hint="give one of them")
-    newer: datetime | None = values["newer_than"]
     if values["pool"] and request.settings.profile != DEFAULT.profile:
         raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")
     return Study(
@@ -120,7 +119,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         jobs=values["jobs"],
         timeout_s=None if values["timeout"] is None else values["timeout"] * 60,
         settle_s=values["settle"] or 0.0,
-        newer_than_s=None if newer is None else newer.timestamp(),
+        newer_than_s=_seconds(values["newer_than"]),
         retry_failed=values["retry_failed"],
         shard=shard(values["shard"]),
         collect=values["collect"],
@@ -128,6 +127,14 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         pool=values["pool"] is not None,
         borrow=values["borrow"],
     )
+
+
+def _seconds(moment: datetime | None) -> float | None:
+    """A local time in seconds since 1970; raises UsageError for one that this machine cannot place."""
+    try:
+        return None if moment is None else moment.timestamp()
+    except (ValueError, OverflowError, OSError) as error:
+        raise UsageError(f"--newer-than {moment} is a time that no clock shows") from error
 
 
 def _preview(study: Study) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import run
+from tests.cli.run import assert_one_line, run
 from tests.cli.studies import NAMES, rows, study, study_folder
 
 Capture = pytest.CaptureFixture[str]
@@ -34,6 +34,26 @@ def test_what_damage_took_too_much_of_is_refused(tmp_path: Path, capsys: Capture
     assert study(capsys, folder, "--max-damage", 0).code == 4
     assert "--max-damage" in rows(out)[0]["message"]
     assert not (out / "north/a.calibrated.parquet").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("--newer-than", "0001-01-01"),
+        ("--optimizer", "newton"),
+        ("--optimizer", "\udcff"),
+        ("--sensor", "\udcff"),
+        ("--time-column", "t\udcff"),
+        ("--columns", "x,y,\udcff"),
+    ],
+)
+def test_words_that_cannot_be_are_wrong_usage_and_nothing_is_begun(
+    tmp_path: Path, capsys: Capture, words: tuple[str, str]
+) -> None:
+    ran = study(capsys, study_folder(tmp_path / "in", NAMES[:1]), *words)
+    assert (ran.code, ran.out) == (2, "")
+    assert_one_line(ran)
+    assert not (tmp_path / "out").exists()
 
 
 def test_one_part_does_not_sum_up_all(tmp_path: Path, capsys: Capture) -> None:
