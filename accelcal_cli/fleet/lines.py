@@ -89,9 +89,10 @@ def means(held: Measured) -> list[list[Mean]]:
     values = np.where(weights > 0, held.values, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
         value = held.total(weights * values) / total
-        scatter = held.total(weights * (values - held.spread(value)) ** 2) / (number - 1)
+        freedom = _where(number - 1, number > 1)
+        scatter = held.total(weights * (values - held.spread(value)) ** 2) / freedom
         error = _inflation(scatter) / np.sqrt(total)
-    columns = (value, _where(error, number > 0), _where(scatter, number > 1))
+    columns = (value, _where(error, number > 0), scatter)
     return [[Mean(*cell) for cell in device] for device in _cells(number.astype(np.int64), *columns)]
 
 

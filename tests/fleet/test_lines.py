@@ -91,6 +91,14 @@ def test_no_device_at_all() -> None:
     assert lines(empty, 14) == means(empty) == []
 
 
+@given(st.floats(-10, 10), st.floats(1e-6, 1))
+def test_a_single_value_has_its_own_error(value: float, error: float) -> None:
+    """The mean of one may differ from it by a rounding, which is no scatter."""
+    ((single,),) = means(one([value], [error], [0]))
+    assert single[:3] == pytest.approx((1, value, error))
+    assert np.isnan(single.scatter)
+
+
 def test_means_by_hand() -> None:
     ((mean,),) = means(one([1, 3], [1, 0.5], [0, 1]))
     assert mean.value == pytest.approx((1 + 4 * 3) / 5)
