@@ -16,6 +16,7 @@ from accelcal_cli.cli import exits
 from accelcal_cli.cli.device_tables import detail, overview
 from accelcal_cli.cli.options import Positive
 from accelcal_cli.cli.tables import comma_separated
+from accelcal_cli.cli.within import Within
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.names import printable
 from accelcal_cli.fleet.document import as_json, columns, row
@@ -58,7 +59,7 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 @limits
 @click.option(
     "--reference-c",
-    type=click.FloatRange(-100, 200),
+    type=Within(-100, 200),
     metavar="C",
     help="Temperature of the offsets.  [default: the median of each device's recordings]",
 )

@@ -25,6 +25,10 @@ TEXT = (
 NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")
 ERRORS = tuple(f"se_{name}" for name in COLUMNS)
 WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
+LARGEST = 1e9
+"""Of any number in a study's table that is looked at."""
+LEAST_ERROR = 1e-12
+"""Of a parameter; they are known to 2**-29."""
 DAY_S = 86_400
 EARLIEST_DAY = 10_957.0
 """2000-01-01: before, no such device recorded; it is where clocks begin that were never set."""
@@ -109,7 +113,7 @@ def records(held: dict[str, Any], latest_day: float) -> Records:
         devices,
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         {name: [held[name][row] for row in order] for name in TEXT},
-        {name: held[name][order] for name in NUMBERS},
+        {name: _possible(held[name][order]) for name in NUMBERS},
         values,
         errors,
         np.array([days[row] for row in order], np.float64),
@@ -133,8 +137,13 @@ def _parameters(held: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]
     errors = np.stack([held[name][order] for name in ERRORS], axis=1)
     models = [held["model"][row] for row in order]
     free = np.array([_free(model) for model in models], bool).reshape(values.shape)
-    values = np.where(free & np.isfinite(values), values, nan)
-    return values, np.where(np.isfinite(values) & np.isfinite(errors) & (errors > 0), errors, nan)
+    values, errors = np.where(free, _possible(values), nan), _possible(errors)
+    return values, np.where(np.isfinite(values) & (errors >= LEAST_ERROR), errors, nan)
+
+
+def _possible(held: Floats) -> Floats:
+    """NaN for what no study writes: a damaged table has no sums of squares that overflow."""
+    return np.where(np.abs(held) <= LARGEST, held, nan)
 
 
 def _free(model: str | None) -> list[bool]:

@@ -7,12 +7,13 @@ import io
 import json
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.study.row import PARAMETERS
+from accelcal_cli.study.row import COLUMNS, PARAMETERS, TEXT, WHOLE
 from tests.cli.run import assert_one_line, run
 from tests.fleet.made import drifting, fitted, fleet, refused, start, write
 
@@ -138,6 +139,26 @@ def test_odd_names_are_shown_and_stop_nothing(tmp_path: Path, capsys: Capture) -
     assert_one_line(run(capsys, "devices", tmp_path / "no\udcff\n"), "does not exist")
 
 
+ODD = st.sampled_from([1e-300, 5e-324, 1e-160, 1e160, 1e300, -1e300, np.inf, -np.inf, np.nan, 0.0, -1.0])
+NUMBERS = [name for name in COLUMNS if name not in (*TEXT, *WHOLE)]
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
+@given(st.lists(st.tuples(st.integers(0, 99), st.sampled_from(NUMBERS), ODD), min_size=1, max_size=60))
+def test_numbers_that_cannot_be_stop_nothing(
+    tmp_path: Path, capsys: Capture, damage: list[tuple[int, str, float]]
+) -> None:
+    rows = [dict(row) for row in MIXED]
+    for number, name, value in damage:
+        rows[number % len(rows)][name] = value
+    out = write(tmp_path, rows)
+    told = run(capsys, "devices", out, "--json", "-q")
+    assert (told.code, told.err) == (0, "")
+    assert "NaN" not in told.out and "Infinity" not in told.out
+    for words in ([], ["--csv"], ["--device", "17440"], ["--device", "warm"]):
+        assert run(capsys, "devices", out, *words).code == 0
+
+
 def test_one_serial_of_two_makers_is_two_devices(tmp_path: Path, capsys: Capture) -> None:
     other = {"device_model": "GENEActiv", "format": "geneactiv"}
     ran = run(capsys, "devices", write(tmp_path, [fitted("7", 0), fitted("7", 30, **other)]))
@@ -145,7 +166,10 @@ def test_one_serial_of_two_makers_is_two_devices(tmp_path: Path, capsys: Capture
     assert run(capsys, "devices", tmp_path, "--device", "7").out.count("): good") == 2
 
 
-@pytest.mark.parametrize("words", [["--json", "--csv"], ["--drift-mg", 0], ["--drift-mg", "x"], ["extra"]])
+@pytest.mark.parametrize(
+    "words",
+    [["--json", "--csv"], ["--drift-mg", 0], ["--reference-c", "nan"], ["--drift-mg", "x"], ["extra"]],
+)
 def test_wrong_words(tmp_path: Path, capsys: Capture, words: list) -> None:
     ran = run(capsys, "devices", write(tmp_path, MIXED), *words)
     assert (ran.code, ran.out) == (2, "")
