@@ -116,7 +116,10 @@ def _span(row: Row) -> tuple[datetime, datetime] | None:
     if row["start_time"] is None:
         return None
     start = datetime.fromisoformat(row["start_time"]).replace(tzinfo=None)
-    return start, start + timedelta(seconds=row["duration_s"])
+    try:
+        return start, start + timedelta(seconds=row["duration_s"])
+    except OverflowError:
+        return None
 
 
 def identity(row: Row) -> str:

@@ -49,6 +49,13 @@ def test_ties_go_by_name_and_what_has_no_time_comes_last() -> None:
     assert asked(rows) == {"x": ["a", "b", "c"]}
 
 
+def test_a_clock_at_the_end_of_all_times_tells_none() -> None:
+    """The end of a recording that begins in the last hour of the year 9999 has no date."""
+    late = row(start_time="9999-12-31T23:30:00.000000")
+    assert asked({"x": row("refused"), "a": late, "b": at(20)}) == {"x": ["b", "a"]}
+    assert asked({"x": {**late, "outcome": "refused"}, "b": row(), "a": row()}) == {"x": ["a", "b"]}
+
+
 def test_only_the_same_device_lends() -> None:
     good = {"a": row(device_serial="B2"), "b": row(device_serial=None), "c": row(device_serial="")}
     assert asked({"x": row("refused"), **good}) == {}
