@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.output.pool_report import Member
-from accelcal_cli.output.report import load
+from accelcal_cli.output.pool_report import FORMAT, Member
+from accelcal_cli.output.report import load_report
 from accelcal_cli.pipeline.existing import refuse_foreign_report, remove
 from accelcal_cli.pipeline.identity import same
 from accelcal_cli.pipeline.plan import REPORT_SUFFIX, Job
@@ -120,8 +120,14 @@ def remove_pools(out: Path, keep: Collection[str]) -> None:
         OutputError: one cannot be removed.
     """
     for path in sorted(out.glob(f"{PREFIX}*{REPORT_SUFFIX}")):
-        if path.name.removesuffix(REPORT_SUFFIX) not in keep and "pool" in (load(path) or {}):
+        if path.name.removesuffix(REPORT_SUFFIX) not in keep and _of_a_pool(path):
             remove(path)
+
+
+def _of_a_pool(path: Path) -> bool:
+    """Whether a file is the report of a pool; a member's has a section of that name, too."""
+    report = load_report(path)
+    return report is not None and report["recording"].get("format") == FORMAT
 
 
 POOLING = Round(POOL, make_pool, pool_tasks, of_pools=True)
