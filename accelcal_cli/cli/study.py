@@ -41,7 +41,7 @@ FOLDER = click.Path(path_type=Path, readable=False)
 @click.command("study")
 @click.argument("folders", nargs=-1, required=True, type=FOLDER)
 @click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder of the outputs.")
-@click.option("--include", multiple=True, metavar="GLOB", help="Only these files, such as '*.cwa'.")
+@click.option("--include", multiple=True, metavar="GLOB", help="Begin only these files, such as '*.cwa'.")
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Not these files, such as 'pilot/*'.")
 @click.option(
     "-j", "--jobs", type=click.IntRange(1, 1024), help="Workers.  [default: as CPUs and memory allow]"

@@ -29,7 +29,7 @@ class Where:
     Attributes:
         folders: the study; each of several lies under OUT by its own name.
         out: folder of the outputs.
-        include: patterns of file names (or of paths under the folder); empty for all recordings.
+        include: patterns of file names (or of paths under the folder) of what is done now; empty for all.
         exclude: patterns of what is left out.
     """
 
@@ -83,9 +83,10 @@ def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
             folders.clear()
             continue
         for name in names:
-            below = (base / name).relative_to(folder)
-            if not _never(base / name) and _chosen(where, below.as_posix()) and _plain(base / name):
-                yield _item(where, base / name, place + below.as_posix())
+            below = (base / name).relative_to(folder).as_posix()
+            aside = bool(where.include) and not _fits(below, where.include)
+            if not _never(base / name) and not _fits(below, where.exclude) and _plain(base / name):
+                yield replace(_item(where, base / name, place + below), aside=aside)
     for error in unlisted:
         yield _unlisted(where, folder, place, error)
 
@@ -96,12 +97,14 @@ def _never(path: Path) -> bool:
     return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or of_a_study(path)
 
 
-def _chosen(where: Where, below: str) -> bool:
+def _fits(below: str, patterns: tuple[str, ...]) -> bool:
+    """Whether a path under the folder fits one of the patterns."""
+
     def fits(pattern: str) -> bool:
         text = below if "/" in pattern else below.rpartition("/")[2]
         return fnmatchcase(text.lower(), pattern.lower())
 
-    return (not where.include or any(map(fits, where.include))) and not any(map(fits, where.exclude))
+    return any(map(fits, patterns))
 
 
 def _plain(path: Path) -> bool:

@@ -26,12 +26,14 @@ class Item:
         name: its place under OUT with its full file name, `/` between folders: what it is known by.
         stamps: its own stamp, and those of the layout files that may describe it; None for none.
         refusal: why nothing can be done with it, found before any work.
+        aside: nothing is to be begun with it now, since `--include` does not name it.
     """
 
     name: str
     job: Job
     stamps: tuple[Stamp | None, ...]
     refusal: str | None = None
+    aside: bool = False
 
     @property
     def source(self) -> Path:

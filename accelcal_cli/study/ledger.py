@@ -63,6 +63,11 @@ class Ledger:
         held = [one for one in self._entries.get((name, which), ()) if one.asked == asked and not one.failed]
         return next((one for one in reversed(held) if self.in_place(one)), None)
 
+    def held(self, name: str, asked: str, rounds: Iterable[str]) -> list[Entry]:
+        """The last entry of each of these rounds, whatever became of the file and of the outputs since."""
+        last = [self._entries[name, which][-1] for which in rounds if (name, which) in self._entries]
+        return [one for one in last if one.asked == asked]
+
     def in_place(self, entry: Entry) -> bool:
         """Whether the outputs that lie there are those of an entry."""
         return all(stamp(self.out / name) == found for name, found in entry.outputs)

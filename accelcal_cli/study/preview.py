@@ -6,8 +6,9 @@ from dataclasses import replace
 
 from accelcal_cli.study.choice import Choice, rounds
 from accelcal_cli.study.items import Item, Standing
-from accelcal_cli.study.plan import Study, ledger_of, plan
+from accelcal_cli.study.plan import Study, ledger_of
 from accelcal_cli.study.rounds import Known
+from accelcal_cli.study.todo import plan
 
 
 def preview(study: Study) -> dict[Item, str]:
@@ -28,5 +29,7 @@ def preview(study: Study) -> dict[Item, str]:
                 known.pools[task.item.name] = entry
             else:
                 known.standing[task.item.name] = replace(known.standing[task.item.name], last=entry)
-    rest = {one.item: (one.last.row or {})["outcome"] for one in known.standing.values()}
+    rest = {
+        one.item: (one.last.row or {})["outcome"] for one in known.standing.values() if not one.item.aside
+    }
     return rest | states

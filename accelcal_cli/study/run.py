@@ -11,13 +11,14 @@ from accelcal_cli.study import lock, summary
 from accelcal_cli.study.choice import Choice, rounds
 from accelcal_cli.study.engines import threads_of
 from accelcal_cli.study.find import check
-from accelcal_cli.study.items import Entry, Item, Standing
+from accelcal_cli.study.items import OWN, Entry, Item, Standing
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.own_files import refuse_foreign
-from accelcal_cli.study.plan import Plan, Study, ledger_of, plan
+from accelcal_cli.study.plan import REPLACING, Study, ledger_of
 from accelcal_cli.study.pool import remove_pools
 from accelcal_cli.study.rounds import Known, Later, Round, Watch, answers
 from accelcal_cli.study.summary import Summary
+from accelcal_cli.study.todo import Plan, plan
 from accelcal_cli.study.work import Answer, Task, calibrated
 
 
@@ -42,10 +43,16 @@ def run(study: Study, watch: Watch) -> Summary:
         course.run(found)
         result = _summary(study, found, course)
         summary.write(result, study.out, base)
-        ledger.tidy([*course.entries(), *found.left_out])
-        if study.shard.whole:
+        ledger.tidy([*course.entries(), *found.left_out, *_of_waiting(study, found, ledger)])
+        if study.shard.whole and not (found.waiting or study.where.include):
             remove_pools(study.out, keep=course.known.pools)
     return result
+
+
+def _of_waiting(study: Study, found: Plan, ledger: Ledger) -> list[Entry]:
+    """What is known of recordings that are not begun: a run with other options may build on it."""
+    rounds = (OWN, *REPLACING)
+    return [entry for item in found.waiting for entry in ledger.held(item.name, study.asked(), rounds)]
 
 
 def _other_locks(study: Study) -> tuple[Path, ...]:
@@ -99,7 +106,7 @@ class Course:
         if self._rounds:
             self._restore(frozenset())
             for name in sorted(self._answers):
-                self._watch.ended(self.known.standing[name].item, self._answers[name])
+                self._tell(self.known.standing[name].item, self._answers[name])
 
     def entries(self) -> list[Entry]:
         """What is to be remembered."""
@@ -123,6 +130,11 @@ class Course:
         if self._rounds and not answer.entry.failed:
             self._answers[item.name] = answer
         else:
+            self._tell(item, answer)
+
+    def _tell(self, item: Item, answer: Answer) -> None:
+        """Of a recording that was not asked for only what is new is told."""
+        if not (item.aside and answer.up_to_date):
             self._watch.ended(item, answer)
 
     def _restore(self, concerned: Set[str]) -> None:

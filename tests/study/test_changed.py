@@ -10,10 +10,11 @@ from accelcal_cli.study.borrow import tasks as borrowing_tasks
 from accelcal_cli.study.find import Where
 from accelcal_cli.study.items import Standing
 from accelcal_cli.study.ledger import Ledger
-from accelcal_cli.study.plan import Plan, Study, plan
+from accelcal_cli.study.plan import Study
 from accelcal_cli.study.pool import make_pool, pool_tasks
 from accelcal_cli.study.pooled import pooled, pooled_tasks
 from accelcal_cli.study.rounds import Known
+from accelcal_cli.study.todo import plan
 from accelcal_cli.study.work import Task, calibrated
 from tests.devices import week
 
@@ -27,7 +28,7 @@ def told(_part: float) -> None:
 def known(folder: Path) -> tuple[Study, Known]:
     """The own results of a study, found in this process."""
     study = Study(Where((folder,), folder.parent / "out"), Request(), pool=True, borrow=True)
-    found: Plan = plan(study, Ledger(study.out / "study.ledger"))
+    found = plan(study, Ledger(study.out / "study.ledger"))
     held = Known()
     for item in found.todo:
         entry = calibrated(Task(item, study.out, study.request, study.asked()), told).entry
