@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from datetime import datetime
 from pathlib import Path
@@ -86,7 +87,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     """
     study = _study(folders, values)
     if values["dry_run"]:
-        return _preview(study)
+        return _preview(study, values)
     if (
         study.dask is None
         and study.jobs is not None
@@ -137,10 +138,14 @@ def _seconds(moment: datetime | None) -> float | None:
         raise UsageError(f"--newer-than {moment} is a time that no clock shows") from error
 
 
-def _preview(study: Study) -> int:
-    """A line for each recording: path and `todo`, `waiting`, or the outcome it has."""
-    for item, state in sorted(preview(study).items(), key=lambda pair: pair[0].name):
-        click.echo(f"{printable(item.source)}\t{state}")
+def _preview(study: Study, values: dict[str, Any]) -> int:
+    """A line for each recording: path and `todo`, `waiting`, or the outcome it has; with -q none."""
+    states = sorted((item.name, printable(item.source), state) for item, state in preview(study).items())
+    for _, path, state in states:
+        if values["as_json"]:
+            click.echo(json.dumps({"path": path, "state": state}))
+        elif not values["quiet"]:
+            click.echo(f"{path}\t{state}")
     return exits.OK
 
 

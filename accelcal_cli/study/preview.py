@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from accelcal_cli.core.errors import OutputError
 from accelcal_cli.study.choice import Choice, rounds
+from accelcal_cli.study.find import check
 from accelcal_cli.study.items import Item, Standing
 from accelcal_cli.study.plan import Study, ledger_of
 from accelcal_cli.study.rounds import Known
@@ -15,7 +17,15 @@ def preview(study: Study) -> dict[Item, str]:
     """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
     What a later round does is decided by what is known now; nothing is locked or written.
+
+    Raises:
+        UsageError: see `plan`.
+        OutputError: the output folder cannot be one.
     """
+    check(study.where)
+    there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise OutputError("cannot be made (there is a file)", path=there)
     ledger = ledger_of(study)
     found = plan(study, ledger)
     known = Known({item.name: Standing(item, entry, entry) for item, entry in found.done})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,22 @@ def test_words_that_cannot_be_are_wrong_usage_and_nothing_is_begun(
     assert (ran.code, ran.out) == (2, "")
     assert_one_line(ran)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["out", "out/below"])
+def test_a_dry_run_says_what_the_run_would_and_as_it_would(
+    tmp_path: Path, capsys: Capture, name: str
+) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    told = study(capsys, folder, "--dry-run", "--json")
+    assert [json.loads(line) for line in told.lines] == [{"path": str(folder / NAMES[0]), "state": "todo"}]
+    quiet = study(capsys, folder, "--dry-run", "-q")
+    assert (quiet.code, quiet.out, quiet.err) == (0, "", "")
+    (tmp_path / "out").write_text("a file")
+    for words in ([], ["--dry-run"]):
+        ran = run(capsys, "study", folder, "-d", tmp_path / name, *words)
+        assert (ran.code, ran.out) == (5, "")
+        assert_one_line(ran, "cannot be made")
 
 
 def test_one_part_does_not_sum_up_all(tmp_path: Path, capsys: Capture) -> None:
