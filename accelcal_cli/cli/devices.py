@@ -18,7 +18,7 @@ from accelcal_cli.cli.options import Positive
 from accelcal_cli.cli.tables import comma_separated
 from accelcal_cli.cli.within import Within
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.names import printable
+from accelcal_cli.core.names import counted, printable
 from accelcal_cli.fleet.document import as_json, columns, row
 from accelcal_cli.fleet.review import Review, review
 from accelcal_cli.fleet.rules import Rules
@@ -111,10 +111,10 @@ def _cell(value: Any) -> Any:
 def _summary(found: Review, units: tuple[Unit, ...]) -> str:
     verdicts = Counter(str(unit.verdict) for unit in units)
     counts = [f"{number} {name}" for name, number in verdicts.items()]
-    text = f"{len(units)} {'device' if len(units) == 1 else 'devices'}"
+    text = counted(len(units), "device")
     text += f": {', '.join(counts)}" if counts else ""
     records = found.records
     if records.nameless:
-        text += f"; {records.nameless} recordings name no device"
+        text += f"; {counted(records.nameless, 'recording')} without a serial number"
         text += f", {records.failed} of them failed" if records.failed else ""
     return text

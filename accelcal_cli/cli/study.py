@@ -25,7 +25,7 @@ from accelcal_cli.cli.study_watch import Told, watching
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.limits import workers
-from accelcal_cli.core.names import printable
+from accelcal_cli.core.names import counted, printable
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study.find import Where
@@ -158,14 +158,12 @@ def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -
     unfinished = study.collect and result.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in result.outcomes().items()]
-        more = {
-            "unchanged": result.up_to_date,
-            "not begun": result.waiting,
-            "no recordings": result.left_out,
-        }
+        more = {"unchanged": result.up_to_date, "not begun": result.waiting}
         counts += [f"{number} {name}" for name, number in more.items() if number]
+        counts += [counted(result.left_out, "no recording")] if result.left_out else []
         table = printable(study.out / f"{study.shard.basename}.csv")
-        exits.say(f"{len(result.rows)} recordings: {', '.join(counts)}; see {table}")
+        number = ": ".join(filter(None, [counted(len(result.rows), "recording"), ", ".join(counts)]))
+        exits.say(f"{number}; see {table}")
     if len(watch.codes) == 1 and not unfinished:
         return watch.codes[0]
     return exits.SOME_FAILED if any(watch.codes) or unfinished else exits.OK

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.judgement import Coverage, Holdout, Judgement, Outcome, Trial
+from accelcal_cli.core.names import counted
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.complete import Fitted, complete
@@ -45,7 +46,7 @@ def judge(
     label = postures(points, settings.posture_degrees) if label is None else label
     number = len(set(label.tolist()))
     if number < settings.min_postures:
-        text = f"stillness in only {_counted(number, 'posture')}, at least {settings.min_postures} are needed"
+        text = f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
     sample = Sample(points, label, temperature_blocks(points, label, settings.temperature_block_c))
     trials = try_models(Evidence(sample, seen, models), settings, fit)
@@ -78,7 +79,7 @@ def judge_paper(
         text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
         return Judgement(Outcome.REFUSED, f"{text}, profile default does not", seen, ())
     if len(control_points) < FEWEST_CONTROL_POINTS:
-        left = _counted(len(control_points), "control point")
+        left = counted(len(control_points), "control point")
         return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", seen, ())
     name = "9" if "9" in models else "6"
     try:
@@ -158,7 +159,3 @@ def _advice(seen: Coverage, settings: Settings) -> str:
 
 def _change(held: Holdout) -> str:
     return f"{held.before.mean:.1f} mg before, {held.after.mean:.2f} mg after"
-
-
-def _counted(number: int, what: str) -> str:
-    return f"{number} {what}" if number == 1 else f"{number} {what}s"

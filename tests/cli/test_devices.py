@@ -41,7 +41,7 @@ def test_a_line_a_device_those_to_service_first(tmp_path: Path, capsys: Capture)
     )
     assert lines[1].endswith("service: 3 of 3 recordings refused or borrowed (other devices: 4 %)")
     assert lines[5].split()[1:] == ["1", "1", "0", "-", "-", "2.00", "undated", "undated", "good"]
-    said = "7 devices: 2 service, 5 good; 2 recordings name no device, 1 of them failed"
+    said = "7 devices: 2 service, 5 good; 2 recordings without a serial number, 1 of them failed"
     assert ran.err == f"accelcal: {said}\n"
     assert run(capsys, "devices", tmp_path, "-q").err == ""
 
@@ -99,7 +99,7 @@ def test_one_device_in_full(tmp_path: Path, capsys: Capture) -> None:
     ("rows", "lines", "said"),
     [
         ([], 2, "0 devices"),
-        ([fitted(None, 0)], 2, "0 devices; 1 recordings name no device"),
+        ([fitted(None, 0)], 2, "0 devices; 1 recording without a serial number"),
         ([fitted("A", 0)], 3, "1 device: 1 good"),
         ([refused("A", 0)], 3, "1 device: 1 unknown"),
         ([refused(serial, day) for serial in "AB" for day in (0, 30, 60)], 4, "2 devices: 2 unknown"),

@@ -26,7 +26,7 @@ def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture)
     ran = study(capsys, folder)
     assert ran.code == 0
     assert {line.split("\t")[0] for line in ran.lines} == {str(folder / name) for name in NAMES}
-    assert ran.err == f"accelcal: 3 recordings: 3 calibrated, 1 no recordings; see {out / 'study.csv'}\n"
+    assert ran.err == f"accelcal: 3 recordings: 3 calibrated, 1 no recording; see {out / 'study.csv'}\n"
     pairs = [f"{name[:-4]}.calibrat{end}" for name in NAMES for end in ("ed.parquet", "ion.json")]
     assert set(results(out)) == {*pairs, "study.csv", "study.parquet", "study.json"}
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before

@@ -92,7 +92,7 @@ def test_what_is_still_being_copied_waits(tmp_path: Path, capsys: Capture) -> No
     os.utime(folder / NAMES[0], (hour_ago, hour_ago))
     ran = study(capsys, folder, "--settle", 600)
     assert ran.code == 0
-    assert "1 recordings: 1 calibrated, 2 not begun" in ran.err
+    assert "1 recording: 1 calibrated, 2 not begun" in ran.err
     assert "3 recordings" in study(capsys, folder, "--newer-than", "2000-01-01").err
     assert "3 unchanged" in study(capsys, folder, "--newer-than", "2100-01-01").err
 

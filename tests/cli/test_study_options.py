@@ -73,6 +73,13 @@ def test_a_dry_run_says_what_the_run_would_and_as_it_would(
         assert_one_line(ran, "cannot be made")
 
 
+def test_a_part_may_have_nothing_to_do(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    (folder / "readme.txt").unlink()
+    said = {study(capsys, folder, "--shard", f"{part}/2").err.split(";")[0] for part in (1, 2)}
+    assert said == {"accelcal: 1 recording: 1 calibrated", "accelcal: 0 recordings"}
+
+
 def test_one_part_does_not_sum_up_all(tmp_path: Path, capsys: Capture) -> None:
     folder = study_folder(tmp_path / "in", NAMES[:1])
     ran = study(capsys, folder, "--shard", "1/2", "--collect")

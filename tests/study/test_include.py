@@ -41,7 +41,7 @@ def test_others_keep_their_rows_and_are_remembered(here: Path, capsys: Capture) 
     ran = run_study(capsys, here / "in", "--include", "a.raw")
     assert (ran.code, [line.split("\t")[0] for line in ran.lines]) == (0, [str(here / "in/north/a.raw")])
     assert ran.err.startswith(
-        "accelcal: 4 recordings: 3 calibrated, 1 failed, 4 unchanged, 1 no recordings; see "
+        "accelcal: 4 recordings: 3 calibrated, 1 failed, 4 unchanged, 1 no recording; see "
     )
     assert results(here / "out") == before
     assert "4 unchanged" in run_study(capsys, here / "in").err
