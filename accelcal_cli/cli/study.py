@@ -35,6 +35,7 @@ from accelcal_cli.study.preview import preview
 from accelcal_cli.study.run import run
 from accelcal_cli.study.shard import shard
 from accelcal_cli.study.summary import Summary
+from accelcal_cli.study.todo import overlooked
 
 FOLDER = click.Path(path_type=Path, readable=False)
 
@@ -86,6 +87,8 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     does; with -q nothing unless something failed.
     """
     study = _study(folders, values)
+    if not values["quiet"] and (number := overlooked(study)):
+        exits.say(f"left out, since below {printable(study.out)}: {counted(number, 'recording')}")
     if values["dry_run"]:
         return _preview(study, values)
     if (

@@ -49,6 +49,24 @@ def files(where: Where) -> list[Item]:
     return sorted(found, key=lambda item: item.name)
 
 
+def below_out(where: Where) -> list[Item]:
+    """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
+    found, every = [], replace(where, include=(), exclude=())
+    for folder, place in _places(where):
+        if real(folder) in real(where.out).parents and where.out.is_dir():
+            way = real(where.out).relative_to(real(folder))
+            found += [
+                item
+                for item in _folder(every, folder / way, f"{place}{way.as_posix()}/")
+                if _wanted(where, item.name.removeprefix(place))
+            ]
+    return found
+
+
+def _wanted(where: Where, below: str) -> bool:
+    return not _fits(below, where.exclude) and (not where.include or _fits(below, where.include))
+
+
 def check(where: Where) -> None:
     """Raise what `files` would raise of the folders."""
     _places(where)

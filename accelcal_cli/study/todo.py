@@ -9,7 +9,7 @@ from pathlib import Path
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.names import printable
 from accelcal_cli.study import row
-from accelcal_cli.study.find import files, is_recording, without_collisions
+from accelcal_cli.study.find import below_out, files, is_recording, without_collisions
 from accelcal_cli.study.items import Entry, Item
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import REPLACING, Study
@@ -135,6 +135,16 @@ class _Looking:
             rounds = REPLACING
         later = [self.ledger.current(item, self.asked, name) for name in rounds]
         return any(entry is not None and not entry.failed for entry in later)
+
+
+def overlooked(study: Study) -> int:
+    """How many recordings are no part of the study because they lie below OUT.
+
+    Raises:
+        UsageError: a folder is none.
+    """
+    options = study.request.options
+    return sum(is_recording(item, options, asked_for=False) for item in below_out(study.where))
 
 
 def _left_for_later(study: Study, item: Item) -> bool:
