@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from accelcal_cli.core.points import PointSet
-from accelcal_cli.judge.damage import damage_verdict
+from accelcal_cli.judge.damage import advised, damage_verdict
 from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.output.integers import integers_json
 from accelcal_cli.output.report import ReportInput
@@ -47,6 +47,7 @@ def judged(passes: Passes) -> tuple[ReportInput, PointSet]:
     with hashing(passes.bytes_at) as digest:
         facts = passes.survey(method)
         points = method.procedure.points()
-        verdict = damage_verdict(facts, settings.max_damage_percent, coverage(points))
-        data = passes.found(method, facts, verdict or method.procedure.judge(how), digest.result())
+        spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(points))
+        verdict = spoiled or advised(method.procedure.judge(how), facts)
+        data = passes.found(method, facts, verdict, digest.result())
     return data, points

@@ -18,7 +18,7 @@ from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.windows import WindowCounts
 from accelcal_cli.core.zones import iso_time, zone_change
-from accelcal_cli.judge.damage import damage_verdict
+from accelcal_cli.judge.damage import advised, damage_verdict
 from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.output.sections import clock_json, damage_json, holdout_json, notes_json, problem_json
 from accelcal_cli.pipeline.profiles import fitting, make_method
@@ -58,7 +58,7 @@ def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool)
         facts = survey(recording, pieces, method, lambda _end_byte: None)
     whole = full or facts.samples == recording.samples
     spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.points()))
-    guess = spoiled or method.procedure.judge(how)
+    guess = spoiled or advised(method.procedure.judge(how), facts)
     return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, guess, whole)
 
 

@@ -12,6 +12,7 @@ from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run, verify
 from tests.readers import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
+from tests.study.mixture import simulated
 
 Capture = pytest.CaptureFixture[str]
 
@@ -82,3 +83,21 @@ def test_inspect_predicts_it(tmp_path: Path, capsys: Capture) -> None:
     assert ran.code == 0
     assert "prediction   refused" in ran.out
     assert "--max-damage" in ran.out
+
+
+@pytest.mark.parametrize("kind", ["gt3x", "geneactiv", "raw"])
+def test_a_stump_is_told_to_be_copied_again_and_a_short_recording_is_not(
+    tmp_path: Path, capsys: Capture, kind: str
+) -> None:
+    """What is left of it holds too few postures, as the whole of a short one does."""
+    whole = simulated(tmp_path / "whole", kind, 1, 0.02)
+    stump = whole.with_name(f"stump{''.join(whole.suffixes)}")
+    stump.write_bytes(whole.read_bytes()[: whole.stat().st_size * 4 // 5 + 1])
+    if kind == "raw":
+        stump.with_name("stump.layout.toml").write_text(whole.with_name("whole.layout.toml").read_text())
+    for path, cut in ((whole, False), (stump, True)):
+        told = run(capsys, "calibrate", path, "--report-only")
+        assert (told.code, "record longer" in told.err) == (4, True)
+        assert ("the file is cut short: copy it again from the device, or record longer" in told.err) == cut
+        if kind == "gt3x":
+            assert ("copy it again" in run(capsys, "inspect", path).out) == cut
