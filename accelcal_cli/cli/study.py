@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -11,23 +10,14 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exits
-from accelcal_cli.cli.options import (
-    Positive,
-    damage_option,
-    method_options,
-    precision_option,
-    read_options,
-    reading_options,
-    saying_options,
-    settings,
-)
+from accelcal_cli.cli.options import Positive, precision_option
+from accelcal_cli.cli.request import calibrating_options, request_of
 from accelcal_cli.cli.study_watch import Told, watching
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.limits import workers
 from accelcal_cli.core.names import counted, printable
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.pipeline.request import Request
 from accelcal_cli.study.find import Where
 from accelcal_cli.study.items import FAILED
 from accelcal_cli.study.plan import Study
@@ -73,12 +63,7 @@ FOLDER = click.Path(path_type=Path, readable=False)
     "its device, if they prove themselves on its own stillness.",
 )
 @precision_option
-@click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
-@click.option("--integers", is_flag=True, help="Also write each fit's points and result as integers.")
-@saying_options
-@reading_options
-@damage_option
-@method_options
+@calibrating_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
     """Calibrate all recordings in each FOLDER and below, in parallel.
 
@@ -104,15 +89,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
-    request = Request(
-        options=read_options(values),
-        settings=settings(values),
-        chunk_samples=values["chunk_samples"],
-        report_only=values["report_only"],
-        integers=values["integers"],
-        force=values["force"],
-        command=("accelcal", *sys.argv[1:]),
-    )
+    request = request_of(values)
     if values["shard"] and values["collect"]:
         raise UsageError("--shard does a part, --collect sums up all parts", hint="give one of them")
     if values["pool"] and request.settings.profile != DEFAULT.profile:
