@@ -106,6 +106,41 @@ def test_an_outlying_held_out_error(tmp_path: Path) -> None:
     assert told(units(tmp_path, [*fleet(8), *(row | {"format": "csv"} for row in bad)])["bad"]) == []
 
 
+@pytest.mark.parametrize(
+    ("others", "limit"), [((1, 2, 3, 4, 5, 6), 4 + 5 * 1.4826 * 2), ((2, 2, 2, 2, 2, 2), 2 + 5 * 0.5)]
+)
+def test_what_is_usual_is_the_median_and_its_robust_deviation(
+    tmp_path: Path, others: tuple[int, ...], limit: float
+) -> None:
+    """Of seven errors, the last beyond the others: the median distance is the fourth, but at least 0.5 mg."""
+    rows = [fitted(f"{number}", 0, after_mg=float(error)) for number, error in enumerate(others)]
+    for error, found in ((limit - 0.01, []), (limit + 0.01, [("held out", False)])):
+        assert told(units(tmp_path, [*rows, fitted("x", 0, after_mg=error)])["x"]) == found
+
+
+def test_slopes_have_limits_of_level_and_drift(tmp_path: Path) -> None:
+    """5 mg/C, and 2 mg over 10 C a month; standard errors are 0.01 mg/C."""
+    rows = [
+        fitted(name, 0, {"slope_y_g_per_c": size}, model="9T")
+        for name, size in (("steep", -0.0051), ("flat", 0.0049))
+    ]
+    for name, size in (("moves", 0.00021), ("stays", 0.00019)):
+        rows += [
+            fitted(name, 30.4375 * n, {"slope_y_g_per_c": size * n - 0.001}, model="9T") for n in range(8)
+        ]
+    found = units(tmp_path, rows)
+    assert {name: told(unit) for name, unit in found.items()} == {
+        "steep": [("level", True)], "flat": [], "moves": [("drift", True)], "stays": [],
+    }  # fmt: skip
+    assert found["moves"].reasons[0].text.startswith("slope y drifts by +0.2100 +- ")
+
+
+@pytest.mark.parametrize(("lost", "reasons"), [(0.09, []), (0.1, [("damaged", True)])])
+def test_a_little_damage_is_none(tmp_path: Path, lost: float, reasons: list[tuple[str, bool]]) -> None:
+    rows = [*fleet(2), *(fitted("x", 30.0 * number, lost_percent=lost) for number in range(2))]
+    assert told(units(tmp_path, rows)["x"]) == reasons
+
+
 def test_repeated_refusals_and_damage(tmp_path: Path) -> None:
     short = [refused("short", 30.0 * number) for number in range(3)]
     rows = [*fleet(4), *short, fitted("short", 99), refused("once", 0)]

@@ -69,6 +69,12 @@ def test_a_date_that_cannot_be_is_none(start: str | None, found: float | None) -
     assert np.isnan(told) if found is None else told == found
 
 
+def test_a_start_two_days_ahead_is_another_zone_and_later_a_wrong_clock(tmp_path: Path) -> None:
+    now = NOW_S / 86_400 - (np.datetime64("2024-03-04T12") - np.datetime64(0, "s")) / np.timedelta64(1, "D")
+    held = read(write(tmp_path, [fitted("A", now + 1.99), fitted("A", now + 2.01)]), NOW_S)
+    assert np.isfinite(held.days).tolist() == [True, False]
+
+
 def test_no_table(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="does not exist; name the folder"):
         read(tmp_path, NOW_S)
