@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -115,8 +116,8 @@ def test_the_command_lines_are_understood(tmp_path: Path, capsys: pytest.Capture
         words = next(line for line in lines if line.startswith(start)).removeprefix(start).split()
         assert words[0] == "/opt/accelcal/bin/accelcal"
         here = [word.replace("/data/", f"{tmp_path}/") for word in words[1:]]
-        looked = run(capsys, *here, "--dry-run")
-        assert (looked.code, looked.out.split("\t")[1:]) == (0, ["waiting\n"])
+        looked = run(capsys, *here, "--dry-run", "--json")
+        assert (looked.code, json.loads(looked.out)["state"]) == (0, "waiting")
 
 
 def test_the_script_for_jobqueue_is_python() -> None:
