@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import run_process
-from tests.cli.studies import NAMES, results, rows, study_folder
-from tests.cli.studies import study as run_study
+from tests.cli.run import run, run_process
+from tests.cli.studies import NAMES, results, rows, study, study_folder
 from tests.devices import week
 from tests.recordings import directions, still_counts, write_raw
-from tests.study.pooling import study
 
+POOL = ("--pool", "device")
 Capture = pytest.CaptureFixture[str]
 
 
@@ -38,23 +37,23 @@ def paths(here: Path) -> list[str]:
 
 def test_others_keep_their_rows_and_are_remembered(here: Path, capsys: Capture) -> None:
     before = results(here / "out")
-    ran = run_study(capsys, here / "in", "--include", "a.raw")
+    ran = study(capsys, here / "in", "--include", "a.raw")
     assert (ran.code, [line.split("\t")[0] for line in ran.lines]) == (0, [str(here / "in/north/a.raw")])
     assert ran.err.startswith(
         "accelcal: 4 recordings: 3 calibrated, 1 failed, 4 unchanged, 1 no recording; see "
     )
     assert results(here / "out") == before
-    assert "4 unchanged" in run_study(capsys, here / "in").err
-    listed = run_study(capsys, here / "in", "--include", "a.raw", "--dry-run").lines
+    assert "4 unchanged" in study(capsys, here / "in").err
+    listed = study(capsys, here / "in", "--include", "a.raw", "--dry-run").lines
     assert listed == [f"{here / 'in/north/a.raw'}\tcalibrated"]
 
 
 def test_a_changed_one_waits_until_it_is_asked_for(here: Path, capsys: Capture) -> None:
     before = results(here / "out")
     write_raw(here / "in" / NAMES[1], still_counts(directions(60), seed=9))
-    run_study(capsys, here / "in", "--include", "a.raw")
+    study(capsys, here / "in", "--include", "a.raw")
     assert results(here / "out") == before
-    run_study(capsys, here / "in", "--include", "b.raw")
+    study(capsys, here / "in", "--include", "b.raw")
     assert results(here / "out") != before
     assert paths(here) == [*NAMES, "zeros.cwa"]
 
@@ -62,53 +61,52 @@ def test_a_changed_one_waits_until_it_is_asked_for(here: Path, capsys: Capture) 
 def test_a_study_may_be_done_in_steps(here: Path, capsys: Capture) -> None:
     shutil.rmtree(here / "out")
     for name, done in zip(("a.raw", "b.raw"), (NAMES[:1], NAMES[:2]), strict=True):
-        assert run_study(capsys, here / "in", "--include", name).code == 0
+        assert study(capsys, here / "in", "--include", name).code == 0
         assert paths(here) == list(done)
-    run_study(capsys, here / "in")
+    study(capsys, here / "in")
     steps = results(here / "out")
     shutil.rmtree(here / "out")
-    run_study(capsys, here / "in")
+    study(capsys, here / "in")
     assert results(here / "out") == steps
 
 
 def test_what_is_excluded_gone_or_of_other_settings_has_no_row(here: Path, capsys: Capture) -> None:
     (here / "in" / NAMES[2]).unlink()
-    run_study(capsys, here / "in", "--include", "a.raw", "--exclude", "*.cwa")
+    study(capsys, here / "in", "--include", "a.raw", "--exclude", "*.cwa")
     assert paths(here) == list(NAMES[:2])
-    run_study(capsys, here / "in", "--include", "a.raw", "--model", 6)
+    study(capsys, here / "in", "--include", "a.raw", "--model", 6)
     assert paths(here) == [NAMES[0]]
 
 
-def test_a_pool_stays_whole(tmp_path: Path) -> None:
+def test_a_pool_stays_whole(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "in").mkdir()
     for number, name in enumerate(("one", "two", "three")):
         week(tmp_path / f"in/{name}.raw", poses=12, seed=number)
     week(tmp_path / "in/other.raw", serial="B2")
-    study(tmp_path)
+    study(capsys, tmp_path / "in", *POOL)
     before = results(tmp_path / "out")
-    assert "4 unchanged" in study(tmp_path, "--include", "other.raw").err
+    assert "4 unchanged" in study(capsys, tmp_path / "in", *POOL, "--include", "other.raw").err
     assert results(tmp_path / "out") == before
     week(tmp_path / "in/four.raw", poses=12, seed=4)
-    more = study(tmp_path, "--include", "four.raw")
+    more = study(capsys, tmp_path / "in", *POOL, "--include", "four.raw")
     assert len(more.lines) == 4, "the members of the new pool, but not the other device"
-    study(tmp_path, out="at once")
+    run(capsys, "study", tmp_path / "in", "-d", tmp_path / "at once", *POOL)
     assert results(tmp_path / "out") == results(tmp_path / "at once")
 
 
-def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Path) -> None:
+def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Path, capsys: Capture) -> None:
     """What a plain `--collect` cannot tell of is still known to the next one."""
     (tmp_path / "in").mkdir()
     for name, poses in (("long", 40), ("short", 3)):
         week(tmp_path / f"in/{name}.raw", poses=poses, seed=poses)
     for number in (1, 2):
-        study(tmp_path, "--shard", f"{number}/2", pool=False)
-    assert study(tmp_path, "--collect", "--borrow", pool=False).code == 0
-    for _ in range(2):
-        ran = study(tmp_path, "--collect", pool=False)
-        assert (ran.code, "1 not begun" in ran.err) == (1, True)
-    pooled = study(tmp_path, "--collect")
+        study(capsys, tmp_path / "in", "--shard", f"{number}/2")
+    assert study(capsys, tmp_path / "in", "--collect", "--borrow").code == 0
+    ran = study(capsys, tmp_path / "in", "--collect")
+    assert (ran.code, "1 not begun" in ran.err) == (1, True)
+    pooled = study(capsys, tmp_path / "in", *POOL, "--collect")
     assert pooled.err.startswith("accelcal: 2 recordings: 2 calibrated;")
-    ran = study(tmp_path, "--collect", pool=False)
+    ran = study(capsys, tmp_path / "in", "--collect")
     assert "2 not begun" in ran.err
     assert list((tmp_path / "out").glob("study.pool.*")), "both were made with it"
-    assert "2 unchanged" in study(tmp_path, "--collect").err
+    assert "2 unchanged" in study(capsys, tmp_path / "in", *POOL, "--collect").err
