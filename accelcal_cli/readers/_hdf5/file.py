@@ -13,12 +13,10 @@ import h5py
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.formats import GZIP_MAGIC, Probe
+from accelcal_cli.core.formats import GZIP_MAGIC
 from accelcal_cli.readers._hdf5.bytes import SoundBytes
 from accelcal_cli.readers._hdf5.memory import bounded_memory
 
-SIGNATURE = b"\x89HDF\r\n\x1a\n"
-FIRST_USER_BLOCK = 512
 LARGEST_ATTRIBUTE = 1 << 16
 
 # h5py maps the failures of the HDF5 library to almost any of Python's own kinds.
@@ -33,21 +31,6 @@ H5PY_ERRORS = (
     MemoryError,
     SystemError,
 )
-
-
-def has_signature(head: bytes) -> bool:
-    """Whether HDF5's signature stands at byte 0, 512, 1024, 2048, ... (HDF5 File Format, II.A)."""
-    offset = 0
-    while offset < len(head):
-        if head.startswith(SIGNATURE, offset):
-            return True
-        offset = offset * 2 or FIRST_USER_BLOCK
-    return False
-
-
-def sniff_hdf5(probe: Probe) -> int:
-    """90 for the signature; a more special format of HDF5 files may claim more."""
-    return 90 if has_signature(probe.head) else 0
 
 
 @contextmanager
