@@ -10,9 +10,9 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.readers._hdf5.file import H5PY_ERRORS, Attributes, attributes_of
 from accelcal_cli.readers._hdf5.find import Group, find_gyro, find_temperature
 from accelcal_cli.readers._hdf5.plan import Source, first_temperature, is_readable
-from accelcal_cli.readers._hdf5.rows import Track
 from accelcal_cli.readers._hdf5.scale import Scale, count_scale, gyro_scale, per_celsius, per_dps
 from accelcal_cli.readers._hdf5.stream import Axes, Temperature
+from accelcal_cli.readers._hdf5.track import Track
 
 _LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
 _DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")

@@ -10,7 +10,7 @@ import h5py
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.readers._hdf5.file import H5PY_ERRORS, members, normal
-from accelcal_cli.readers._hdf5.rows import Track, as_track
+from accelcal_cli.readers._hdf5.track import Track, as_track
 
 Group = tuple[Track, ...]
 

@@ -35,7 +35,6 @@ from accelcal_cli.readers._hdf5.plan import (
     is_readable,
     measured_stamps,
 )
-from accelcal_cli.readers._hdf5.rows import Track, as_track
 from accelcal_cli.readers._hdf5.scale import (
     PER_G,
     Scale,
@@ -47,6 +46,7 @@ from accelcal_cli.readers._hdf5.scale import (
 )
 from accelcal_cli.readers._hdf5.stream import Axes, Hdf5Reader, Plan, Temperature
 from accelcal_cli.readers._hdf5.time import StampScale, nominal_rate
+from accelcal_cli.readers._hdf5.track import Track, as_track
 
 VERSION_NAMES = ("FileFormatVersion", "File_Format_Version")
 OLDEST, OLD, NEW = 2, 4, 5

@@ -15,10 +15,11 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem
 from accelcal_cli.readers._hdf5.file import H5PY_ERRORS, Attributes
 from accelcal_cli.readers._hdf5.find import Group
-from accelcal_cli.readers._hdf5.rows import BLOCK_ROWS, Track, TrackRows
+from accelcal_cli.readers._hdf5.rows import BLOCK_ROWS, TrackRows
 from accelcal_cli.readers._hdf5.scale import millicelsius
 from accelcal_cli.readers._hdf5.stream import Axes, Stamps, Temperature
 from accelcal_cli.readers._hdf5.time import StampScale, typical_step
+from accelcal_cli.readers._hdf5.track import Track
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.readers._hdf5.chunks import (
+    LEAST_BYTES,
+    MOST_BYTES,
+    STORED_ROWS,
+    StoredChunks,
+    gzip_shuffled,
+)
 from accelcal_cli.readers._hdf5.deflate import DeflatedChunks
 from accelcal_cli.readers._hdf5.file import H5PY_ERRORS
+from accelcal_cli.readers._hdf5.track import Track
 
 BLOCK_ROWS = 65_536
 STREAM_ABOVE_BYTES = 16 << 20
@@ -22,64 +29,32 @@ HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Track:
-    """A dataset of `rows` rows of `width` numbers; the rows run along its axis `axis`."""
-
-    path: str
-    rows: int
-    width: int
-    axis: int
-    dtype: np.dtype[Any]
-
-    @property
-    def name(self) -> str:
-        """The last part of the path."""
-        return self.path.rsplit("/", 1)[-1]
-
-    @property
-    def parent(self) -> str:
-        """The group that holds it, `/` for the file itself."""
-        return self.path.rsplit("/", 1)[0] or "/"
-
-
-def as_track(path: str, dataset: Any) -> Track | None:
-    """How a dataset can be read as rows of 1 or 3 numbers; None where it cannot.
-
-    (n,), (n, 1) and (1, n) are rows of one, (n, 3) and (3, n) rows of three; (3, 3) and (1, 3)
-    are read with the rows along the first axis.
-    """
-    shape = dataset.shape
-    if shape is None or len(shape) not in (1, 2) or dataset.dtype.kind not in "iuf":
-        return None
-    if len(shape) == 1:
-        return Track(path, shape[0], 1, 0, dataset.dtype)
-    for axis in (0, 1):
-        if shape[1 - axis] in (1, 3):
-            return Track(path, shape[axis], shape[1 - axis], axis, dataset.dtype)
-    return None
-
-
 class TrackRows:
     """Reads rows of a track in order; each HDF5 chunk is decompressed once.
 
     A block that cannot be read is narrowed down to the HDF5 chunks concerned; their rows, and
     those of chunks that were never written, are marked as lost.
 
+    Args:
+        pool: unpacks ahead where it can; None where one thread does all.
+
     Raises:
         UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
     """
 
-    def __init__(self, file: Any, track: Track, path: Path) -> None:
+    def __init__(self, file: Any, track: Track, path: Path, pool: Executor | None = None) -> None:
         self._dataset = file[track.path]
         self._track = track
         self._path = path
+        self._pool = pool
         self._start = self._stop = 0
         self._values = np.empty((0, track.width), track.dtype)
         self._good = np.empty(0, np.bool_)
         self._chunk_rows, self._chunk_bytes = self._chunking()
         self._refuse_unreadable()
+        self._shuffled = gzip_shuffled(self._dataset, track.axis, track.width)
         self._stream = self._open_stream() if self._is_streamed() else None
+        self._stored = None if self._stream else self._open_stored()
         self._has_holes = self._find_holes()
 
     def _chunking(self) -> tuple[int, int]:
@@ -91,20 +66,22 @@ class TrackRows:
         wide = max(self._track.width, int(np.prod(chunks)) // max(rows, 1))
         return rows, rows * wide * self._track.dtype.itemsize
 
-    def _filters(self) -> list[int]:
-        settings = self._dataset.id.get_create_plist()
-        return [settings.get_filter(index)[0] for index in range(settings.get_nfilters())]
+    def _has_filters(self) -> bool:
+        return bool(self._dataset.id.get_create_plist().get_nfilters())
 
     def _is_streamed(self) -> bool:
-        return bool(self._filters()) and self._chunk_bytes > STREAM_ABOVE_BYTES
+        return self._has_filters() and self._chunk_bytes > STREAM_ABOVE_BYTES
+
+    def _open_stored(self) -> StoredChunks | None:
+        track = self._track
+        if self._shuffled is None or not LEAST_BYTES <= self._chunk_bytes <= MOST_BYTES:
+            return None
+        return StoredChunks(self._dataset, track.axis, track.width, self._shuffled, self._pool)
 
     def _open_stream(self) -> DeflatedChunks | None:
-        dataset, filters = self._dataset, self._filters()
-        whole_width = dataset.ndim == 1 or dataset.chunks[1 - self._track.axis] == self._track.width
-        known = filters in ([h5py.h5z.FILTER_DEFLATE], [h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE])
-        if known and whole_width and dataset.file.userblock_size == 0:
-            shuffled = len(filters) == 2
-            return DeflatedChunks(dataset, self._path, self._track.axis, self._track.width, shuffled)
+        dataset, track, shuffled = self._dataset, self._track, self._shuffled
+        if shuffled is not None and dataset.file.userblock_size == 0:
+            return DeflatedChunks(dataset, self._path, track.axis, track.width, shuffled)
         if self._chunk_bytes > REFUSE_ABOVE_BYTES:
             raise self._refusal(
                 f"is packed in chunks of {self._chunk_bytes >> 20} MB, too large to unpack at once",
@@ -174,34 +151,38 @@ class TrackRows:
     def _block(self, row: int) -> tuple[int, int]:
         """The rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
         size = self._chunk_rows
-        if size <= BLOCK_ROWS:
-            step = size * (BLOCK_ROWS // size)
+        most = BLOCK_ROWS if self._stored is None else STORED_ROWS
+        if size <= most:
+            step = size * (most // size)
             start = row // step * step
             return start, min(start + step, self._track.rows)
         chunk = row // size * size
-        in_parts = self._stream is not None or not self._filters()
+        in_parts = self._stream is not None or not self._has_filters()
         step = BLOCK_ROWS if in_parts else size
         start = chunk + (row - chunk) // step * step
         return start, min(start + step, chunk + size, self._track.rows)
 
     def _load(self, start: int, stop: int) -> None:
-        self._values = np.zeros((stop - start, self._track.width), self._track.dtype)
-        self._good = np.zeros(stop - start, np.bool_)
+        self._values, self._good = self._read(start, stop)
         self._start, self._stop = start, stop
-        self._fill(start, stop)
+        if self._stored is not None and stop < self._track.rows:
+            self._stored.begin(*self._block(stop))
 
-    def _fill(self, start: int, stop: int) -> None:
-        """Read rows into the block; where that fails, halve along chunk borders and try again."""
+    def _read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows, zero and marked where lost; what cannot be read is halved along chunk borders."""
         try:
             values = self._fetch(start, stop)
-            into = slice(start - self._start, start - self._start + len(values))
-            self._values[into] = values
-            self._good[into] = self._written(start, start + len(values))
+            good = self._written(start, start + len(values))
         except H5PY_ERRORS:
             middle = self._middle(start, stop)
             if middle is not None:
-                self._fill(start, middle)
-                self._fill(middle, stop)
+                (values, good), (more, sound) = self._read(start, middle), self._read(middle, stop)
+                return np.concatenate((values, more)), np.concatenate((good, sound))
+            values, good = np.empty((0, self._track.width), self._track.dtype), np.empty(0, np.bool_)
+        lost = stop - start - len(values)
+        if lost:
+            values, good = np.pad(values, ((0, lost), (0, 0))), np.pad(good, (0, lost))
+        return values, good
 
     def _middle(self, start: int, stop: int) -> int | None:
         """A chunk border near the middle; None where the rows are lost together."""
@@ -212,6 +193,8 @@ class TrackRows:
     def _fetch(self, start: int, stop: int) -> NDArray[Any]:
         if self._stream is not None:
             return self._stream.read(start, stop)
+        if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
+            return values
         part = self._dataset[start:stop] if self._track.axis == 0 else self._dataset[:, start:stop].T
         return np.asarray(part).reshape(-1, self._track.width)
 

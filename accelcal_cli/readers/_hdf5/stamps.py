@@ -12,7 +12,6 @@ from accelcal_cli.core.recording import Problem
 from accelcal_cli.readers._hdf5.file import Attributes, h5py_guard
 from accelcal_cli.readers._hdf5.find import find_time, named_track, split_time_name
 from accelcal_cli.readers._hdf5.plan import Source, head_rows, measured_stamps
-from accelcal_cli.readers._hdf5.rows import Track
 from accelcal_cli.readers._hdf5.stream import Stamps
 from accelcal_cli.readers._hdf5.time import (
     EARLIEST_ABSOLUTE_US,
@@ -24,6 +23,7 @@ from accelcal_cli.readers._hdf5.time import (
     typical_step,
     unit_by_size,
 )
+from accelcal_cli.readers._hdf5.track import Track
 
 RATE_NAMES = (
     "sample_rate",

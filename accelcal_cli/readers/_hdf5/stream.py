@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
+from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,11 +15,13 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import NO_BREAKS, Chunk, Counts, Problem, Reader, Recording
+from accelcal_cli.readers._hdf5.chunks import unpackers
 from accelcal_cli.readers._hdf5.file import explaining, h5py_guard, open_hdf5
 from accelcal_cli.readers._hdf5.problems import Kind, ProblemLog, Sieve
-from accelcal_cli.readers._hdf5.rows import Track, TrackRows
+from accelcal_cli.readers._hdf5.rows import TrackRows
 from accelcal_cli.readers._hdf5.scale import Scale, millicelsius
 from accelcal_cli.readers._hdf5.time import StampScale
+from accelcal_cli.readers._hdf5.track import Track
 
 GAP_PERIODS = 3
 
@@ -84,6 +88,19 @@ class Plan:
     missing_bytes: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Tracks:
+    """An open file, and the pool that unpacks its chunks ahead, if there is one."""
+
+    file: Any
+    path: Path
+    pool: Executor | None
+
+    def opened(self, *tracks: Track) -> list[TrackRows]:
+        """Each one's rows, to be read in order."""
+        return [TrackRows(self.file, track, self.path, self.pool) for track in tracks]
+
+
 class Hdf5Reader(Reader):
     """Streams the rows of a plan. The file is open only while a stream runs."""
 
@@ -126,9 +143,9 @@ class Hdf5Reader(Reader):
 
     def _pieces(self, start: int, stop: int, chunk_samples: int) -> Generator[Chunk, None, None]:
         path = self.recording.path
-        with open_hdf5(path) as file:
+        with open_hdf5(path) as file, unpackers(self.threads) as pool:
             with explaining(path, self._plan.missing_bytes), h5py_guard(path, "datasets"):
-                stream = _Stream(file, self._plan, start)
+                stream = _Stream(Tracks(file, path, pool), self._plan, start)
             step = max(1, chunk_samples)
             for row in range(start, stop, step):
                 yield stream.piece(row, min(row + step, stop), last=row + step >= stop)
@@ -137,13 +154,13 @@ class Hdf5Reader(Reader):
 class _Stream:
     """One run through the rows: what is carried from one chunk to the next."""
 
-    def __init__(self, file: Any, plan: Plan, start: int) -> None:
+    def __init__(self, tracks: Tracks, plan: Plan, start: int) -> None:
         self._plan = plan
         self._rate = rate_fraction(plan.recording.rate_hz)
-        self._accel = _open_axes(file, plan, plan.accel)
-        self._gyro = _open_axes(file, plan, plan.gyro)
-        self._stamps = _open_tracks(file, plan, (plan.stamps.track,)) if plan.stamps else []
-        self._warm = _open_tracks(file, plan, (plan.temperature.track,)) if plan.temperature else []
+        self._accel = tracks.opened(*plan.accel.tracks)
+        self._gyro = tracks.opened(*plan.gyro.tracks) if plan.gyro else []
+        self._stamps = tracks.opened(plan.stamps.track) if plan.stamps else []
+        self._warm = tracks.opened(plan.temperature.track) if plan.temperature else []
         self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
         self._log = ProblemLog()
         self._sample = start
@@ -256,11 +273,3 @@ def _counts(sources: list[TrackRows], scale: Scale, sieve: Sieve) -> Counts:
     for code, bad in faults.items():
         sieve.leave_out(FAULTS[code], bad)
     return counts
-
-
-def _open_axes(file: Any, plan: Plan, axes: Axes | None) -> list[TrackRows]:
-    return _open_tracks(file, plan, axes.tracks) if axes else []
-
-
-def _open_tracks(file: Any, plan: Plan, tracks: tuple[Track, ...]) -> list[TrackRows]:
-    return [TrackRows(file, track, plan.recording.path) for track in tracks]
