@@ -8,7 +8,7 @@ from math import ceil
 from pathlib import Path
 
 WORKER_BYTES = 330_000_000
-"""What one worker needs at most: it peaks at 285 MB for a CSV, at 200 MB where it has but one thread."""
+"""What one worker needs at most: it peaks at 285 MB for a CSV, at 205 MB where it has but one thread."""
 
 CGROUPS = Path("/sys/fs/cgroup")
 PROCESS = Path("/proc/self/cgroup")

@@ -54,7 +54,7 @@ def test_slurm_is_heard(machine: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_group_with_little_memory_left_gets_fewer_workers(machine: Path) -> None:
     (machine / "memory.max").write_text("1300000000")
     (machine / "memory.current").write_text("300000000")
-    assert limits.workers(100) == 2
+    assert limits.workers(100) == 3
     (machine / "memory.current").write_text("1400000000")
     assert limits.workers(100) == 1
 
