@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.readers._hdf5.file import H5PY_ERRORS
 
-STORED_ROWS = 1 << 18
-"""Rows unpacked together, as many as are usually asked for, or one chunk if that has more."""
+STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
+"""At most so much is unpacked together, about what is asked for; one chunk if that has more rows."""
 LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
 """Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
 

@@ -13,6 +13,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.readers._hdf5.chunks import (
     LEAST_BYTES,
     MOST_BYTES,
+    STORED_BYTES,
     STORED_ROWS,
     StoredChunks,
     gzip_shuffled,
@@ -151,7 +152,7 @@ class TrackRows:
     def _block(self, row: int) -> tuple[int, int]:
         """The rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
         size = self._chunk_rows
-        most = BLOCK_ROWS if self._stored is None else STORED_ROWS
+        most = BLOCK_ROWS if self._stored is None else min(STORED_ROWS, STORED_BYTES // self.row_bytes)
         if size <= most:
             step = size * (most // size)
             start = row // step * step
