@@ -197,7 +197,8 @@ class TrackRows:
         if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
             return values
         part = self._dataset[start:stop] if self._track.axis == 0 else self._dataset[:, start:stop].T
-        return np.asarray(part).reshape(-1, self._track.width)
+        # A copy, so that what stays lies apart from what HDF5 needed for a moment and can use again.
+        return np.array(part, order="C").reshape(-1, self._track.width)
 
     def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
         """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
