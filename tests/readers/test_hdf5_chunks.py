@@ -238,3 +238,12 @@ def test_only_where_several_may_work_is_anything_unpacked_ahead(
     assert {row for row, _ in begun} == ({0} if threads == 1 else {0, CHUNK})
     assert all(name.startswith("hdf5") == (threads > 1) for _, name in begun)
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("hdf5")]
+
+
+def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("accelcal_cli.readers._hdf5.stream.PIECE_BYTES", 24_000)
+    write(path, {"accel": counts().astype("f8")}, about())
+    with FORMAT.open(path, ReadOptions()) as reader:
+        parts = [chunk.counts for chunk in reader.chunks(1 << 20)]
+    assert max(map(len, parts)) == 1000
+    assert (np.concatenate(parts) == counts()).all()

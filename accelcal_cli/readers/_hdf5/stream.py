@@ -24,6 +24,8 @@ from accelcal_cli.readers._hdf5.time import StampScale
 from accelcal_cli.readers._hdf5.track import Track
 
 GAP_PERIODS = 3
+PIECE_BYTES = 16 << 20
+"""Of the datasets' values at a time, however many samples are wanted: wide numbers take memory."""
 
 FAULTS = {
     kind.code: kind
@@ -146,7 +148,7 @@ class Hdf5Reader(Reader):
         with open_hdf5(path) as file, unpackers(self.threads) as pool:
             with explaining(path, self._plan.missing_bytes), h5py_guard(path, "datasets"):
                 stream = _Stream(Tracks(file, path, pool), self._plan, start)
-            step = max(1, chunk_samples)
+            step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
             for row in range(start, stop, step):
                 yield stream.piece(row, min(row + step, stop), last=row + step >= stop)
 
@@ -168,11 +170,11 @@ class _Stream:
         self._last_time = 0
         self._first = plan.problems if start == 0 else ()
         read = (*self._accel, *self._gyro, *self._stamps, *self._warm)
-        self._row_bytes = sum(source.row_bytes for source in read)
+        self.row_bytes = sum(source.row_bytes for source in read)
 
     def piece(self, start: int, stop: int, last: bool) -> Chunk:
         """The usable ones among rows start..stop-1 of the datasets."""
-        sieve = Sieve(start, stop, self._row_bytes)
+        sieve = Sieve(start, stop, self.row_bytes)
         counts = _counts(self._accel, self._plan.accel.scale, sieve)
         gyro = _counts(self._gyro, self._plan.gyro.scale, sieve) if self._plan.gyro else None
         times = self._times(sieve)
@@ -190,7 +192,7 @@ class _Stream:
             temperature_mc=None if temperature is None else sieve.kept(temperature),
             gyro_counts=None if gyro is None else sieve.kept(gyro),
             problems=self._first + self._log.take(stop, last) + self._end(last, len(rows)),
-            used_bytes=len(rows) * self._row_bytes,
+            used_bytes=len(rows) * self.row_bytes,
         )
         self._first = ()
         self._sample += len(rows)
