@@ -32,7 +32,7 @@ nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
 
 fuzz: $(READY)
-	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-10000} $(BIN)/python -m tests.readers.fuzz
+	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-10000} $(BIN)/python -m tests.formats.fuzz
 
 lint: $(READY)
 	$(BIN)/ruff check .

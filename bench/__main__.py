@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli import __version__
-from accelcal_cli.cli.tables import aligned
+from accelcal_cli.cli.output import aligned
 from bench.peers import peer_commands
 from bench.process import Timing, run, timed
 

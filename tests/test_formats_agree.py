@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.encode import all_encoders
+from accelcal_cli.formats import all_encoders
 from tests.cli.run import run
 
 Capture = pytest.CaptureFixture[str]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.cli.run import run
-from tests.readers.read_gt3x import whole
+from tests.formats.gt3x.reading import whole
 
 Capture = pytest.CaptureFixture[str]
 NIGHT = "gt3x_link_30hz_14h.gt3x"
@@ -69,7 +69,7 @@ def test_sleep_is_excluded_and_would_spoil_the_fit(
     """Held out: 2.70 mg, and 3.22 mg with sleep taken for measured; by the paper's rules 3.5 and 4.8 mg."""
     path = real_data / "vendor" / NIGHT
     reports = [calibrated(capsys, path, tmp_path, *words) for words in ((), ("--profile", "paper"))]
-    monkeypatch.setattr("accelcal_cli.readers._gt3x.pieces._validity", lambda *_: None)
+    monkeypatch.setattr("accelcal_cli.formats.gt3x.timeline._validity", lambda *_: None)
     spoiled = [calibrated(capsys, path, tmp_path, *words) for words in ((), ("--profile", "paper"))]
     assert reports[0]["file_health"]["filled_samples"] == 657_540
     assert spoiled[0]["file_health"]["filled_samples"] == 0

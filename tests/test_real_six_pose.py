@@ -13,8 +13,8 @@ import pytest
 
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run
-from tests.poses.known import stacked
-from tests.poses.made import UP, write_list
+from tests.six_pose.known import stacked
+from tests.six_pose.made import UP, write_list
 from tests.test_real_recordings import NILSPOD
 
 Capture = pytest.CaptureFixture[str]

@@ -1,79 +1,148 @@
-"""The house: imports point downward, siblings keep apart, only the command layer knows click."""
+"""The layers of the package: imports point downward, no circles, formats keep their inside to themselves."""
 
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).resolve().parent.parent / "accelcal_cli"
-FLOOR = {
+LAYER = {
     "": 0,
     "core": 0,
-    "readers": 1,
-    "encode": 1,
+    "formats": 1,
     "segment": 1,
     "collect": 1,
     "optimize": 1,
     "judge": 1,
-    "poses": 1,
     "simulate": 1,
     "output": 1,
     "pipeline": 2,
+    "six_pose": 3,
     "evaluate": 3,
     "study": 3,
-    "fleet": 4,
+    "verify": 4,
+    "devices": 4,
     "cli": 5,
     "__main__": 6,
 }
+"""Each top-level package or module, lowest first (docs/architecture.md)."""
+
 MODULES = sorted(PACKAGE.rglob("*.py"))
+LONGEST = 600
+SHORTEST = 40
+SHORT = {
+    "__main__.py": "`python -m accelcal_cli`",
+    "cli/calibrate.py": "one file a command",
+    "cli/evaluate.py": "one file a command",
+    "cli/gravity.py": "one file a command",
+    "optimize/float32.py": "one file an optimizer",
+    "optimize/float64.py": "one file an optimizer",
+    "study/preload.py": "imported for its imports, by the server that worker processes are forked from",
+}
+"""Files of fewer lines than SHORTEST, and why each stands alone; `__init__.py` needs no reason."""
+
+each_module = pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
 
 
-def room(parts: tuple[str, ...]) -> str:
-    return parts[0] if parts else ""
+def module_name(path: Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported(path: Path) -> list[str]:
+NAMES = {module_name(path): path for path in MODULES}
+
+
+@cache
+def imported(path: Path, top_level: bool = False) -> tuple[str, ...]:
+    """Names of all that a module imports, those imported inside functions included unless `top_level`."""
     tree = ast.parse(path.read_text("utf-8"))
-    names = []
-    for node in ast.walk(tree):
+    names: list[str] = []
+    for node in tree.body if top_level else ast.walk(tree):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
             names += [f"{node.module}.{alias.name}" for alias in node.names]
-    return names
+    return tuple(names)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def modules_imported(path: Path) -> set[str]:
+    """Modules of the package that a module imports when it is imported."""
+    found = {name if name in NAMES else name.rpartition(".")[0] for name in imported(path, top_level=True)}
+    return found & set(NAMES)
+
+
+def layer_of(name: str) -> str:
+    """The top-level package or module that a dotted name of ours belongs to."""
+    part = name.split(".")[1] if "." in name else ""
+    return part if part in LAYER else ""
+
+
+@each_module
 def test_imports_point_downward_and_siblings_keep_apart(path: Path) -> None:
-    own = room(path.relative_to(PACKAGE).with_suffix("").parts)
-    own = "" if own == "__init__" else own
+    own = layer_of(module_name(path))
     for name in imported(path):
-        if not name.startswith("accelcal_cli."):
+        if name.split(".")[0] != "accelcal_cli":
             continue
-        other = room(tuple(name.split(".")[1:]))
-        other = "" if other == "__version__" else other
-        assert other == own or FLOOR[other] < FLOOR[own], f"{path} imports {name}"
+        other = layer_of(name)
+        assert other == own or LAYER[other] < LAYER[own], f"{path} imports {name}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_circle_of_imports() -> None:
+    """Modules are taken away as long as one imports none of those that are left."""
+    left = {name: modules_imported(path) - {name} for name, path in NAMES.items()}
+    while free := [name for name, needs in left.items() if not needs & set(left)]:
+        for name in free:
+            del left[name]
+    assert not left, f"these import each other: {sorted(left)}"
+
+
+@each_module
+def test_nobody_outside_a_format_imports_its_inside(path: Path) -> None:
+    own = module_name(path).split(".")
+    for name in imported(path):
+        module = name if name in NAMES else name.rpartition(".")[0]
+        parts = module.split(".")
+        if parts[:2] != ["accelcal_cli", "formats"] or len(parts) < 3:
+            continue
+        shared = own[1:2] == ["formats"] and parts[2].startswith("_")
+        front_door = len(parts) == 3 and not parts[2].startswith("_")
+        assert shared or front_door or own[1:3] == parts[1:3], f"{path} imports {name}"
+
+
+@each_module
 def test_only_the_command_layer_imports_click_or_tqdm(path: Path) -> None:
     heavy = {name.split(".")[0] for name in imported(path)} & {"click", "tqdm"}
     assert not heavy or path.is_relative_to(PACKAGE / "cli")
 
 
-@pytest.mark.parametrize("folder", ["readers", "encode", "optimize"])
+@pytest.mark.parametrize("folder", ["formats", "optimize", "formats/csv/vendors"])
 def test_plugins_do_not_import_each_other(folder: str) -> None:
-    for path in (PACKAGE / folder).glob("*.py"):
+    package = ".".join(("accelcal_cli", *folder.split("/")))
+    for path in (PACKAGE / folder).rglob("*.py"):
+        own = path.relative_to(PACKAGE / folder).with_suffix("").parts[0]
         for name in imported(path):
-            if not name.startswith(f"accelcal_cli.{folder}."):
+            if not name.startswith(f"{package}."):
                 continue
-            other = name.split(".")[2]
-            assert other.startswith("_"), f"{path} imports {name}"
+            other = name.removeprefix(f"{package}.").split(".")[0]
+            file = PACKAGE / folder / other
+            plugin = file.is_dir() or file.with_suffix(".py").exists()
+            assert other.startswith("_") or other == own or not plugin, f"{path} imports {name}"
 
 
-def test_every_room_has_its_place() -> None:
-    rooms = {path.name for path in PACKAGE.iterdir() if path.is_dir() and path.name != "__pycache__"}
-    assert rooms <= set(FLOOR)
+@each_module
+def test_a_file_is_a_subject(path: Path) -> None:
+    lines = len(path.read_text("utf-8").splitlines())
+    assert lines <= LONGEST
+    name = str(path.relative_to(PACKAGE))
+    assert lines >= SHORTEST or path.name == "__init__.py" or name in SHORT, (
+        "merge it, or say why it is alone"
+    )
+
+
+def test_every_layer_has_its_place() -> None:
+    found = {path.stem for path in PACKAGE.iterdir() if path.is_dir() or path.suffix == ".py"}
+    assert found - {"__pycache__", "__init__", "py"} <= set(LAYER)

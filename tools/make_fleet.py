@@ -18,8 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate.recording import Plan
-from accelcal_cli.simulate.sensor import Sensor
+from accelcal_cli.simulate import Plan, Sensor
 
 BEGIN = datetime(2025, 3, 3, 18)
 MONTHS = 9

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.each import each
 from accelcal_cli.cli.options import (
     damage_option,
     gravity,
@@ -19,11 +18,11 @@ from accelcal_cli.cli.options import (
     reading_options,
     saying_options,
 )
+from accelcal_cli.cli.output import each
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.output.coefficients import read_coefficients
+from accelcal_cli.output.report_reading import read_coefficients
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
-from accelcal_cli.pipeline.plan import plan
-from accelcal_cli.pipeline.request import Request
+from accelcal_cli.pipeline.jobs import Request, plan
 
 
 @click.command("apply")

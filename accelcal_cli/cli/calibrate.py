@@ -7,11 +7,10 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.each import each
-from accelcal_cli.cli.options import place_options
-from accelcal_cli.cli.request import calibrating_options, request_of
+from accelcal_cli.cli.options import calibrating_options, place_options, request_of
+from accelcal_cli.cli.output import each
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.plan import plan
+from accelcal_cli.pipeline.jobs import plan
 
 
 @click.command("calibrate")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from accelcal_cli.cli.lazy import LazyGroup
+from accelcal_cli.cli.main import LazyGroup
 
 PARTS = {
     "simulation": "Every optimizer on sensors with known errors (Table 2 of the paper).",

@@ -10,17 +10,14 @@ from typing import Any
 import click
 
 from accelcal_cli import __version__
-from accelcal_cli.cli.options import Positive, gravity, gravity_options
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.cli.tables import aligned, figure
-from accelcal_cli.cli.within import Within
+from accelcal_cli.cli.options import Positive, Within, gravity, gravity_options
+from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
+from accelcal_cli.evaluate.cases import ALL, Plan, methods
 from accelcal_cli.evaluate.gravity import Residuals, run
-from accelcal_cli.evaluate.simulated.cases import Plan
-from accelcal_cli.evaluate.simulated.optimizers import ALL, methods
-from accelcal_cli.evaluate.simulated.published import TABLE_8, TABLE_8_GRAVITY
-from accelcal_cli.output.sections import significant
+from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY
+from accelcal_cli.output.report import significant
 
 
 @click.command("gravity")

@@ -8,10 +8,9 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exits
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.cli.tables import aligned, comma_separated, number
+from accelcal_cli.cli.output import aligned, comma_separated, number, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
 from accelcal_cli.optimize import all_optimizers, named_optimizer
@@ -50,11 +49,11 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
             with progress_bars(path.name, quiet=values["quiet"]) as bars:
                 rows += compare(path, read_options(values), settings(values), names, bars)
         except AccelcalError as error:
-            exits.say(str(error))
+            exit_codes.say(str(error))
             failed = error.exit_code
     if rows:
         click.echo(_shown(rows, values))
-    return exits.SOME_FAILED if failed and len(recordings) > 1 else failed
+    return exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
 
 
 def _names(only: str | None) -> tuple[str, ...]:

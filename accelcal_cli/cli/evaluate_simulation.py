@@ -1,20 +1,109 @@
-"""`accelcal evaluate simulation`."""
+"""What `accelcal evaluate simulation` prints for people.
+
+`accelcal evaluate simulation`.
+"""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator, Sequence
 from typing import Any, get_args
 
 import click
 
 from accelcal_cli.cli.options import Listed
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.cli.simulation_tables import as_text
-from accelcal_cli.cli.tables import comma_separated
-from accelcal_cli.evaluate.simulated.cases import Selection
-from accelcal_cli.evaluate.simulated.optimizers import USUAL, methods
-from accelcal_cli.evaluate.simulated.records import COLUMNS, as_json, rows
-from accelcal_cli.evaluate.simulation import Protocol, Table, run
+from accelcal_cli.cli.output import aligned, comma_separated, figure, number, progress_bars
+from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
+from accelcal_cli.core.points import PARAMETER_NAMES
+from accelcal_cli.evaluate.cases import USUAL, Selection, methods
+from accelcal_cli.evaluate.simulation import COLUMNS, Protocol, Scores, Table, as_json, rows, run
+
+NONE = "-"
+UNIT = 1e-4
+NINE = PARAMETER_NAMES[:9]
+SIX = " (six)"
+ERRORS = ("", *NINE, "/bound", "/paper", "failed")
+COSTS = (
+    "",
+    "iterations",
+    "additions",
+    "multiplications",
+    "ms here",
+    *(f"{item.name} s" for item in MICROCONTROLLERS),
+)
+
+
+def as_text(protocol: Protocol, tables: tuple[Table, ...]) -> str:
+    """All tables, then what each method costs."""
+    return "\n".join(_lines(protocol, tables))
+
+
+def _lines(protocol: Protocol, tables: tuple[Table, ...]) -> Iterator[str]:
+    chosen = "chosen by nine subsets" if protocol.selection == "subsets" else "at random"
+    yield f"{protocol.cases} cases (seed {protocol.seed}), points uniform on the sphere, {chosen}."
+    yield "Absolute errors in units of 1e-4 (offsets 1e-4 g): mean, and below it SD. bound: Cramer-Rao."
+    yield "/bound: mean over the parameters. /paper: the largest ratio to Table 2."
+    for table in tables:
+        yield from ("", f"{table.points} points, noise {table.noise_mg:g} mg")
+        yield aligned(ERRORS, list(_errors(table)))
+    for table in tables[:: len(protocol.noise_mg)]:
+        yield from ("", f"Cost of a fit with {table.points} points, noise {table.noise_mg:g} mg (medians)")
+        yield aligned(COSTS, [_cost(scores) for scores in table.scores])
+    yield from _notes(tables)
+
+
+def _errors(table: Table) -> Iterator[tuple[str, ...]]:
+    if table.published is not None:
+        yield from _pair("paper, Table 2", table.published.mean, table.published.sd, (NONE, "1", NONE))
+    yield ("bound", *_scaled(table.bound), "1", NONE, NONE)
+    for scores in table.scores:
+        label = scores.method.label + ("" if scores.method.model.name == "9" else SIX)
+        ratios = figure(scores.ratio_to_bound), figure(table.worst_against_paper(scores))
+        yield from _pair(label, scores.mean, scores.sd, (*ratios, _failed(scores)))
+
+
+def _pair(
+    label: str, mean: Sequence[float | None], sd: Sequence[float | None], end: tuple[str, str, str]
+) -> Iterator[tuple[str, ...]]:
+    yield (label, *_scaled(mean), *end)
+    yield ("  SD", *_scaled(sd), "", "", "")
+
+
+def _scaled(values: Sequence[float | None]) -> list[str]:
+    return [figure(None if value is None else value / UNIT) for value in values]
+
+
+def _failed(scores: Scores) -> str:
+    return str(sum(scores.failures.values()))
+
+
+def _cost(scores: Scores) -> tuple[str, ...]:
+    done = scores.operations
+    seconds = predicted_seconds(done, scores.method.optimizer.arithmetic) or {}
+    return (
+        scores.method.label,
+        number(scores.iterations, ".0f"),
+        number(done.additions or None, "d"),
+        number(done.multiplications or None, "d"),
+        figure(None if scores.seconds is None else 1e3 * scores.seconds),
+        *(figure(seconds.get(item.name)) for item in MICROCONTROLLERS),
+    )
+
+
+def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
+    every = [scores for table in tables for scores in table.scores]
+    if any(scores.method.model.name == "6" for scores in every):
+        yield from (
+            "",
+            "six: fits scale and offset alone, which the misalignment biases; the bound is that of all nine.",
+        )
+    if any(scores.failures for scores in every):
+        yield from ("", "Failed fits (left out of their row and of its bound):")
+    for table in tables:
+        for scores in table.scores:
+            for reason, times in scores.failures.items():
+                where = f"{table.points} points, {table.noise_mg:g} mg, {scores.method.label}"
+                yield f"{where}: {times} x {reason}"
 
 
 @click.command("simulation")

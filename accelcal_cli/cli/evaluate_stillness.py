@@ -8,16 +8,14 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exits
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import fitting_options, fitting_settings, read_options, reading_options
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.cli.tables import aligned, comma_separated
-from accelcal_cli.core.errors import AccelcalError, UsageError
-from accelcal_cli.core.names import printable
+from accelcal_cli.cli.output import aligned, comma_separated, progress_bars
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.settings import STILLNESS
+from accelcal_cli.evaluate.methods import true_errors
 from accelcal_cli.evaluate.stillness import RAW, Comparison, Found, compare
-from accelcal_cli.evaluate.truth import true_errors
-from accelcal_cli.pipeline.request import ProgressMaker
+from accelcal_cli.pipeline.jobs import ProgressMaker
 
 Row = dict[str, Any]
 FIGURES = {
@@ -58,11 +56,11 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
             with progress_bars(path.name, quiet=values["quiet"]) as bars:
                 made[printable(path)] = _one(path, values, bars)
         except AccelcalError as error:
-            exits.say(str(error))
+            exit_codes.say(str(error))
             failed = error.exit_code
     if made:
         click.echo(_shown(made, values))
-    return exits.SOME_FAILED if failed and len(recordings) > 1 else failed
+    return exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
 
 
 def _one(path: Path, values: dict[str, Any], bars: ProgressMaker) -> list[Row]:

@@ -9,14 +9,13 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exits
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import fitting_options, fitting_settings
-from accelcal_cli.cli.results import line
-from accelcal_cli.core.judgement import Outcome
-from accelcal_cli.core.names import printable
-from accelcal_cli.pipeline.existing import refuse_foreign_report
+from accelcal_cli.cli.output import line
+from accelcal_cli.core.errors import printable
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
-from accelcal_cli.pipeline.save import save_report, with_provenance
+from accelcal_cli.pipeline.outputs import refuse_foreign_report, save_report, with_provenance
 
 
 @click.command("fit")
@@ -44,6 +43,6 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     shown = None if output is None or refused else output
     click.echo(json.dumps(report) if as_json else line(report, points, shown))
     if refused:
-        exits.say(f"{printable(points)}: refused: {report['message']}")
-        return exits.REFUSED
-    return exits.OK
+        exit_codes.say(f"{printable(points)}: refused: {report['message']}")
+        return exit_codes.REFUSED
+    return exit_codes.OK

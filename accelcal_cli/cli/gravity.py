@@ -6,7 +6,7 @@ import json
 
 import click
 
-from accelcal_cli.cli.within import Within
+from accelcal_cli.cli.options import Within
 from accelcal_cli.core.gravity import Gravity, local_gravity
 
 

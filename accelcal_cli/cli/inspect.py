@@ -10,14 +10,13 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exits
-from accelcal_cli.cli.each import stdin
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import damage_option, method_options, read_options, reading_options, settings
+from accelcal_cli.cli.output import stdin
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.settings import DEFAULT, Settings
-from accelcal_cli.pipeline.identity import spooled
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
-from accelcal_cli.pipeline.plan import STDIN
+from accelcal_cli.pipeline.jobs import STDIN, spooled
 
 QUICK = "gauss-newton"
 """Finds the parameters of the default optimizer to a few micro-g, a hundred times as fast."""
@@ -40,18 +39,18 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     codes = [_one(path, values) for path in recordings]
     if len(codes) == 1:
         return codes[0]
-    return exits.SOME_FAILED if any(codes) else exits.OK
+    return exit_codes.SOME_FAILED if any(codes) else exit_codes.OK
 
 
 def _one(path: Path, values: dict[str, Any]) -> int:
     try:
         seen = _look(path, values)
     except AccelcalError as error:
-        exits.say(str(error))
+        exit_codes.say(str(error))
         return error.exit_code
     shown = as_json(seen)
     click.echo(json.dumps(shown) if values["as_json_"] else text(seen, shown))
-    return exits.OK
+    return exit_codes.OK
 
 
 def _look(path: Path, values: dict[str, Any]) -> Inspection:

@@ -1,24 +1,73 @@
-"""Options that several commands share, and the records made of them."""
+"""The settings that `--stillness` and the options of its rules make.
+
+Numbers on the command line.
+
+Options that several commands share, and the records made of them.
+
+What commands that find each recording's own calibration are asked to do with it.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 
 import click
 
-from accelcal_cli.cli.stillness import stillness_settings
-from accelcal_cli.cli.within import Within
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.names import printable
-from accelcal_cli.core.settings import DEFAULT, PROFILES, STILLNESS, Settings
-from accelcal_cli.core.zones import utc_offset_s
+from accelcal_cli.core.settings import DEFAULT, PROFILES, STILLNESS, Settings, with_stillness
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request
+
+
+def stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
+    """The profile's settings with the rule of stillness that the user wants, and its numbers.
+
+    Raises:
+        UsageError: a number means nothing to the rule.
+    """
+    name, threshold_g, seconds = (
+        values[option] for option in ("stillness", "stillness_threshold_g", "segment_seconds")
+    )
+    chosen = profile if name is None else with_stillness(profile, name)
+    if threshold_g is not None:
+        if chosen.stillness_threshold_g is None:
+            raise UsageError(
+                f"--stillness {chosen.stillness} has no threshold of max - min",
+                hint="leave --stillness-threshold-g out, or use --stillness both or range",
+            )
+        chosen = replace(chosen, stillness_threshold_g=threshold_g)
+    return chosen if seconds is None else _with_windows(chosen, seconds)
+
+
+def _with_windows(chosen: Settings, seconds: float) -> Settings:
+    """The settings with windows of another length, which then has no other lower bound."""
+    if chosen.adaptive is None:
+        return replace(chosen, segment_seconds=seconds)
+    if seconds < STILLNESS["adaptive"]["segment_seconds"]:
+        raise UsageError(
+            "--stillness adaptive needs windows of at least 1 s", hint="give --segment-seconds 1 or more"
+        )
+    return replace(chosen, segment_seconds=seconds, adaptive=replace(chosen.adaptive, min_samples=2))
+
+
+class Within(click.FloatRange):
+    """A finite number in a range; click's own range lets NaN pass."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Parse and check."""
+        number = float(super().convert(value, param, ctx))
+        if not isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
+
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -297,3 +346,29 @@ def gravity(values: dict[str, Any]) -> Gravity:
     if values["altitude"] is not None and values["latitude"] is None:
         raise UsageError("--altitude says nothing without --latitude", hint="give both")
     return Gravity(values["latitude"], values["altitude"])
+
+
+_REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
+_INTEGERS = click.option(
+    "--integers", is_flag=True, help="Also write each fit's points and result as fixed-point integers."
+)
+
+
+def calibrating_options(command: Command) -> Command:
+    """The options that `request_of` needs, and how much is said."""
+    for decorator in (method_options, damage_option, reading_options, saying_options):
+        command = decorator(command)
+    return _REPORT_ONLY(_INTEGERS(command))
+
+
+def request_of(values: dict[str, Any]) -> Request:
+    """The request that the options of `calibrate` and `study` make; raises what its parts raise."""
+    return Request(
+        options=read_options(values),
+        settings=settings(values),
+        chunk_samples=values["chunk_samples"],
+        report_only=values["report_only"],
+        integers=values["integers"],
+        force=values["force"],
+        command=("accelcal", *sys.argv[1:]),
+    )

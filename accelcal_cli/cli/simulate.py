@@ -9,14 +9,12 @@ from typing import Any
 import click
 import numpy as np
 
-from accelcal_cli.cli.options import Positive
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.cli.within import Within
+from accelcal_cli.cli.options import Positive, Within
+from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.encode import all_encoders
+from accelcal_cli.formats import all_encoders
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate.recording import Plan
-from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
+from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 
 
 @click.command("simulate")

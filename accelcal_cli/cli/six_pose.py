@@ -8,13 +8,18 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.each import each
-from accelcal_cli.cli.options import damage_option, gravity, gravity_options, read_options, reading_options
-from accelcal_cli.cli.within import Within
+from accelcal_cli.cli.options import (
+    Within,
+    damage_option,
+    gravity,
+    gravity_options,
+    read_options,
+    reading_options,
+)
+from accelcal_cli.cli.output import each
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.pipeline.plan import plan_report
-from accelcal_cli.pipeline.request import Result
-from accelcal_cli.pipeline.six_pose import PoseRequest, six_pose
+from accelcal_cli.pipeline.jobs import Result, plan_report
+from accelcal_cli.six_pose.run import PoseRequest, six_pose
 
 DEFAULT = PoseSettings()
 

@@ -1,31 +1,130 @@
-"""`accelcal study`."""
+"""What is seen of a running study: its lines, what is said of them, and one bar for all.
+
+`accelcal study`.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import json
+import sys
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
-from accelcal_cli.cli import exits
-from accelcal_cli.cli.options import Positive, precision_option
-from accelcal_cli.cli.request import calibrating_options, request_of
-from accelcal_cli.cli.study_watch import Told, watching
-from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.judgement import Outcome
-from accelcal_cli.core.limits import workers
-from accelcal_cli.core.names import counted, printable
+from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.options import Positive, calibrating_options, precision_option, request_of
+from accelcal_cli.cli.output import study_line
+from accelcal_cli.core.errors import UsageError, counted, printable
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.study.find import Where
-from accelcal_cli.study.items import FAILED
-from accelcal_cli.study.plan import Study
-from accelcal_cli.study.preview import preview
-from accelcal_cli.study.run import run
-from accelcal_cli.study.shard import shard
+from accelcal_cli.core.system import workers
+from accelcal_cli.study.discovery import Where
+from accelcal_cli.study.plan import Study, overlooked, shard
+from accelcal_cli.study.records import FAILED, Item
+from accelcal_cli.study.run import preview, run
 from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.todo import overlooked
+from accelcal_cli.study.task import Answer
+
+
+class Told:
+    """Prints what comes, and keeps the exit code of each recording."""
+
+    def __init__(self, out: Path, values: dict[str, Any], stack: contextlib.ExitStack) -> None:
+        self.codes: list[int] = []
+        self._out = out
+        self._values = values
+        self._stack = stack
+        self._bar: Any = None
+        self._failed = 0
+
+    def begin(self, items: Sequence[Item]) -> None:
+        """See `Watch`; every round has its own bar."""
+        if self._values["quiet"] or sys.stderr is None or not sys.stderr.isatty():
+            return
+        from tqdm import tqdm
+
+        if self._bar is not None:
+            self._bar.close()
+        total = sum(item.size for item in items)
+        self._bar = tqdm(total=total, unit="B", unit_scale=True, leave=False, file=sys.stderr)
+        self._stack.callback(self._bar.close)
+        self._todo, self._done = len(items), 0
+
+    def moved(self, bytes_done: float) -> None:
+        """See `Watch`."""
+        if self._bar is not None:
+            self._bar.update(bytes_done)
+
+    def ended(self, item: Item, answer: Answer) -> None:
+        """See `Watch`."""
+        row = answer.entry.row
+        assert row is not None
+        self.codes.append(row["exit_code"])
+        self._failed += row["outcome"] == FAILED
+        with self._aside(fresh=not answer.up_to_date):
+            self._print(item, row)
+            self._comment(item, row, answer)
+
+    def said(self, text: str) -> None:
+        """See `Watch`."""
+        if not self._values["quiet"]:
+            with self._aside(fresh=False):
+                exit_codes.say(text)
+
+    @contextlib.contextmanager
+    def _aside(self, *, fresh: bool) -> Iterator[None]:
+        """Lines above the bar, and the bar as it is after them."""
+        if self._bar is None:
+            yield
+            return
+        with self._bar.external_write_mode(file=sys.stderr):
+            yield
+        self._done += fresh
+        self._bar.set_description(f"{self._done}/{self._todo} recordings, {self._failed} failed")
+
+    def _print(self, item: Item, row: dict[str, Any]) -> None:
+        if self._values["as_json"]:
+            if row["outcome"] != FAILED:
+                click.echo(_compact(item.job.report))
+        elif not self._values["quiet"]:
+            written = None if row["parquet"] is None else item.job.parquet
+            click.echo(study_line(row, item.source, written))
+
+    def _comment(self, item: Item, row: dict[str, Any], answer: Answer) -> None:
+        name = printable(item.source)
+        if row["outcome"] == FAILED:
+            kept = (
+                ""
+                if answer.trace is None
+                else f"; please report it with {exit_codes.keep_trace(answer.trace)}"
+            )
+            text = row["message"] if name in row["message"] else f"{name}: {row['message']}"
+            exit_codes.say(f"{text}{kept}")
+        elif row["outcome"] == Outcome.REFUSED:
+            exit_codes.say(f"{name}: refused: {row['message']}")
+        if self._values["quiet"]:
+            return
+        for problem in answer.problems if self._values["verbose"] else answer.problems[:1]:
+            exit_codes.say(f"{name}: {problem}")
+
+
+def _compact(report: Path) -> str:
+    """A report in one line."""
+    import json
+
+    return json.dumps(json.loads(report.read_text("utf-8")))
+
+
+@contextlib.contextmanager
+def watching(out: Path, values: dict[str, Any]) -> Iterator[Told]:
+    """A watcher whose bar is gone at the end."""
+    with contextlib.ExitStack() as stack:
+        yield Told(out, values, stack)
+
 
 FOLDER = click.Path(path_type=Path, readable=False)
 
@@ -73,7 +172,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     """
     study = _study(folders, values)
     if not values["quiet"] and (number := overlooked(study)):
-        exits.say(f"left out, since below {printable(study.out)}: {counted(number, 'recording')}")
+        exit_codes.say(f"left out, since below {printable(study.out)}: {counted(number, 'recording')}")
     if values["dry_run"]:
         return _preview(study, values)
     if (
@@ -82,7 +181,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         and study.jobs > workers(study.jobs)
         and not values["quiet"]
     ):
-        exits.say(f"--jobs {study.jobs} is more than CPUs and memory allow for ({workers(study.jobs)})")
+        exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow for ({workers(study.jobs)})")
     with watching(study.out, values) as watch:
         result = run(study, watch)
     return _ended(study, result, watch, values)
@@ -126,7 +225,7 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
             click.echo(json.dumps({"path": path, "state": state}))
         elif not values["quiet"]:
             click.echo(f"{path}\t{state}")
-    return exits.OK
+    return exit_codes.OK
 
 
 def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -> int:
@@ -134,7 +233,7 @@ def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -
     for pool in result.pools.values():
         if pool["outcome"] in (FAILED, Outcome.REFUSED):
             device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")
-            exits.say(f"{device} are not pooled: {pool['message']}")
+            exit_codes.say(f"{device} are not pooled: {pool['message']}")
     unfinished = study.collect and result.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in result.outcomes().items()]
@@ -143,7 +242,7 @@ def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -
         counts += [counted(result.left_out, "no recording")] if result.left_out else []
         table = printable(study.out / f"{study.shard.basename}.csv")
         number = ": ".join(filter(None, [counted(len(result.rows), "recording"), ", ".join(counts)]))
-        exits.say(f"{number}; see {table}")
+        exit_codes.say(f"{number}; see {table}")
     if len(watch.codes) == 1 and not unfinished:
         return watch.codes[0]
-    return exits.SOME_FAILED if any(watch.codes) or unfinished else exits.OK
+    return exit_codes.SOME_FAILED if any(watch.codes) or unfinished else exit_codes.OK

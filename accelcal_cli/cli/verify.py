@@ -9,13 +9,11 @@ from typing import Any
 import click
 
 from accelcal_cli import __version__
-from accelcal_cli.cli import exits
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import chunk_option
-from accelcal_cli.cli.progress import progress_bars
-from accelcal_cli.core.names import printable
-from accelcal_cli.pipeline.remake import Wanted
-from accelcal_cli.pipeline.values import ParquetCheck
-from accelcal_cli.pipeline.verify import Verified, verify
+from accelcal_cli.cli.output import progress_bars
+from accelcal_cli.core.errors import printable
+from accelcal_cli.verify import ParquetCheck, Verified, Wanted, verify
 
 DIFFERS = 1
 SHOWN_KEYS = 5
@@ -58,7 +56,7 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     click.echo(json.dumps(as_object(report, recording, found)) if values["as_json"] else line(report, found))
     if not values["quiet"]:
         _comment(report, found)
-    return exits.OK if found.identical else DIFFERS
+    return exit_codes.OK if found.identical else DIFFERS
 
 
 def line(report: Path, found: Verified) -> str:
@@ -113,11 +111,11 @@ def _comment(report: Path, found: Verified) -> None:
     """What was assumed, and what the Parquet file has to do with it, on stderr."""
     name = printable(report)
     if found.missing:
-        exits.say(f"{name}: does not name {', '.join(found.missing)}; this version's defaults were used")
+        exit_codes.say(f"{name}: does not name {', '.join(found.missing)}; this version's defaults were used")
     if found.unknown:
-        exits.say(f"{name}: names {', '.join(found.unknown)}, which this version does not have")
+        exit_codes.say(f"{name}: names {', '.join(found.unknown)}, which this version does not have")
     if found.parquet is not None:
-        exits.say(f"{printable(found.parquet.path)}: {_said(found.parquet)}")
+        exit_codes.say(f"{printable(found.parquet.path)}: {_said(found.parquet)}")
 
 
 def _said(check: ParquetCheck) -> str:

@@ -1,4 +1,8 @@
-"""The default collector: running integer means in orientation cells.
+"""Integer sums to fixed-point means.
+
+Which still windows can be rest under gravity at all.
+
+The default collector: running integer means in orientation cells.
 
 A wrist rests for hours in a few postures; one mean per cell of the raw acceleration space keeps
 all orientations and bounds the memory. Cells are cubes of about 0.05 g (the mean of a wider cell
@@ -13,6 +17,7 @@ All sums are integers: adding windows in any order, or merging collectors, gives
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
@@ -20,12 +25,67 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect._to_points import Sums, to_points
-from accelcal_cli.collect.plausible import plausible
-from accelcal_cli.core.fixed import rounded_quotient
-from accelcal_cli.core.points import WEIGHT_ONE, PointSet
+from accelcal_cli.core.fixed import ONE, rounded_quotient
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale, Windows
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.core.windows import Windows
+
+
+@dataclass(frozen=True, slots=True)
+class Sums:
+    """One point before its division: sums over `samples` samples of `windows` windows."""
+
+    windows: int
+    samples: int
+    xyz: tuple[int, int, int]
+    temperature_mc: int = 0
+
+
+def to_points(
+    sums: Sequence[Sums], weights: Sequence[int], lsb_per_g: float, *, temperature: bool
+) -> PointSet:
+    """Means in fixed-point g; temperatures scaled to a power-of-two span about their mean."""
+    scale = Fraction(lsb_per_g)
+    xyz = [
+        [
+            rounded_quotient(axis * ONE * scale.denominator, item.samples * scale.numerator)
+            for axis in item.xyz
+        ]
+        for item in sums
+    ]
+    windows = np.array([item.windows for item in sums], np.int64)
+    held = np.array(weights, np.int64)
+    places = np.array(xyz, np.int64).reshape(-1, 3)
+    if not temperature or not sums:
+        return PointSet(places, held, windows)
+    means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
+    reference = rounded_quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
+    span = _span_c(max(abs(mean - reference) for mean in means))
+    tau = [
+        rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
+        for item in sums
+    ]
+    return PointSet(places, held, windows, np.array(tau, np.int64), TemperatureScale(reference, float(span)))
+
+
+def _span_c(largest_mc: int) -> int:
+    span = 1
+    while largest_mc >= 2000 * span:
+        span *= 2
+    return span
+
+
+def norms_g(windows: Windows, lsb_per_g: float) -> NDArray[np.float64]:
+    """Length of each window's raw mean [g], (m,)."""
+    mean_g = windows.sums / (windows.samples[:, np.newaxis] * lsb_per_g)
+    squares = mean_g * mean_g
+    return np.asarray(np.sqrt(squares[:, 0] + squares[:, 1] + squares[:, 2]))
+
+
+def plausible(windows: Windows, lsb_per_g: float, settings: Settings) -> NDArray[np.bool_]:
+    """Windows whose mean has a length near 1 g, (m,); zeros written by a device have not."""
+    norms = norms_g(windows, lsb_per_g)
+    return np.asarray((norms > settings.norm_low_g) & (norms < settings.norm_high_g))
+
 
 MAX_POINTS = 4096
 SPREAD_BITS = 8

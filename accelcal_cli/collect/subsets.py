@@ -11,11 +11,9 @@ from fractions import Fraction
 from functools import cache
 from math import ceil, floor
 
-from accelcal_cli.collect._to_points import Sums, to_points
-from accelcal_cli.collect.plausible import plausible
-from accelcal_cli.core.points import WEIGHT_ONE, PointSet
+from accelcal_cli.collect.cells import Sums, plausible, to_points
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Windows
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.core.windows import Windows
 
 INTERVALS_G = (
     (Fraction(-5, 4), Fraction(-3, 4)),

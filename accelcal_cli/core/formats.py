@@ -1,15 +1,19 @@
-"""The contract of a format: one frozen record that each file in `readers/` binds as FORMAT."""
+"""The contract of a format: one frozen record that each file in `readers/` binds as FORMAT.
+
+The contract of a recording writer: one frozen record that each file in `encode/` binds as ENCODER.
+"""
 
 from __future__ import annotations
 
 import gzip
+import importlib
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.recording import Reader
+from accelcal_cli.core.recording import Chunk, Reader, Recording
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
@@ -93,16 +97,26 @@ class Format:
         sniff: confidence 0..100 that the probed file is of this format. 0: certainly not;
             100: a magic number or signature matches. Never raises.
         ignores: reading options that mean nothing to it, such as `columns`.
-        open: opens it. Raises UnreadableError with a place and a hint, UsageError where an
-            option is needed.
+        reader: "module:function" that opens a file, imported by the first file that is opened.
     """
 
     name: str
     title: str
     suffixes: tuple[str, ...]
     sniff: Callable[[Probe], int]
-    open: Callable[[Path, ReadOptions], Reader]
+    reader: str
     ignores: tuple[str, ...] = ()
+
+    def open(self, path: Path, options: ReadOptions) -> Reader:
+        """Open a recording for streaming.
+
+        Raises:
+            UnreadableError: it is not of this format, or holds no samples.
+            UsageError: an option is missing or contradicts the file.
+        """
+        module, _, function = self.reader.partition(":")
+        reader: Reader = getattr(importlib.import_module(module), function)(path, options)
+        return reader
 
 
 def probe_file(path: Path, options: ReadOptions) -> Probe:
@@ -146,3 +160,50 @@ def gzip_head(path: Path) -> bytes:
                 f"damaged gzip data ({error})", path=path, byte_offset=0, hint="copy it again from its source"
             ) from error
     return b"".join(parts)[:HEAD_BYTES]
+
+
+@dataclass(frozen=True, slots=True)
+class Companion:
+    """A text file beside a recording: what its name ends with, and its text."""
+
+    suffix: str
+    text: Callable[[Recording], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How the device of a format samples.
+
+    Attributes:
+        rate_hz: what it makes of the wanted rate: at 66.7 Hz a GENEActiv takes 200 samples in 3 s.
+        unit_samples: a recording's number of samples is a multiple of this, such as a page.
+    """
+
+    rate_hz: float
+    unit_samples: int = 1
+
+
+def any_sampling(recording: Recording) -> Sampling:
+    """Any rate and scale, any number of samples."""
+    return Sampling(recording.rate_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """Writes recordings of one format.
+
+    Attributes:
+        name: the format's name, as in `--format`; a reader of that name reads it back.
+        suffix: what the file name ends with.
+        write: writes all chunks to a path that the caller chose (temporary; the caller renames).
+        companion: a file that must lie beside the recording, such as a layout; None where the
+            recording stands alone.
+        sampling: how a wanted recording is sampled. Raises UsageError where no device of the
+            format has such a rate, scale or range.
+    """
+
+    name: str
+    suffix: str
+    write: Callable[[Path, Recording, Iterable[Chunk]], None]
+    companion: Companion | None = None
+    sampling: Callable[[Recording], Sampling] = any_sampling

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Iterable
+from types import ModuleType
 from typing import Any, Protocol, TypeVar
 
 from accelcal_cli.core.errors import UsageError
@@ -19,10 +20,20 @@ class Named(Protocol):
 
 
 def bound(package: str, folder: Iterable[str], attribute: str) -> list[Any]:
-    """`attribute` of every module of a package, by the items' names; `_` modules are helpers."""
+    """`attribute` of every module of a package, by the items' names; `_` modules are helpers.
+
+    A module binds one item, or a tuple of them.
+    """
     names = [info.name for info in pkgutil.iter_modules(folder) if not info.name.startswith("_")]
-    found = [getattr(importlib.import_module(f"{package}.{name}"), attribute) for name in names]
+    found = [
+        item for name in names for item in _items(importlib.import_module(f"{package}.{name}"), attribute)
+    ]
     return sorted(found, key=lambda item: str(item.name))
+
+
+def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
+    bound_here = getattr(module, attribute)
+    return bound_here if isinstance(bound_here, tuple) else (bound_here,)
 
 
 def only(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
@@ -30,8 +41,8 @@ def only(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
     module = name.replace("-", "_")
     if module.startswith("_") or module not in {info.name for info in pkgutil.iter_modules(folder)}:
         return None
-    found = getattr(importlib.import_module(f"{package}.{module}"), attribute)
-    return found if found.name == name else None
+    items = _items(importlib.import_module(f"{package}.{module}"), attribute)
+    return next((item for item in items if item.name == name), None)
 
 
 T = TypeVar("T", bound=Named)

@@ -18,9 +18,8 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.points import Calibration, in_standard_g
-from accelcal_cli.evaluate.simulated.cases import Case, Plan, as_points, make_case, measured
-from accelcal_cli.evaluate.simulated.optimizers import Method
-from accelcal_cli.judge.uncertainty import directions
+from accelcal_cli.evaluate.cases import Case, Method, Plan, as_points, make_case, measured
+from accelcal_cli.judge.errors import directions
 
 Real = NDArray[np.float64]
 

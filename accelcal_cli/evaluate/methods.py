@@ -1,23 +1,29 @@
-"""Every optimizer on the same points and the same hold-out (F section III.B, Table 3)."""
+"""Every optimizer on the same points and the same hold-out (F section III.B, Table 3).
+
+What is known of a simulated recording, and how far a calibration is from it.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from accelcal_cli.core.errors import AccelcalError
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import AccelcalError, UnreadableError, printable
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.judgement import Judgement
-from accelcal_cli.core.names import printable
-from accelcal_cli.core.points import Fit, Model, PointSet
+from accelcal_cli.core.points import Calibration, Fit, Model, PointSet
+from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.pipeline.profiles import Procedure, fitting, make_method
-from accelcal_cli.pipeline.request import DEFAULT_CHUNK_SAMPLES, ProgressMaker
+from accelcal_cli.formats import open_recording
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
+from accelcal_cli.pipeline.method import Procedure, fitting, make_method
 from accelcal_cli.pipeline.survey import survey
-from accelcal_cli.readers import open_recording
 
 TABLE_3_OF_F = (
     ("our method", 25.1, 3.06, 820),
@@ -134,3 +140,74 @@ def as_json(rows: list[Row]) -> dict[str, Any]:
         "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
         "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
     }
+
+
+TRUTH_SUFFIX = ".truth.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """True parameters: a = K (v + o + s (T - Tref)).
+
+    Attributes:
+        gain: K, (3, 3).
+        offset_g: o, (3,) at the reference temperature.
+        reference_c: Tref.
+    """
+
+    gain: NDArray[np.float64]
+    offset_g: NDArray[np.float64]
+    reference_c: float
+
+
+def truth_beside(recording: Path) -> Truth | None:
+    """The content of STEM.truth.json beside a recording, None where there is no such file.
+
+    Either as `accelcal simulate` writes it, or with the keys `K` and `b` (and `temp_ref_c`) of
+    a = K (v - b - s (T - Tref)).
+
+    Raises:
+        UnreadableError: the file holds something else.
+    """
+    path = recording.with_name(stem(recording) + TRUTH_SUFFIX)
+    if not path.is_file():
+        return None
+    try:
+        return _truth(json.loads(path.read_text("utf-8")))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnreadableError(
+            f"does not hold the truth of a simulated recording ({error})",
+            path=path,
+            hint="move it away, or write it anew with accelcal simulate",
+        ) from error
+
+
+def _truth(known: dict[str, Any]) -> Truth:
+    if "sensor" in known:
+        sensor = known["sensor"]
+        return _checked(sensor["gain"], sensor["offset_g"], sensor["reference_c"])
+    return _checked(known["K"], [-value for value in known["b"]], known.get("temp_ref_c", 0.0))
+
+
+def _checked(gain: Any, offset_g: Any, reference_c: Any) -> Truth:
+    found = Truth(np.array(gain, np.float64), np.array(offset_g, np.float64), float(reference_c))
+    if found.gain.shape != (3, 3) or found.offset_g.shape != (3,):
+        raise ValueError("K is not 3 x 3, or o not three numbers")
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class TrueErrors:
+    """The largest error of an entry of K, and of an offset [mg] at the truth's reference temperature."""
+
+    gain: float
+    offset_mg: float
+
+
+def true_errors(found: Calibration, truth: Truth) -> TrueErrors:
+    """How far a calibration is from the truth."""
+    offset_g = found.offset_g() + found.slope_g_per_c() * (truth.reference_c - found.reference_c())
+    return TrueErrors(
+        float(np.abs(found.gain() - truth.gain).max()),
+        float(np.abs(offset_g - truth.offset_g).max() * 1000),
+    )

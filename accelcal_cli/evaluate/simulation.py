@@ -1,17 +1,173 @@
-"""Table 2 of Farago, Maczak, Gingl 2024, section III.A: errors of parameters that are known."""
+"""What came of one method's fits.
+
+Figures of the papers' tables.
+
+The Cramer-Rao bound: how well nine parameters can be known at best.
+
+The true orientation of each point is unknown too. Eliminating it leaves one equation for a point,
+|K (v + o)|^2 - 1 = 0, whose left side has variance |2 K^T a|^2 sigma^2 under noise sigma on each axis
+of v. Its derivatives, divided by that standard deviation, give the Fisher information.
+
+Table 2 of Farago, Maczak, Gingl 2024, section III.A: errors of parameters that are known.
+
+The evaluation by simulation as plain records.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from statistics import median
+from time import perf_counter
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from accelcal_cli.evaluate.simulated.bound import expected_errors
-from accelcal_cli.evaluate.simulated.cases import Plan, Selection, make_case
-from accelcal_cli.evaluate.simulated.optimizers import Method
-from accelcal_cli.evaluate.simulated.published import TABLE_2, Published
-from accelcal_cli.evaluate.simulated.tally import Scores, Tally
+from accelcal_cli import __version__
+from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.operations import predicted_seconds
+from accelcal_cli.core.points import PARAMETER_NAMES, Fit, Operations
+from accelcal_cli.evaluate.cases import Case, Method, Plan, Selection, make_case
+from accelcal_cli.judge.errors import jacobian
+from accelcal_cli.output.report import significant
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """One method's errors over all cases that it could fit.
+
+    Attributes:
+        mean, sd: of the absolute errors of the nine parameters; None where not fitted.
+        bias: mean of the errors with their signs.
+        ratio_to_bound: mean over the fitted parameters of `mean` over the bound of the same cases.
+        fitted: number of cases.
+        failures: reasons why other cases have no fit, with their numbers.
+        iterations: median.
+        operations: medians; zeros where not counted.
+        seconds: median time of a fit on this machine.
+    """
+
+    method: Method
+    mean: tuple[float | None, ...]
+    sd: tuple[float | None, ...]
+    bias: tuple[float | None, ...]
+    ratio_to_bound: float | None
+    fitted: int
+    failures: dict[str, int]
+    iterations: float | None
+    operations: Operations
+    seconds: float | None
+
+
+@dataclass(slots=True)
+class Tally:
+    """Takes cases in, one by one."""
+
+    method: Method
+    errors: list[Real] = field(default_factory=list)
+    bounds: list[Real] = field(default_factory=list)
+    fits: list[Fit] = field(default_factory=list)
+    failures: Counter[str] = field(default_factory=Counter)
+    seconds: list[float] = field(default_factory=list)
+
+    def take(self, case: Case, bound: Real) -> None:
+        """Fit a case; a fit that fails is counted."""
+        began = perf_counter()
+        try:
+            found = self.method.fit(case.points)
+        except DivergedError as error:
+            self.failures[error.message] += 1
+            return
+        self.seconds.append(perf_counter() - began)
+        self.fits.append(found)
+        self.errors.append(np.subtract(found.parameters, case.truth)[:9] / ONE)
+        self.bounds.append(bound)
+
+    def scores(self) -> Scores:
+        """What the cases amount to."""
+        fitted = len(self.fits)
+        if not fitted:
+            none = (None,) * 9
+            return Scores(
+                self.method, none, none, none, None, 0, dict(self.failures), None, Operations(), None
+            )
+        absolute = np.abs(self.errors)
+        mean = np.mean(absolute, axis=0)
+        free = list(self.method.model.free)
+        return Scores(
+            self.method,
+            mean=self._of_fitted(mean),
+            sd=self._of_fitted(np.std(absolute, axis=0, ddof=1)) if fitted > 1 else (None,) * 9,
+            bias=self._of_fitted(np.mean(self.errors, axis=0)),
+            ratio_to_bound=float(np.mean((mean / np.mean(self.bounds, axis=0))[free])),
+            fitted=fitted,
+            failures=dict(self.failures),
+            iterations=median(fit.iterations for fit in self.fits),
+            operations=self._operations(),
+            seconds=median(self.seconds),
+        )
+
+    def _of_fitted(self, values: Real) -> tuple[float | None, ...]:
+        free = self.method.model.free
+        return tuple(float(value) if index in free else None for index, value in enumerate(values))
+
+    def _operations(self) -> Operations:
+        counted = [fit.operations for fit in self.fits]
+        return Operations(
+            round(median(item.additions for item in counted)),
+            round(median(item.multiplications for item in counted)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """Mean and standard deviation of the absolute errors, in the order kxx kyy kzz kxy kxz kyz ox oy oz."""
+
+    mean: tuple[float, ...]
+    sd: tuple[float, ...]
+
+
+TABLE_2 = {
+    1.0: Published(
+        mean=(2.98e-4, 3.18e-4, 2.47e-4, 1.49e-3, 1.42e-3, 1.45e-3, 2.39e-4, 2.54e-4, 2.04e-4),
+        sd=(2.37e-4, 2.27e-4, 1.68e-4, 1.22e-3, 1.23e-3, 1.26e-3, 1.88e-4, 1.91e-4, 1.5e-4),
+    ),
+    5.0: Published(
+        mean=(1.39e-3, 1.64e-3, 1.07e-3, 2.61e-3, 2.67e-3, 3.3e-3, 1.05e-3, 1.18e-3, 1.08e-3),
+        sd=(1.07e-3, 1.22e-3, 8.98e-4, 2.24e-3, 2.07e-3, 2.53e-3, 9.2e-4, 8.35e-4, 7.76e-4),
+    ),
+}
+"""Farago, Maczak, Gingl 2024, Table 2, by noise [mg]."""
+
+TABLE_8 = (0.6015, 0.0090)
+"""Residuals with default and with local gravity, accelerometer, without a unit (Grammenos, Mascolo,
+Crowcroft 2018, Table 8)."""
+
+TABLE_8_GRAVITY = 9.81676
+"""Local gravity of Table 8 [m/s2]."""
+
+
+MEAN_OF_ABSOLUTE = float(np.sqrt(2 / np.pi))
+"""Mean |x| of a normal distribution with standard deviation 1."""
+
+
+def fisher_information(still_g: Real, truth: tuple[int, ...], noise_g: float) -> Real:
+    """Information (9, 9) that points at (n, 3) carry on a sensor's nine parameters."""
+    rows = jacobian(still_g, None, truth)[:, :9]
+    spread = noise_g * np.linalg.norm(rows[:, 6:], axis=1, keepdims=True)
+    return np.asarray((rows / spread).T @ (rows / spread))
+
+
+def expected_errors(still_g: Real, truth: tuple[int, ...], noise_g: float) -> Real:
+    """Least mean |error| (9,) of an unbiased estimate, were its errors normal."""
+    covariance = np.linalg.inv(fisher_information(still_g, truth, noise_g))
+    return np.asarray(MEAN_OF_ABSOLUTE * np.sqrt(np.diag(covariance)))
+
 
 MG = 1e-3
 
@@ -93,3 +249,102 @@ def _table(protocol: Protocol, plan: Plan, methods: tuple[Method, ...], step: St
     scores = tuple(tally.scores() for tally in tallies)
     noise_mg = round(plan.noise_g / MG, 9)
     return Table(plan.number, noise_mg, bound, TABLE_2.get(noise_mg), scores)
+
+
+NINE = PARAMETER_NAMES[:9]
+COLUMNS = (
+    "points",
+    "noise_mg",
+    "source",
+    "model",
+    "parameter",
+    "mean_abs_error",
+    "sd_abs_error",
+    "cases",
+    "failed",
+)
+
+
+def as_json(protocol: Protocol, tables: tuple[Table, ...]) -> dict[str, Any]:
+    """Everything; errors are plain numbers, of offsets in g. `seconds_per_fit` alone varies by run."""
+    return {
+        "accelcal_version": __version__,
+        "protocol": asdict(protocol),
+        "tables": [_table_json(table) for table in tables],
+    }
+
+
+def _table_json(table: Table) -> dict[str, Any]:
+    published = table.published
+    return {
+        "points": table.points,
+        "noise_mg": table.noise_mg,
+        "published": None if published is None else _pair(published.mean, published.sd),
+        "bound": _named(table.bound),
+        "methods": [_method(table, scores) for scores in table.scores],
+    }
+
+
+def _method(table: Table, scores: Scores) -> dict[str, Any]:
+    method, seconds = scores.method, scores.seconds
+    counted = asdict(scores.operations) if scores.operations.additions else None
+    predicted = predicted_seconds(scores.operations, method.optimizer.arithmetic)
+    return {
+        "method": method.label,
+        "optimizer": method.optimizer.name,
+        "profile": method.profile,
+        "model": method.model.name,
+        **_pair(scores.mean, scores.sd),
+        "bias": _named(scores.bias),
+        "ratio_to_bound": _short(scores.ratio_to_bound),
+        "largest_ratio_to_published": _short(table.worst_against_paper(scores)),
+        "cases": scores.fitted,
+        "failed": sum(scores.failures.values()),
+        "failures": scores.failures,
+        "iterations": scores.iterations,
+        "operations": counted,
+        "predicted_seconds": predicted and {name: significant(value) for name, value in predicted.items()},
+        "seconds_per_fit": _short(seconds),
+    }
+
+
+def _pair(mean: Sequence[float | None], sd: Sequence[float | None]) -> dict[str, Any]:
+    return {"mean_abs_error": _named(mean), "sd_abs_error": _named(sd)}
+
+
+def _named(values: Sequence[float | None]) -> dict[str, float | None]:
+    return dict(zip(NINE, map(_short, values), strict=True))
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else significant(value)
+
+
+def rows(tables: tuple[Table, ...]) -> list[tuple[object, ...]]:
+    """Of COLUMNS: one for each table, source (the paper, the bound, a method) and parameter."""
+    return [
+        (table.points, f"{table.noise_mg:g}", *row)
+        for table in tables
+        for source in _sources(table)
+        for row in source
+    ]
+
+
+def _sources(table: Table) -> Iterator[Iterator[tuple[object, ...]]]:
+    none: tuple[None, ...] = (None,) * 9
+    if table.published is not None:
+        yield _rows("paper", "9", (table.published.mean, table.published.sd), (None, None))
+    yield _rows("bound", "9", (table.bound, none), (None, None))
+    for scores in table.scores:
+        counts = (scores.fitted, sum(scores.failures.values()))
+        yield _rows(scores.method.label, scores.method.model.name, (scores.mean, scores.sd), counts)
+
+
+def _rows(
+    source: str,
+    model: str,
+    errors: tuple[Sequence[float | None], Sequence[float | None]],
+    counts: tuple[int | None, int | None],
+) -> Iterator[tuple[object, ...]]:
+    for name, mean, sd in zip(NINE, *errors, strict=True):
+        yield (source, model, name, _short(mean), _short(sd), *counts)

@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.judgement import Judgement
 from accelcal_cli.core.points import IDENTITY, PointSet, TemperatureScale
 from accelcal_cli.core.recording import Reader
+from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import STILLNESS, Settings, with_stillness
-from accelcal_cli.evaluate.truth import Truth, truth_beside
+from accelcal_cli.evaluate.methods import Truth, truth_beside
+from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
-from accelcal_cli.judge.postures import postures
-from accelcal_cli.pipeline.profiles import fitting, make_method
-from accelcal_cli.pipeline.request import ProgressMaker, no_progress
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.method import fitting, make_method
 from accelcal_cli.pipeline.survey import survey
-from accelcal_cli.readers import open_recording
 
 RAW = "raw"
 """Instead of a rule: no calibration."""

@@ -1,20 +1,89 @@
-"""The verdict: outcome, reason, and the calibration where there is one."""
+"""From a fit to all that is said of it: calibration, standard errors, errors on the fitted points.
+
+The verdict: outcome, reason, and the calibration where there is one.
+
+Refusing a recording of which damage has left too little, and what to do about it.
+
+Judging coefficients that were not found from the points at hand.
+
+Whether a recording is one of those that it is calibrated with.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import fsum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.judgement import Coverage, Holdout, Judgement, Outcome, Trial
-from accelcal_cli.core.names import counted
-from accelcal_cli.core.points import MODELS, PointSet
+from accelcal_cli.core.errors import DivergedError, counted
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet, in_standard_g
+from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.judge.complete import Fitted, complete
-from accelcal_cli.judge.holdout import FitFunction, Sample, control
-from accelcal_cli.judge.ladder import LADDER, Evidence, choose, one_sided_axes, try_models
-from accelcal_cli.judge.postures import postures, temperature_blocks
-from accelcal_cli.judge.uncertainty import coverage as coverage_of
+from accelcal_cli.judge.errors import coverage as coverage_of
+from accelcal_cli.judge.errors import deviations_mg, interval95, mean, per_posture, uncertainty
+from accelcal_cli.judge.model_ladder import (
+    LADDER,
+    Evidence,
+    FitFunction,
+    Sample,
+    choose,
+    control,
+    of_postures,
+    one_sided_axes,
+    postures,
+    temperature_blocks,
+    try_models,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitted:
+    """A model fitted to points.
+
+    Attributes:
+        label: (n,) posture numbers of the points.
+    """
+
+    model: str
+    points: PointSet
+    label: NDArray[np.int64]
+    found: Fit
+
+
+def complete(verdict: Judgement, fitted: Fitted, gravity: Gravity) -> Judgement:
+    """A verdict with its calibration, in standard g, and what is known of it."""
+    model, parameters = MODELS[fitted.model], fitted.found.parameters
+    scale = fitted.points.temperature if model.has_temperature else None
+    local_g = gravity.local_g()
+    found = replace(
+        verdict,
+        calibration=Calibration(fitted.model, in_standard_g(parameters, local_g), scale, gravity),
+        fit=fitted.found,
+        fit_errors=_errors(fitted),
+    )
+    known = uncertainty(fitted.points, parameters, model)
+    if known is None:
+        return found
+    seen = replace(
+        verdict.coverage,
+        condition_number=known.condition_number,
+        worst_direction_mg=known.worst_direction_mg,
+    )
+    errors = [*known.standard_errors[:6], *(value * float(local_g) for value in known.standard_errors[6:])]
+    return replace(found, coverage=seen, standard_errors=tuple(errors))
+
+
+def _errors(fitted: Fitted) -> FitErrors:
+    before, after = (
+        mean(list(per_posture(deviations_mg(fitted.points, p), fitted.points.weights, fitted.label).values()))
+        for p in (IDENTITY, fitted.found.parameters)
+    )
+    return FitErrors(len(fitted.points), len(set(fitted.label.tolist())), before, after)
+
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
@@ -159,3 +228,135 @@ def _advice(seen: Coverage, settings: Settings) -> str:
 
 def _change(held: Holdout) -> str:
     return f"{held.before.mean:.1f} mg before, {held.after.mean:.2f} mg after"
+
+
+CUT_SHORT = "truncated"
+"""Code of the problem that all readers tell of a file that breaks off."""
+
+COPY_AGAIN = "the file is cut short: copy it again from the device"
+
+
+def too_damaged(facts: Facts, max_percent: float) -> str | None:
+    """Why a recording is refused; None where damage has taken no larger share than `max_percent`."""
+    share = facts.lost_percent()
+    if share <= max_percent:
+        return None
+    return (
+        f"{share:.1f} % of the recording is lost to damage ({facts.lost_bytes} bytes), "
+        f"{max_percent:g} % is the limit; copy it again from the device, or allow more with --max-damage"
+    )
+
+
+def advised(verdict: Judgement, facts: Facts) -> Judgement:
+    """A refusal's advice, if the file was cut short: the rest may still be on the device."""
+    if all(problem.code != CUT_SHORT for problem in facts.problems):
+        return verdict
+    return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))
+
+
+def damage_verdict(facts: Facts, max_percent: float, seen: Coverage) -> Judgement | None:
+    """The refusal of a recording that is too damaged; None for any other."""
+    text = too_damaged(facts, max_percent)
+    return None if text is None else Judgement(Outcome.REFUSED, text, seen, ())
+
+
+FEWEST_POSTURES = 2
+
+
+def held_out(
+    points: PointSet, calibration: Calibration, rest: Gravity, degrees: float, method: str
+) -> Holdout | None:
+    """Errors before and after on all points, none of which was fitted; whole postures count alike.
+
+    Args:
+        points: in units of local gravity, with temperatures where the calibration has slopes.
+        rest: what rest measures where the points were recorded.
+        degrees: width of a posture.
+        method: how it was held out, for the report.
+
+    Returns:
+        None for fewer than two postures.
+    """
+    label = postures(points, degrees)
+    if not len(points) or label.max() + 1 < FEWEST_POSTURES:
+        return None
+    raw = [points.xyz[:, axis] / ONE for axis in range(3)]
+    before = per_posture(_deviations_mg(raw), points.weights, label)
+    after = per_posture(_deviations_mg(applied(points, calibration, rest)), points.weights, label)
+    pairs = tuple((before[key], after[key]) for key in sorted(before))
+    return of_postures(method, len(points), pairs)
+
+
+def better(lent: Holdout, own: Holdout) -> bool:
+    """Whether held-out errors are lower than others on the same postures, by more than the uncertainty.
+
+    The 95 % confidence interval of the mean difference, posture by posture, lies above 0.
+    """
+    pairs = zip(lent.per_posture, own.per_posture, strict=True)
+    return interval95([found - less for (_, less), (_, found) in pairs])[0] > 0
+
+
+def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[NDArray[np.float64]]:
+    """Calibrated x, y, z of points, in and out in units of local gravity, each (n,).
+
+    Elementwise, so that the figures are the same bits on every machine.
+    """
+    local_g = float(rest.local_g())
+    offset, slope, gain = calibration.offset_g(), calibration.slope_g_per_c(), calibration.gain()
+    u = [points.xyz[:, axis] / ONE * local_g + offset[axis] for axis in range(3)]
+    if calibration.temperature is not None:
+        warmth = temperatures_c(points) - calibration.reference_c()
+        u = [value + slope[axis] * warmth for axis, value in enumerate(u)]
+    return [(gain[row, 0] * u[0] + gain[row, 1] * u[1] + gain[row, 2] * u[2]) / local_g for row in range(3)]
+
+
+def temperatures_c(points: PointSet) -> NDArray[np.float64]:
+    """Temperatures of points that have them [degrees C], (n,)."""
+    assert points.tau is not None and points.temperature is not None
+    scale = points.temperature
+    return np.asarray(scale.reference_mc / 1000 + points.tau / ONE * scale.span_c, np.float64)
+
+
+def _deviations_mg(a: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+    return np.asarray(np.abs(np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) - 1.0) * 1000.0)
+
+
+def difference_mg(one: Calibration, other: Calibration, raw_g: NDArray[np.float64]) -> tuple[float, float]:
+    """Largest and mean length of the difference of two calibrations' results [mg].
+
+    Args:
+        raw_g: raw vectors, (n, 3), at the first one's reference temperature (the other's where it has none).
+    """
+    at_c = (one if one.temperature is not None else other).reference_c()
+    apart = _at(one, raw_g, at_c) - _at(other, raw_g, at_c)
+    lengths = (1000 * np.sqrt((apart * apart).sum(axis=1))).tolist()
+    return max(lengths), fsum(lengths) / len(lengths)
+
+
+def _at(calibration: Calibration, raw_g: NDArray[np.float64], at_c: float) -> NDArray[np.float64]:
+    shift = calibration.offset_g()
+    if calibration.temperature is not None:
+        shift = shift + calibration.slope_g_per_c() * (at_c - calibration.reference_c())
+    return np.asarray((raw_g + shift) @ calibration.gain().T)
+
+
+ODD_TIMES, ODD_MG = 3.0, 1.0
+"""Errors on a recording's own windows that speak against it are larger than before, and larger than so many
+times the pool's median and so many mg more."""
+
+SEEN = "own points, which are among those that were fitted"
+
+
+def worse(held: Holdout, usual_mg: float, limit_mg: float) -> str | None:
+    """Why a pool's coefficients are not for a recording, or None.
+
+    Args:
+        held: errors on the recording's own windows.
+        usual_mg: median of the pool's held-out errors; some recordings' postures are worse than others,
+            and where a raw error happens to be small none can be smaller.
+    """
+    before, after = held.before.mean, held.after.mean
+    changed = f"{before:.1f} mg become {after:.2f} mg on {held.postures} postures of its own"
+    if after > before and after > ODD_TIMES * usual_mg + ODD_MG:
+        return f"{changed}, {usual_mg:.2f} mg are usual in the pool"
+    return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float_model import (
+from accelcal_cli.optimize._float import (
     FloatPoints,
     Real,
     as_floats,
@@ -19,8 +19,8 @@ from accelcal_cli.optimize._float_model import (
     ideal,
     no_overflow,
     nothing_to_fit,
+    scipy_optimize,
 )
-from accelcal_cli.optimize._scipy import scipy_optimize
 
 
 @dataclass(frozen=True, slots=True)

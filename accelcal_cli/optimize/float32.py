@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from accelcal_cli.core.points import Fit, Model, Optimizer, PointSet
-from accelcal_cli.optimize._float_descent import PAPER, Settings, descend
+from accelcal_cli.optimize._float import PAPER, Settings, descend
 
 DEFAULT = Settings(max_iterations=20_000, smallest_step=2.0**-23)
 """A step below half the last bit of the result rounds to nothing."""

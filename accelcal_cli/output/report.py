@@ -1,31 +1,328 @@
-"""The JSON report: one function a section, all from plain records."""
+"""Sections of a report that several documents share, from plain records.
+
+Checking a document against the part of JSON Schema that report.schema.json uses.
+
+Keys that the schema does not know are passed over: a later version may add some.
+
+The JSON report: one function a section, all from plain records.
+
+The fit as integers: points in, coefficients out, for firmware and for a check bit by bit.
+"""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+import re
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
 from functools import cache
+from math import floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli import __version__
-from accelcal_cli.core.facts import Facts, Gap
-from accelcal_cli.core.judgement import Judgement
-from accelcal_cli.core.names import printable
-from accelcal_cli.core.recording import Recording, as_json_device
-from accelcal_cli.core.zones import iso_time
-from accelcal_cli.output.schema import fault
-from accelcal_cli.output.sections import (
-    calibration_json,
-    clock_json,
-    coverage_json,
-    damage_json,
-    fit_json,
-    holdout_json,
-    notes_json,
-    problem_json,
-    trial_json,
+from accelcal_cli.core.clock import ZoneChange, iso_time
+from accelcal_cli.core.errors import printable
+from accelcal_cli.core.fixed import FRACTION_BITS, to_float
+from accelcal_cli.core.operations import predicted_seconds
+from accelcal_cli.core.points import (
+    PARAMETER_NAMES,
+    UPPER_NAMES,
+    WEIGHT_ONE,
+    Arithmetic,
+    Calibration,
+    Fit,
+    PointSet,
 )
+from accelcal_cli.core.recording import Problem, Recording, as_json_device
+from accelcal_cli.core.results import Coverage, ErrorSummary, Facts, Gap, Holdout, Judgement, Trial
+
+EQUATION = "a = K (v + o + s (T - Tref))"
+DAY_S = 86_400
+
+
+def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
+    """The `calibration` object; None where there is none."""
+    found, fit = verdict.calibration, verdict.fit
+    if found is None or fit is None:
+        return None
+    return {
+        **coefficients_json(found),
+        "standard_errors": _standard_errors(found, verdict.standard_errors),
+        "optimizer": {**optimizer, **_effort(fit, optimizer["arithmetic"])},
+    }
+
+
+def coefficients_json(found: Calibration) -> dict[str, Any]:
+    """What is needed to apply a calibration."""
+    return {
+        "model": found.model,
+        "gain": found.gain().tolist(),
+        "offset_g": found.offset_g().tolist(),
+        "parameters": {name: to_float(value) for name, value in _integers(found, 9).items()},
+        "temperature": _temperature(found),
+        "equation": EQUATION,
+        "fixed_point": _fixed_point(found),
+        "gravity": {
+            "local_g": float(found.gravity.local_g()),
+            "latitude": found.gravity.latitude,
+            "altitude": found.gravity.altitude_m,
+        },
+    }
+
+
+def _integers(found: Calibration, number: int) -> dict[str, int]:
+    """Parameters by name; those above K's diagonal only where there are any."""
+    named = dict(zip(PARAMETER_NAMES[:number], found.parameters, strict=False))
+    return named | dict(zip(UPPER_NAMES, found.upper, strict=True)) if any(found.upper) else named
+
+
+def _temperature(found: Calibration) -> dict[str, Any] | None:
+    if found.temperature is None:
+        return None
+    return {"slope_g_per_c": found.slope_g_per_c().tolist(), "reference_c": found.reference_c()}
+
+
+def _standard_errors(found: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
+    if errors is None:
+        return None
+    span = 1.0 if found.temperature is None else found.temperature.span_c
+    scaled = [value / span if 9 <= index < 12 else value for index, value in enumerate(errors)]
+    number = 9 if found.temperature is None else 12
+    named = dict(zip(PARAMETER_NAMES[:number], scaled, strict=False))
+    named |= dict(zip(UPPER_NAMES, scaled[12:], strict=False))
+    return {name: significant(value) for name, value in named.items()}
+
+
+def _fixed_point(found: Calibration) -> dict[str, Any]:
+    scale = found.temperature
+    return {
+        "fraction_bits": FRACTION_BITS,
+        "parameters": _integers(found, 12),
+        "temperature_reference_mc": None if scale is None else scale.reference_mc,
+        "temperature_span_c": None if scale is None else scale.span_c,
+    }
+
+
+def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
+    seconds = predicted_seconds(fit.operations, arithmetic)
+    return {
+        "iterations": fit.iterations,
+        "stop": fit.stop,
+        "operations": asdict(fit.operations),
+        "predicted_seconds": seconds and {name: significant(value) for name, value in seconds.items()},
+    }
+
+
+def holdout_json(held: Holdout) -> dict[str, Any]:
+    """The `holdout` object: the number to quote."""
+    return {
+        "method": held.method,
+        "points": held.points,
+        "postures": held.postures,
+        "before_mg": summary_json(held.before),
+        "after_mg": summary_json(held.after),
+        "improvement_percent": round(held.improvement_percent(), 1) if held.after.mean else None,
+        "ci95_mg": [round(value, 4) for value in held.ci95],
+    }
+
+
+def summary_json(errors: ErrorSummary) -> dict[str, float]:
+    """Mean, median and 95th percentile [mg]."""
+    return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
+
+
+def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
+    """The `fit` object: errors on the points that were fitted."""
+    errors = verdict.fit_errors
+    return {
+        "points": verdict.coverage.cells if errors is None else errors.points,
+        "postures": None if errors is None else errors.postures,
+        "before_mg": None if errors is None else round(errors.before_mg, 4),
+        "after_mg": None if errors is None else round(errors.after_mg, 4),
+        "windows": windows,
+    }
+
+
+def coverage_json(seen: Coverage) -> dict[str, Any]:
+    """The `coverage` object."""
+    worst, condition = seen.worst_direction_mg, seen.condition_number
+    return {
+        "subsets": [list(row) for row in seen.subsets],
+        "axis_min_g": [round(value, 4) for value in seen.axis_min_g],
+        "axis_max_g": [round(value, 4) for value in seen.axis_max_g],
+        "cells": seen.cells,
+        "condition_number": None if condition is None else significant(condition),
+        "worst_direction_mg": None if worst is None else significant(worst),
+    }
+
+
+def trial_json(trial: Trial) -> dict[str, Any]:
+    """One entry of `models_tried`."""
+    held = trial.holdout
+    return {
+        "model": trial.model,
+        "after_mg": None if held is None else round(held.after.mean, 4),
+        "compared_mg": None if held is None else round(held.compared_mg(), 4),
+        "reason": trial.reason,
+    }
+
+
+def problem_json(problem: Problem) -> dict[str, Any]:
+    """One entry of `file_health.problems`."""
+    return {
+        "code": problem.code,
+        "message": problem.message,
+        "byte_offset": problem.byte_offset,
+        "sample": problem.sample,
+        "count": problem.count,
+    }
+
+
+def damage_json(facts: Facts) -> dict[str, Any]:
+    """The keys of `file_health` that say how much damage has taken."""
+    return {"lost_bytes": facts.lost_bytes, "lost_percent": round(facts.lost_percent(), 4)}
+
+
+def clock_json(recording: Recording, facts: Facts, *, whole: bool = True) -> dict[str, Any]:
+    """The object `file_health.clock`; what only reading everything tells is null if not `whole`."""
+    jumps, change, rate = facts.jumps, facts.zone_change, facts.rate_hz
+    return {
+        "rate_hz_nominal": recording.rate_hz,
+        "rate_hz_measured": None if rate is None else round(rate, 6),
+        "drift_s_per_day": None if rate is None else round(DAY_S * (recording.rate_hz / rate - 1), 3),
+        "gaps": jumps.gaps if whole else None,
+        "gap_seconds": round(jumps.gap_us / 1e6, 6) if whole else None,
+        "backward": jumps.back if whole else None,
+        "dst_change": None if change is None else _zone_change(change),
+    }
+
+
+def _zone_change(change: ZoneChange) -> dict[str, Any]:
+    return {
+        "time": iso_time(change.at_us, change.before_s),
+        "utc_offset_s_before": change.before_s,
+        "utc_offset_s_after": change.after_s,
+        "note": change.note(),
+    }
+
+
+def notes_json(recording: Recording, facts: Facts) -> list[str]:
+    """The recording's notes, and the change of its zone."""
+    change = facts.zone_change
+    return [*recording.notes, *(() if change is None else (change.note(),))]
+
+
+def significant(value: float, digits: int = 4) -> float:
+    """Round to so many significant digits: the last bits of linear algebra differ by machine."""
+    return 0.0 if value == 0 else round(value, digits - 1 - floor(log10(abs(value))))
+
+
+_NAMES = {
+    "object": "an object",
+    "array": "a list",
+    "string": "a text",
+    "number": "a number",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "null": "null",
+}
+
+
+def fault(value: Any, schema: dict[str, Any], where: str = "") -> str | None:
+    """The first thing wrong with a value, such as `calibration.gain[0][2] is not a number`, or None."""
+    kind = schema.get("type")
+    if kind is not None and not _is(value, kind):
+        return f"{where or 'it'} is not {_NAMES[kind]}"
+    for check in _CHECKS:
+        found = check(value, schema, where)
+        if found is not None:
+            return found
+    return None
+
+
+def _is(value: Any, kind: str) -> bool:
+    if kind == "number":
+        return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+    if kind == "integer":
+        return isinstance(value, int) and not isinstance(value, bool)
+    types = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
+    return isinstance(value, types[kind])
+
+
+def _choice(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if "enum" in schema and value not in schema["enum"]:
+        return f"{where} is {value!r}, not one of {', '.join(map(str, schema['enum']))}"
+    if "const" in schema and (value != schema["const"] or isinstance(value, bool)):
+        return f"{where} is {value!r}, not {schema['const']!r}"
+    return None
+
+
+def _size(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    too_small = value < schema.get("minimum", value)
+    if too_small or ("exclusiveMinimum" in schema and value <= schema["exclusiveMinimum"]):
+        return f"{where} is {value}, which is too small"
+    return None
+
+
+def _text(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if len(value) < schema.get("minLength", 0) or not re.search(schema.get("pattern", ""), value):
+        return f"{where} is {value[:80]!r}, which it cannot be"
+    return None
+
+
+def _scalar(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if schema.get("type") in ("number", "integer"):
+        return _size(value, schema, where)
+    return _text(value, schema, where) if schema.get("type") == "string" else None
+
+
+def _keys(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if not isinstance(value, dict):
+        return None
+    start = f"{where}." if where else ""
+    for name in schema.get("required", ()):
+        if name not in value:
+            return f"{start}{name} is missing"
+    parts = ((name, part) for name, part in schema.get("properties", {}).items() if name in value)
+    return _first((value[name], part, f"{start}{name}") for name, part in parts)
+
+
+def _items(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if not isinstance(value, list):
+        return None
+    if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
+        return f"{where} has {len(value)} entries"
+    part = schema.get("items", {})
+    return _first((item, part, f"{where}[{index}]") for index, item in enumerate(value))
+
+
+def _first(parts: Any) -> str | None:
+    return next((found for part in parts if (found := fault(*part)) is not None), None)
+
+
+def _branches(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    """`anyOf`: the fault of the branch that the value is of the kind of, else of the first."""
+    faults = [(branch, fault(value, branch, where)) for branch in schema.get("anyOf", ())]
+    if any(found is None for _, found in faults) or not faults:
+        return None
+    alike = (found for branch, found in faults if _is(value, branch.get("type", "null")))
+    return next(alike, faults[0][1])
+
+
+def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    for part in schema.get("allOf", ()):
+        chosen = "then" if fault(value, part.get("if", {}), where) is None else "else"
+        found = fault(value, part.get(chosen, {}), where)
+        if found is not None:
+            return found
+    return None
+
+
+_CHECKS: tuple[Callable[[Any, dict[str, Any], str], str | None], ...] = (
+    _choice, _scalar, _keys, _items, _branches, _conditions,
+)  # fmt: skip
+
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
@@ -203,3 +500,27 @@ def load_report(path: Path) -> dict[str, Any] | None:
     known = report_schema()["properties"]["recording"]["properties"]
     asked = {"type": "object", "required": needed, "properties": {name: known[name] for name in needed}}
     return report if fault(report.get("recording"), asked) is None else None
+
+
+def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
+    """Points and parameters as fixed-point integers; None where the recording was refused."""
+    verdict = data.judgement
+    if verdict.calibration is None or verdict.fit is None:
+        return None
+    scale = points.temperature
+    return {
+        "accelcal_version": __version__,
+        "sha256": data.sha256,
+        "fraction_bits": FRACTION_BITS,
+        "weight_one": WEIGHT_ONE,
+        "optimizer": data.optimizer,
+        "model": verdict.calibration.model,
+        "points": points.xyz.tolist(),
+        "weights": points.weights.tolist(),
+        "temperatures": None if points.tau is None else points.tau.tolist(),
+        "temperature_reference_mc": None if scale is None else scale.reference_mc,
+        "temperature_span_c": None if scale is None else scale.span_c,
+        "parameters": dict(zip(PARAMETER_NAMES, verdict.fit.parameters, strict=True)),
+        "iterations": verdict.fit.iterations,
+        "stop": verdict.fit.stop,
+    }

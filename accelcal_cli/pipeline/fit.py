@@ -5,16 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.collect.given import given_points
-from accelcal_cli.collect.table import read_table
+from accelcal_cli.collect.table import given_points, read_table
 from accelcal_cli.core.points import IDENTITY, PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import deviations_mg, mean
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.points_report import PointsInput, build_points
-from accelcal_cli.pipeline.identity import sha256
-from accelcal_cli.pipeline.profiles import fitting, optimizer_json
+from accelcal_cli.output.report_kinds import PointsInput, build_points
+from accelcal_cli.pipeline.jobs import sha256
+from accelcal_cli.pipeline.method import fitting, optimizer_json
 
 NOT_NEAR = "no point is anywhere near 1 g; x, y and z must be in g"
 NO_POINTS = "the table holds no points"

@@ -10,20 +10,19 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli import __version__
-from accelcal_cli.core.facts import Facts
+from accelcal_cli.core.clock import iso_time, zone_change
+from accelcal_cli.core.errors import printable
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.judgement import Judgement
-from accelcal_cli.core.names import printable
+from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
+from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.core.windows import WindowCounts
-from accelcal_cli.core.zones import iso_time, zone_change
-from accelcal_cli.judge.damage import advised, damage_verdict
-from accelcal_cli.judge.uncertainty import coverage
-from accelcal_cli.output.sections import clock_json, damage_json, holdout_json, notes_json, problem_json
-from accelcal_cli.pipeline.profiles import fitting, make_method
+from accelcal_cli.formats import open_recording
+from accelcal_cli.judge.errors import coverage
+from accelcal_cli.judge.verdict import advised, damage_verdict
+from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
+from accelcal_cli.pipeline.method import fitting, make_method
 from accelcal_cli.pipeline.survey import survey
-from accelcal_cli.readers import open_recording
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli import __version__
-from accelcal_cli.core.encoding import Sampling
 from accelcal_cli.core.errors import OutputError, UsageError
+from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.recording import Chunk
-from accelcal_cli.encode import named_encoder
-from accelcal_cli.output.atomic import replacing, write_text
-from accelcal_cli.pipeline.request import Progress
-from accelcal_cli.simulate.recording import Plan, Truth, describe, stream
+from accelcal_cli.formats import named_encoder
+from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.pipeline.jobs import Progress
+from accelcal_cli.simulate import Plan, Truth, describe, stream
 
 
 def simulate(

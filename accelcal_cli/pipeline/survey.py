@@ -1,21 +1,68 @@
-"""The first pass over a recording: facts about it, and its still windows into a procedure."""
+"""Still windows in larger portions: what comes of them does not depend on how they are portioned.
+
+The first pass over a recording: facts about it, and its still windows into a procedure.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from types import TracebackType
+from typing import Self
 
 import numpy as np
 
-from accelcal_cli.collect.plausible import norms_g
-from accelcal_cli.core.facts import Facts, Gap, Jumps
+from accelcal_cli.collect.cells import norms_g
+from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
+from accelcal_cli.core.parallel import ahead
+from accelcal_cli.core.points import Windows, joined_windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
-from accelcal_cli.core.windows import Windows
-from accelcal_cli.core.zones import ZoneChange, utc_offset_s, zone_change
-from accelcal_cli.pipeline.ahead import ahead
-from accelcal_cli.pipeline.batches import Batches
-from accelcal_cli.pipeline.profiles import Method
-from accelcal_cli.pipeline.request import Progress
+from accelcal_cli.core.results import Facts, Gap, Jumps
+from accelcal_cli.pipeline.jobs import Progress
+from accelcal_cli.pipeline.method import Method
+
+BATCH_WINDOWS = 4096
+
+
+class Batches:
+    """Hands windows on a few thousand at a time, in their order; the rest when the block ends."""
+
+    def __init__(self, use: Callable[[Windows], None]) -> None:
+        self._use = use
+        self._held: list[Windows] = []
+        self._number = 0
+
+    def take(self, found: Iterable[Windows]) -> None:
+        """Take windows in."""
+        for windows in found:
+            if self._held and _warm(self._held[0]) != _warm(windows):
+                self._hand_on()
+            self._held.append(windows)
+            self._number += len(windows)
+            if self._number >= BATCH_WINDOWS:
+                self._hand_on()
+
+    def _hand_on(self) -> None:
+        if self._held:
+            self._use(joined_windows(self._held))
+        self._held, self._number = [], 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self._hand_on()
+
+
+def _warm(windows: Windows) -> bool:
+    return windows.temperature_sums is not None
+
 
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000

@@ -1,4 +1,10 @@
-"""The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
+"""Candidates that wait for their decision, and states made of neighbouring still windows.
+
+How much a window varies, and the least that was ever seen; exact in integers.
+
+Variances are compared as `n times the variance, rounded up`: equal windows have equal integers.
+
+The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
 
 Grammenos, Mascolo, Crowcroft 2018: a window is still where the standard deviation of |a| is below
 twice the smallest one of the recording, and that of the gyroscope below three times its smallest;
@@ -17,16 +23,241 @@ without any spread means. Here:
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import pairwise
+from math import isqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import Adaptive
-from accelcal_cli.core.windows import Windows
-from accelcal_cli.segment._spread import MOVING, LeastSpread, norm_bits, norms, squares
-from accelcal_cli.segment._states import CANDIDATE, Candidates, States, candidates, passing
-from accelcal_cli.segment.blocks import Blocks
+from accelcal_cli.segment.segmenter import Blocks, centred_squares
+
+CANDIDATE = np.dtype(
+    [
+        ("run", np.int64),
+        ("first", np.int64),
+        ("sums", np.int64, 3),
+        ("low", np.int64, 3),
+        ("high", np.int64, 3),
+        ("warm", np.int64),
+        ("warm_known", np.bool_),
+        ("norm", np.int64),
+        ("turn", np.int64),
+        ("least_norm", np.int64),
+        ("least_turn", np.int64),
+    ]
+)
+"""A window that may be still: norm and turn are n times the variance of |a| and of the rotation,
+the least ones their minima when it came, later those by which it was decided."""
+
+Candidates = NDArray[Any]
+
+
+def candidates(blocks: Blocks, spreads: dict[str, NDArray[np.int64]]) -> Candidates:
+    """Blocks as candidates; `spreads` holds norm, turn, least_norm and least_turn, each (m,)."""
+    made = np.zeros(len(blocks), CANDIDATE)
+    made["run"] = blocks.run
+    made["first"] = blocks.first_samples()
+    made["sums"], made["low"], made["high"] = blocks.sums.T, blocks.low.T, blocks.high.T
+    if blocks.temperature_sums is not None:
+        made["warm"], made["warm_known"] = blocks.temperature_sums, True
+    for name, values in spreads.items():
+        made[name] = values
+    return made
+
+
+def constant(held: Candidates) -> NDArray[np.bool_]:
+    """Which windows hold one value only."""
+    return np.asarray((held["low"] == held["high"]).all(axis=1))
+
+
+def passing(held: Candidates, numbers: Adaptive) -> NDArray[np.bool_]:
+    """G 4.4: standard deviations below so many times their minima."""
+    calm = held["norm"] < numbers.acceleration_factor**2 * held["least_norm"]
+    return np.asarray(calm & (held["turn"] < numbers.rotation_factor**2 * held["least_turn"]))
+
+
+class States:
+    """Joins still windows that follow one another and agree, in the order of time.
+
+    A window joins the state before it if no sample and no break lies between them, the mean of each
+    axis is within `acceleration_factor` times the minimum standard deviation of that of the state's
+    first window, and the state is not full. A state of too few windows is none. Windows of one
+    constant value are left single, for the collector to decide whether they were measured.
+    """
+
+    def __init__(self, length: int, bits: int, numbers: Adaptive) -> None:
+        self.length = length
+        self.bits = bits
+        self.numbers = numbers
+        self._open = np.zeros(0, CANDIDATE)
+
+    def add(self, still: Candidates) -> list[Windows]:
+        """Take still windows in; returns the states that are complete."""
+        held = np.concatenate([self._open, still])
+        starts = list(self._starts(held))
+        if not starts:
+            return []
+        self._open = held[starts[-1] :].copy()
+        return self._windows(held[: starts[-1]], np.array(starts))
+
+    def rest(self) -> list[Windows]:
+        """The last state."""
+        held, self._open = self._open, self._open[:0]
+        return self._windows(held, np.array([0, len(held)]))
+
+    def _starts(self, held: Candidates) -> Iterator[int]:
+        """Where states begin."""
+        new = np.ones(len(held), np.bool_)
+        alone = constant(held)
+        new[1:] = (np.diff(held["first"]) != self.length) | (np.diff(held["run"]) != 0)
+        new[1:] |= alone[1:] | alone[:-1] | (held["warm_known"][1:] != held["warm_known"][:-1])
+        edges = [*np.flatnonzero(new).tolist(), len(held)]
+        for low, high in pairwise(edges):
+            start = low
+            while start < high:
+                yield start
+                start = self._end(held[start : min(high, start + self.numbers.max_windows)], start)
+
+    def _end(self, reach: Candidates, start: int) -> int:
+        """Where the state of the first of these windows ends."""
+        limit = self._tolerance(int(reach["least_norm"][0]))
+        far = (np.abs(reach["sums"] - reach["sums"][0]) > limit).any(axis=1)
+        return start + (int(far.argmax()) if far.any() else len(reach))
+
+    def _tolerance(self, least: int) -> int:
+        """Largest difference of two sums of counts whose means agree.
+
+        With n samples a window, n var = least / 4^bits: difference^2 < factor^2 n^2 var.
+        """
+        square = self.numbers.acceleration_factor**2 * self.length * least
+        scaled = (square - 1) >> 2 * self.bits if self.bits >= 0 else (square << -2 * self.bits) - 1
+        return isqrt(scaled)
+
+    def _windows(self, held: Candidates, starts: NDArray[np.int64]) -> list[Windows]:
+        """States between consecutive starts, in batches that all have temperatures or none."""
+        at, number = starts[:-1], np.diff(starts)
+        if not len(held):
+            return []
+        enough = (number >= self.numbers.min_windows) | constant(held[at])
+        known = held["warm_known"][at]
+        warm = np.add.reduceat(held["warm"], at)
+        spread = np.maximum.reduceat(held["high"], at) - np.minimum.reduceat(held["low"], at)
+        sums = np.add.reduceat(held["sums"], at)
+        made = Windows(number * self.length, held["first"][at], sums, spread, warm)
+        return [
+            self._with_temperature(made.select(_only(part, enough)), known=bool(known[part[0]]))
+            for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(known)) + 1)
+        ]
+
+    def _with_temperature(self, made: Windows, *, known: bool) -> Windows:
+        return made if known else Windows(made.samples, made.first_sample, made.sums, made.spread)
+
+
+def _only(part: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A mask with nothing outside a part."""
+    mask = np.zeros(len(which), np.bool_)
+    mask[part] = which[part]
+    return mask
+
+
+MOVING = 1 << 62
+"""Instead of a variance, of a window that varies too much to look at."""
+NEVER = 1 << 52
+"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
+NORM_BITS = 17
+
+
+def norm_bits(lsb_per_g: float) -> int:
+    """b, so that one g has between 2^16 and 2^17 units of 2^-b counts."""
+    return NORM_BITS - int(np.frexp(lsb_per_g)[1])
+
+
+def norms(columns: NDArray[Any], bits: int) -> NDArray[np.int64]:
+    """|a| in units of 2^-bits counts, of (3, ...) counts.
+
+    Products, sums, roots and powers of two are each rounded correctly (IEEE 754) in a fixed order,
+    so that the integers are the same on every machine.
+    """
+    x, y, z = columns.astype(np.float64)
+    return np.asarray(np.rint(np.ldexp(np.sqrt(x * x + y * y + z * z), bits)).astype(np.int64))
+
+
+def squares(blocks: NDArray[Any], widest: int) -> NDArray[np.int64]:
+    """n times the variance of (m, n) values, rounded up; MOVING where max - min reaches `widest`."""
+    spread = blocks.max(axis=1).astype(np.int64) - blocks.min(axis=1)
+    found = np.full(len(blocks), MOVING, np.int64)
+    at = np.flatnonzero(spread < widest)
+    if len(at):
+        near = blocks[at].astype(np.int64)
+        centred, r = centred_squares(near, spread[at], near.sum(axis=1))
+        found[at] = centred - r * r // blocks.shape[1]
+    return found
+
+
+def steps(columns: NDArray[Any], widest: int) -> NDArray[np.int64]:
+    """(m,) smallest difference of two consecutive values of (axes, m, n), 0 apart; or `widest`."""
+    jumps = np.abs(np.diff(columns.astype(np.int64), axis=2))
+    jumps[jumps == 0] = widest
+    return np.asarray(jumps.min(axis=(0, 2), initial=widest))
+
+
+class LeastSpread:
+    """The smallest n times the variance so far, but never less than what the sensor's step allows.
+
+    Readings in steps of d have a standard deviation of d / sqrt(12) from rounding alone; where a
+    window has less, the value happened to lie between two steps. The step is the smallest difference
+    of two consecutive readings so far, at first `widest` counts.
+    """
+
+    def __init__(self, length: int, axes: int, widest: int, bits: int = 0) -> None:
+        """For n = `length` samples, variances summed over so many axes in units of 2^-bits counts."""
+        self.length = length
+        self.axes = axes
+        self.widest = widest
+        self.bits = bits
+        self.step = widest
+        self._least = NEVER
+
+    def now(self) -> int:
+        """The minimum after all windows so far."""
+        return max(self._least, self._floor(self.step))
+
+    def follow(
+        self, found: NDArray[np.int64], columns: NDArray[Any], at: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """The minimum after each of m windows, (m,).
+
+        Args:
+            found: (m,) n times the variance of each; 0 and MOVING are no minimum.
+            columns: (axes, k, n) the readings, in counts, of the k windows that have a part in it.
+            at: (k,) their numbers.
+        """
+        counted = np.full(len(found), NEVER)
+        counted[at] = np.where((found[at] > 0) & (found[at] < NEVER), found[at], NEVER)
+        least = np.minimum(np.minimum.accumulate(counted), self._least)
+        step = self._steps(columns, at, len(found))
+        floors = {value: self._floor(value) for value in set(step.tolist())}
+        held = np.array([floors[value] for value in step.tolist()], np.int64)
+        self._least, self.step = int(least[-1]), int(step[-1])
+        return np.maximum(least, held)
+
+    def _steps(self, columns: NDArray[Any], at: NDArray[np.int64], number: int) -> NDArray[np.int64]:
+        """The sensor's step after each window, (m,); it cannot be less than a count."""
+        found = np.full(number, self.step)
+        if self.step > 1:
+            found[at] = steps(columns, self.widest)
+        return np.minimum(np.minimum.accumulate(found), self.step)
+
+    def _floor(self, step: int) -> int:
+        """n times the variance of rounding to steps, at least 1, at most NEVER."""
+        whole = self.axes * self.length * step * step
+        scaled = whole << 2 * self.bits if self.bits >= 0 else whole >> -2 * self.bits
+        return max(1, min(NEVER, scaled // 12))
+
 
 WIDEST_TURN = 1 << 18
 """Counts; a window in which the gyroscope spreads as far is moving."""

@@ -1,4 +1,12 @@
-"""The online segmenter: chunks in, still windows out, in bounded memory.
+"""Windows before the decision, and what every rule of stillness must do with them.
+
+Exact integer sums at floating-point speed.
+
+A float holds every integer up to 2**24 (single) or 2**53 (double); a sum of integers whose
+absolute values add up to less than that is exact in any order, so that the fast matrix product
+gives the same integers as a slow integer loop.
+
+The online segmenter: chunks in, still windows out, in bounded memory.
 
 Windows are non-overlapping and start anew after every break, so that none spans a gap; what is
 left of a run when it breaks is not used. The windows do not depend on how the rows are chunked.
@@ -9,15 +17,125 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
+from accelcal_cli.core.points import WindowCounts, Windows
 from accelcal_cli.core.recording import Chunk, Counts, Validity
-from accelcal_cli.core.windows import WindowCounts, Windows
-from accelcal_cli.segment._exact import sums as exact_sums
-from accelcal_cli.segment.blocks import Blocks, Rule
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """m complete windows of n samples, one after the other, without a break between them.
+
+    Attributes:
+        run: number of the unbroken stretch that they are part of, rising with time.
+        first_sample: number of the first window's first sample in the recording.
+        columns: (3, m, n) raw counts.
+        low, high: (3, m) int64, smallest and largest count.
+        sums: (3, m) int64, sums of counts.
+        usable: (m,) whether every row was measured.
+        temperature_sums: (m,) int64, sums of thousandths of a degree C, or None.
+        rotation: (m n, 3) gyroscope counts, or None.
+    """
+
+    run: int
+    first_sample: int
+    columns: NDArray[Any]
+    low: NDArray[np.int64]
+    high: NDArray[np.int64]
+    sums: NDArray[np.int64]
+    usable: NDArray[np.bool_]
+    temperature_sums: NDArray[np.int64] | None = None
+    rotation: Counts | None = None
+
+    def __len__(self) -> int:
+        return len(self.usable)
+
+    @property
+    def length(self) -> int:
+        """Samples in a window."""
+        return int(self.columns.shape[2])
+
+    def first_samples(self) -> NDArray[np.int64]:
+        """(m,) number of each window's first sample."""
+        return self.first_sample + self.length * np.arange(len(self), dtype=np.int64)
+
+    def windows(self, which: NDArray[np.bool_]) -> Windows:
+        """The windows of a mask."""
+        samples = np.full(len(self), self.length, np.int64)
+        spread = (self.high - self.low).T
+        return Windows(samples, self.first_samples(), self.sums.T, spread, self.temperature_sums).select(
+            which
+        )
+
+
+class Rule(Protocol):
+    """Decides which windows are still; one object a recording, since it may remember.
+
+    What it yields is in the order of time, each made of one or more whole windows of the blocks, none
+    of them unusable, none in two; it must not depend on how a run was cut into blocks.
+    """
+
+    def take(self, blocks: Blocks) -> list[Windows]:
+        """Take windows in; returns the still ones that are decided by now."""
+
+    def rest(self) -> list[Windows]:
+        """What was held back; called once, after the last block."""
+
+
+_EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
+
+
+def exact_type(bound: int) -> DTypeLike:
+    """The fastest type in which integers that add up to `bound` stay exact."""
+    for limit, kind in _EXACT:
+        if bound <= limit:
+            return kind
+    return np.int64
+
+
+def exact_sums(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
+    """Sums over the last axis of integers whose absolute values add up to at most `bound`."""
+    kind = exact_type(bound)
+    if kind is np.int64:
+        return np.asarray(blocks.sum(axis=-1, dtype=np.int64))
+    return np.asarray(blocks.astype(kind) @ np.ones(blocks.shape[-1], kind)).astype(np.int64)
+
+
+def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
+    """Sums over the last axis of squares that add up to at most `bound`; blocks is (m, n)."""
+    values = blocks.astype(exact_type(bound), copy=False)
+    return np.asarray(np.einsum("mn,mn->m", values, values)).astype(np.int64)
+
+
+def centred_squares(
+    blocks: NDArray[Any], spread: NDArray[np.int64], sums: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """(c, r), both (m,), with n^2 times the variance of a window of n counts = n c - r^2, r < n.
+
+    With d = counts - first count and sum(d) = q n + r, c is sum(d^2) - n q^2 - 2 q r; all terms
+    stay small.
+
+    Args:
+        blocks: (m, n) counts, m > 0.
+        spread: (m,) max - min.
+        sums: (m,) sums of counts.
+    """
+    length = blocks.shape[1]
+    largest = int(spread.max())
+    squares = sums_of_squares(_from_first(blocks), largest * largest * length)
+    q, r = np.divmod(sums - length * blocks[:, 0].astype(np.int64), length)
+    return squares - length * q * q - 2 * q * r, r
+
+
+def _from_first(blocks: NDArray[Any]) -> NDArray[Any]:
+    """Counts of each window less its first one, in a type that holds every difference."""
+    values = blocks.astype(exact_type(1 << 8 * blocks.itemsize))
+    values -= blocks[:, :1]
+    return values
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,8 +18,8 @@ from types import TracebackType
 from typing import Any, Self, TextIO
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.output.atomic import replacing
-from accelcal_cli.study.items import OWN, Entry, Item, stamp
+from accelcal_cli.output.files import replacing
+from accelcal_cli.study.records import OWN, Entry, Item, stamp
 
 
 class Ledger:

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import LockedError
-from accelcal_cli.core.processes import host, lives
-from accelcal_cli.output.atomic import beside, output_error
+from accelcal_cli.core.system import host, lives
+from accelcal_cli.output.files import beside, output_error
 
 try:
     import fcntl

@@ -7,19 +7,21 @@ from __future__ import annotations
 
 import pandas
 
-import accelcal_cli.pipeline.writing
-import accelcal_cli.study.work
+import accelcal_cli.output.parquet
+import accelcal_cli.pipeline.export
+import accelcal_cli.study.task
 from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.formats import load_all
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import report_schema
-from accelcal_cli.pipeline.provenance import provenance
-from accelcal_cli.readers import load_all
+from accelcal_cli.pipeline.outputs import provenance
 
 load_all()
 READY = (
     pandas,
-    accelcal_cli.pipeline.writing,
-    accelcal_cli.study.work,
+    accelcal_cli.output.parquet,
+    accelcal_cli.pipeline.export,
+    accelcal_cli.study.task,
     named_optimizer(DEFAULT.optimizer),
     report_schema(),
     provenance([]),

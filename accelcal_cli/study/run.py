@@ -1,25 +1,75 @@
-"""A study from beginning to end: locking, doing what is left to do, summing up."""
+"""Which rounds a study has, and what is left to do in each.
+
+A study from beginning to end: locking, doing what is left to do, summing up.
+
+What a study would do.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.study import lock, summary
-from accelcal_cli.study.choice import Choice, rounds
-from accelcal_cli.study.engines import threads_of
-from accelcal_cli.study.find import check
-from accelcal_cli.study.items import OWN, Entry, Item, Standing
+from accelcal_cli.study.borrowing import BORROWING
+from accelcal_cli.study.discovery import check, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
-from accelcal_cli.study.own_files import refuse_foreign
-from accelcal_cli.study.plan import REPLACING, Study, ledger_of
-from accelcal_cli.study.pool import remove_pools
-from accelcal_cli.study.rounds import Known, Later, Round, Watch, answers
+from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
+from accelcal_cli.study.pooling import POOLED_ONES, POOLING, remove_pools
+from accelcal_cli.study.records import OWN, Entry, Item, Standing
+from accelcal_cli.study.rounds import Known, Later, Round, Watch, answers, threads_of
 from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.todo import Plan, plan
-from accelcal_cli.study.work import Answer, Task, calibrated
+from accelcal_cli.study.task import Answer, Task, calibrated
+
+
+def rounds(study: Study) -> tuple[Round, ...]:
+    """The rounds after that of the own results; a shard has none, since a device may have several shards."""
+    if not study.shard.whole:
+        return ()
+    return ((POOLING, POOLED_ONES) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
+
+
+@dataclass(slots=True)
+class Choice:
+    """What is done in a round, and what stands from an earlier run.
+
+    Attributes:
+        untouched: names of recordings that must not be read, since they wait and are not what they were, and
+            of all that would be pooled with one.
+    """
+
+    study: Study
+    ledger: Ledger
+    untouched: set[str] = field(default_factory=set)
+
+    def of(self, one: Round, tasks: Sequence[Later]) -> tuple[list[Later], list[tuple[Later, Entry]]]:
+        """Tasks to do, and those with an entry to take.
+
+        What is not to be touched keeps what it has: it is never among the first.
+        """
+        todo, taken = [], []
+        for task in tasks:
+            waits = not self.untouched.isdisjoint(task.names)
+            if waits:
+                self.untouched |= set(task.names)
+            entry = self._latest(one, task) if waits else self._standing(one, task)
+            if entry is not None:
+                taken.append((task, entry))
+            elif not waits:
+                todo.append(task)
+        return todo, taken
+
+    def _latest(self, one: Round, task: Later) -> Entry | None:
+        return self.ledger.latest(task.item.name, self.study.asked(), one.name)
+
+    def _standing(self, one: Round, task: Later) -> Entry | None:
+        """What an earlier run made of a task, if that is what would come of it now."""
+        study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
+        if entry is None or entry.again or study.request.force or (study.retry_failed and entry.failed):
+            return None
+        return entry if task.stands(entry) else None
 
 
 def run(study: Study, watch: Watch) -> Summary:
@@ -169,3 +219,35 @@ class Course:
             return
         self.known.standing[item.name] = replace(self.known.standing[item.name], last=answer.entry)
         self._answers[item.name] = answer
+
+
+def preview(study: Study) -> dict[Item, str]:
+    """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
+
+    What a later round does is decided by what is known now; nothing is locked or written.
+
+    Raises:
+        UsageError: see `plan`.
+        OutputError: the output folder cannot be one.
+    """
+    check(study.where)
+    there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise OutputError("cannot be made (there is a file)", path=there)
+    ledger = ledger_of(study)
+    found = plan(study, ledger)
+    known = Known({item.name: Standing(item, entry, entry) for item, entry in found.done})
+    states = dict.fromkeys(found.todo, "todo") | dict.fromkeys(found.waiting, "waiting")
+    choice = Choice(study, ledger, found.changing)
+    for one in rounds(study):
+        todo, taken = choice.of(one, one.tasks(study, known))
+        states |= {known.standing[name].item: "todo" for task in todo for name in task.names}
+        for task, entry in taken:
+            if one.of_pools:
+                known.pools[task.item.name] = entry
+            else:
+                known.standing[task.item.name] = replace(known.standing[task.item.name], last=entry)
+    rest = {
+        one.item: (one.last.row or {})["outcome"] for one in known.standing.values() if not one.item.aside
+    }
+    return rest | states

@@ -1,4 +1,6 @@
-"""The study in one table, as Parquet and CSV, and its counts as JSON.
+"""One recording's row in the summary: what a methods section needs.
+
+The study in one table, as Parquet and CSV, and its counts as JSON.
 
 Sorted and without times, so that a study that was interrupted ends with the same bytes as one that was not.
 """
@@ -17,8 +19,155 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli import __version__
-from accelcal_cli.output.atomic import replacing, write_text
-from accelcal_cli.study.row import COLUMNS, TEXT, WHOLE
+from accelcal_cli.core.errors import printable
+from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
+from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.study.records import FAILED, Item
+
+AXES = ("x", "y", "z")
+TEXT = (
+    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
+    "start_time", "sha256", "accelcal_version", "parquet", "report",
+    "borrowed_from", "pool", "own_outcome", "own_message",
+)  # fmt: skip
+WHOLE = (
+    "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
+    "clipped_samples_before", "clipped_samples_after", "problems", "pool_recordings",
+)  # fmt: skip
+PARAMETERS = (
+    "k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", *(f"offset_{axis}_g" for axis in AXES),
+    *(f"slope_{axis}_g_per_c" for axis in AXES),
+)  # fmt: skip
+"""Columns of the parameters, in the order of PARAMETER_NAMES (whose kxy is row y, column x of K)."""
+COLUMNS = (
+    "path", "outcome", "exit_code", "message", "model",
+    "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
+    "own_outcome", "own_message", "own_after_mg",
+    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
+    "format", "device_model", "device_serial", "device_firmware", "start_time", "duration_s",
+    "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
+    "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
+    *(f"{end}_{axis}_g" for axis in AXES for end in ("min", "max")),
+    *(f"k_{row}{column}" for row in AXES for column in AXES),
+    *(f"offset_{axis}_g" for axis in AXES),
+    *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
+    *(f"se_{name}" for name in PARAMETERS),
+    "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report",
+)  # fmt: skip
+"""In the order of the table. Errors are held out; what is neither TEXT nor WHOLE is a number."""
+
+
+def failed(item: Item, code: int, message: str) -> dict[str, Any]:
+    """The row of a recording that gave no report."""
+    said = {
+        "path": printable(item.name),
+        "outcome": FAILED,
+        "exit_code": code,
+        "message": message,
+        "bytes": item.size,
+        "accelcal_version": __version__,
+    }
+    return dict.fromkeys(COLUMNS) | said
+
+
+def of_report(
+    item: Item, code: int, report: dict[str, Any], outputs: dict[str, str | None]
+) -> dict[str, Any]:
+    """The row of a recording from its report.
+
+    Args:
+        outputs: `parquet` and `report`, their names under OUT.
+    """
+    said = {
+        "path": printable(item.name),
+        "outcome": report["outcome"],
+        "exit_code": code,
+        "message": report["message"],
+        "accelcal_version": report["accelcal_version"],
+    }
+    parts = (
+        _recording(report),
+        _errors(report),
+        _coverage(report),
+        _calibration(report["calibration"]),
+        outputs,
+    )
+    return dict.fromkeys(COLUMNS) | said | {name: value for part in parts for name, value in part.items()}
+
+
+def own(line: dict[str, Any]) -> dict[str, Any]:
+    """Columns that say what a recording's own result is worth, where another one took its place."""
+    return {f"own_{name}": line[name] for name in ("outcome", "message", "after_mg")}
+
+
+def _recording(report: dict[str, Any]) -> dict[str, Any]:
+    held, health = report["recording"], report["file_health"]
+    same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256", "lsb_per_g", "range_g")
+    counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after")
+    figures = ("rate_hz_measured", "lost_percent")
+    return {
+        **{name: held[name] for name in same},
+        **{name: health[name] for name in counts + figures},
+        **{f"device_{name}": value for name, value in held["device"].items()},
+        "rate_hz": held["sample_rate_hz"],
+        "gaps": len(held["gaps"]) + held["gaps_omitted"],
+        "problems": sum(problem["count"] or 1 for problem in health["problems"]),
+    }
+
+
+def _errors(report: dict[str, Any]) -> dict[str, Any]:
+    held = report["holdout"]
+    if held is None:
+        return {}
+    low, high = held["ci95_mg"]
+    told = {
+        "before_mg": held["before_mg"]["mean"],
+        "postures": held["postures"],
+        "points": held["points"],
+    }
+    if report["calibration"] is None:
+        return told
+    after = {"after_mg": held["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
+    return told | after | {"improvement_percent": held["improvement_percent"]}
+
+
+def _coverage(report: dict[str, Any]) -> dict[str, Any]:
+    seen = report["coverage"]
+    ends = {
+        f"{end}_{axis}_g": value
+        for end in ("min", "max")
+        for axis, value in zip(AXES, seen[f"axis_{end}_g"] or (), strict=False)
+    }
+    return {"cells": seen["cells"], "condition_number": seen["condition_number"], **ends}
+
+
+def _calibration(found: dict[str, Any] | None) -> dict[str, Any]:
+    if found is None:
+        return {}
+    warm = found["temperature"]
+    slopes = {} if warm is None else dict(zip(_named("slope_{}_g_per_c"), warm["slope_g_per_c"], strict=True))
+    gain = [value for row in found["gain"] for value in row]
+    return {
+        "model": found["model"],
+        **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
+        **dict(zip(_named("offset_{}_g"), found["offset_g"], strict=True)),
+        **slopes,
+        "reference_c": None if warm is None else warm["reference_c"],
+        **_standard_errors(found),
+    }
+
+
+def _standard_errors(found: dict[str, Any]) -> dict[str, float]:
+    """Those of the parameters that the model leaves free: what was not fitted has none."""
+    known = found.get("standard_errors") or {}
+    model = MODELS.get(found["model"])
+    free = range(len(PARAMETERS)) if model is None else model.free
+    named = {f"se_{PARAMETERS[index]}": known.get(PARAMETER_NAMES[index]) for index in free}
+    return {name: value for name, value in named.items() if value is not None}
+
+
+def _named(pattern: str) -> list[str]:
+    return [pattern.format(axis) for axis in AXES]
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.cli import exits
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import cli
 
 
@@ -31,8 +31,8 @@ def run(capsys: pytest.CaptureFixture[str], *words: object) -> Ran:
     """Run in this process, through the same error handling as the console command."""
     capsys.readouterr()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exits, "_watch_signals", lambda: None)
-        code = exits.run_safely(
+        patch.setattr(exit_codes, "_watch_signals", lambda: None)
+        code = exit_codes.run_safely(
             lambda: cli.main([str(word) for word in words], "accelcal", standalone_mode=False)
         )
     captured = capsys.readouterr()

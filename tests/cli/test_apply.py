@@ -13,7 +13,7 @@ import pytest
 
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run, run_process
-from tests.devices import donor, edit, rest, set_coefficients, week, write_device
+from tests.device_recordings import donor, edit, rest, set_coefficients, week, write_device
 from tests.recordings import directions, good_csv
 
 Capture = pytest.CaptureFixture[str]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run import assert_one_line, run, verify
-from tests.devices import edit, rest, week
+from tests.device_recordings import edit, rest, week
 from tests.recordings import RATE_HZ, SECONDS, directions
 
 Capture = pytest.CaptureFixture[str]

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from tests.cli.run import Ran, assert_one_line, run
-from tests.devices import REFERENCE_C, SLOPE_G_PER_C, donor, edit, rest, week, write_device
+from tests.device_recordings import REFERENCE_C, SLOPE_G_PER_C, donor, edit, rest, week, write_device
 from tests.recordings import GAIN, OFFSET_G, directions
 
 Capture = pytest.CaptureFixture[str]

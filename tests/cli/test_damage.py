@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run, verify
-from tests.readers import make_flash
+from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 from tests.study.mixture import simulated
 

@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.study.row import COLUMNS, PARAMETERS, TEXT, WHOLE
+from accelcal_cli.study.summary import COLUMNS, PARAMETERS, TEXT, WHOLE
 from tests.cli.run import assert_one_line, run
-from tests.fleet.made import drifting, fitted, fleet, refused, start, write
+from tests.devices.made import drifting, fitted, fleet, refused, start, write
 
 Capture = pytest.CaptureFixture[str]
 WARM = {f"slope_{axis}_g_per_c": 0.001 for axis in "xyz"}

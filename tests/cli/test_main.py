@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli import __version__
-from accelcal_cli.cli import exits
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import COMMANDS
 from tests.cli.run import run, run_process
 
@@ -53,8 +53,8 @@ def test_a_bug_is_one_line_and_the_traceback_is_kept(
     def broken() -> None:
         raise ZeroDivisionError("a\nb")
 
-    monkeypatch.setattr(exits, "_watch_signals", lambda: None)
-    assert exits.run_safely(broken) == 70
+    monkeypatch.setattr(exit_codes, "_watch_signals", lambda: None)
+    assert exit_codes.run_safely(broken) == 70
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     (kept,) = tmp_path.glob("accelcal-bug-*.txt")

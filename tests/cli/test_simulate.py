@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.encode import all_encoders
-from accelcal_cli.readers import open_recording
+from accelcal_cli.formats import all_encoders, open_recording
 from tests.cli.run import assert_one_line, command, run
 
 Capture = pytest.CaptureFixture[str]

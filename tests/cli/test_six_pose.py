@@ -12,10 +12,10 @@ import pytest
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.encode.flash import ENCODER
+from accelcal_cli.formats.flash.writer import ENCODER
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import run, run_process
-from tests.poses.made import (
+from tests.six_pose.made import (
     LSB_PER_G,
     RATE_HZ,
     START,

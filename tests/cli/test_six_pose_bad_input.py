@@ -11,8 +11,8 @@ import pytest
 
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run
-from tests.poses.made import UP, moved, sensed, session, six_faces, start_s, turned, write_csv, write_list
 from tests.recordings import good_csv
+from tests.six_pose.made import UP, moved, sensed, session, six_faces, start_s, turned, write_csv, write_list
 
 Capture = pytest.CaptureFixture[str]
 

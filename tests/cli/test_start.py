@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.readers import all_formats
-from tests.readers import make_flash
+from accelcal_cli.formats import all_formats
+from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
-READERS = "accelcal_cli.readers."
-SHARED = {"_crc", "_pages", "_stream"}
-OWN = {"opal": {"_hdf5"}, "raw": {"_raw", "_layout"}}
-"""Where the helpers of a format lie, if not in the folder of its name."""
+FORMATS = "accelcal_cli.formats."
+SHARED = {"_bytes", "_pages", "_problems"}
+FOLDER = {"opal": "hdf5"}
+"""The folder of a format, if it is not called like the format."""
 
 
 @cache
@@ -41,30 +41,29 @@ def calibrating(path: Path, *words: str, first: str = "") -> frozenset[str]:
 
 
 def listing() -> frozenset[str]:
-    return imported("from accelcal_cli.readers import all_formats; all_formats()")
+    return imported("from accelcal_cli.formats import all_formats; all_formats()")
 
 
-def helpers(modules: frozenset[str]) -> set[str]:
-    """The helpers of `readers`, by file or folder."""
-    names = {name.removeprefix(READERS).split(".")[0] for name in modules if name.startswith(READERS)}
-    return {name for name in names if name.startswith("_")}
+def folders(modules: frozenset[str]) -> set[str]:
+    """The folders and shared files of `formats` that modules lie in."""
+    return {name.removeprefix(FORMATS).split(".")[0] for name in modules if name.startswith(FORMATS)}
 
 
 def test_listing_the_formats_imports_nothing_that_reads() -> None:
     found = listing()
-    assert {READERS + item.name for item in all_formats()} <= found
-    assert not {name for name in found if name.startswith(READERS) and name.endswith(".opening")}
-    assert not found & {"zipfile", "tomllib", "csv", "pyarrow", READERS + "_pages", READERS + "_stream"}
+    assert {FORMATS + FOLDER.get(item.name, item.name) for item in all_formats()} <= found
+    assert not {name for name in found if name.startswith(FORMATS) and name.endswith((".reader", ".writer"))}
+    assert not found & {"zipfile", "tomllib", "csv", "pyarrow", *(FORMATS + name for name in SHARED)}
 
 
 @pytest.mark.parametrize("name", [item.name for item in all_formats()])
 def test_calibrating_imports_what_reads_this_format_alone(name: str, tmp_path: Path) -> None:
-    maker = importlib.import_module(f"tests.readers.make_{name}")
+    maker = importlib.import_module(f"tests.formats.make_{name}")
     made = maker.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
     sensor = made.options.sensor
     words = () if sensor is None else ("--sensor", sensor)
-    more = helpers(calibrating(made.path, "--report-only", "--no-temperature", *words) - listing())
-    assert more - SHARED <= OWN.get(name, {f"_{name}"})
+    more = folders(calibrating(made.path, "--report-only", "--no-temperature", *words) - listing())
+    assert more - SHARED <= {FOLDER.get(name, name)}
 
 
 def test_a_report_alone_is_written_without_pyarrow(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli import __version__
 from tests.cli.run import run, verify
-from tests.devices import donor, edit, rest, week, write_device
+from tests.device_recordings import donor, edit, rest, week, write_device
 from tests.recordings import directions, still_counts, write_csv
 
 Capture = pytest.CaptureFixture[str]

@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from tests.cli.run import run, verify
-from tests.devices import edit
-from tests.poses.made import UP, K, O, sensed, session, six_faces, start_s, write_csv, write_list
+from tests.device_recordings import edit
 from tests.recordings import directions
+from tests.six_pose.made import UP, K, O, sensed, session, six_faces, start_s, write_csv, write_list
 
 Capture = pytest.CaptureFixture[str]
 

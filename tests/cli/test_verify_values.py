@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.cli.run import run, verify
-from tests.devices import donor, edit, set_coefficients, write_device
+from tests.device_recordings import donor, edit, set_coefficients, write_device
 from tests.recordings import good_csv
 
 Capture = pytest.CaptureFixture[str]

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from accelcal_cli.core.points import PointSet
-from accelcal_cli.core.windows import Windows
+from accelcal_cli.core.points import PointSet, Windows
 
 
 def windows(

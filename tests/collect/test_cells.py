@@ -15,10 +15,9 @@ from hypothesis import strategies as st
 from accelcal_cli.collect import cells
 from accelcal_cli.collect.cells import CellCollector, CellCounts
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import WEIGHT_ONE
+from accelcal_cli.core.points import WEIGHT_ONE, Windows
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.core.windows import Windows
-from accelcal_cli.segment.rules import still_rule
+from accelcal_cli.segment import still_rule
 from tests.collect.made import plain, windows
 from tests.segment.streams import Stream, segmented
 

@@ -10,7 +10,7 @@ import pytest
 
 COUNT = """
 import os
-from accelcal_cli.core.linear import hold_to_one_thread
+from accelcal_cli.core.system import hold_to_one_thread
 hold_to_one_thread()
 import numpy as np
 np.ones((500, 500)) @ np.ones((500, 500))

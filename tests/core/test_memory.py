@@ -11,7 +11,7 @@ import pytest
 COUNT = """
 import resource, sys
 import numpy as np
-from accelcal_cli.core.memory import keep_freed_memory
+from accelcal_cli.core.system import keep_freed_memory
 if sys.argv[1] == "kept":
     assert keep_freed_memory()
 def used():
@@ -37,7 +37,7 @@ def test_pages_are_mapped_once() -> None:
 
 GIVEN_BACK = """
 import numpy as np
-from accelcal_cli.core.memory import give_back_freed_memory, keep_freed_memory
+from accelcal_cli.core.system import give_back_freed_memory, keep_freed_memory
 def pages():
     return int(open("/proc/self/statm").read().split()[1])
 keep_freed_memory()

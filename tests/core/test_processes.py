@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.core.processes import FIRST_NUMBERS, host, lives
+from accelcal_cli.core.system import FIRST_NUMBERS, host, lives
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 

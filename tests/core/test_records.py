@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.judgement import ErrorSummary, Holdout
 from accelcal_cli.core.points import (
     IDENTITY,
     MODELS,
@@ -16,9 +15,11 @@ from accelcal_cli.core.points import (
     Calibration,
     PointSet,
     TemperatureScale,
+    WindowCounts,
+    Windows,
 )
+from accelcal_cli.core.results import ErrorSummary, Holdout
 from accelcal_cli.core.settings import DEFAULT, PAPER, PROFILES
-from accelcal_cli.core.windows import WindowCounts, Windows
 
 
 @pytest.mark.parametrize(

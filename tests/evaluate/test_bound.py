@@ -7,8 +7,8 @@ import pytest
 from scipy.optimize import least_squares
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.evaluate.simulated.bound import expected_errors, fisher_information
-from accelcal_cli.evaluate.simulated.cases import Plan, make_case
+from accelcal_cli.evaluate.cases import Plan, make_case
+from accelcal_cli.evaluate.simulation import expected_errors, fisher_information
 from tests.optimize.oracle import calibrated, measured
 
 

@@ -11,7 +11,7 @@ from scipy import stats
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE
-from accelcal_cli.evaluate.simulated.cases import Plan, Selection, make_case
+from accelcal_cli.evaluate.cases import Plan, Selection, make_case
 from tests.optimize.oracle import calibrated
 
 MANY = [make_case(Plan(18, 0.001), 1, index) for index in range(300)]

@@ -8,9 +8,8 @@ import pytest
 
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
+from accelcal_cli.evaluate.cases import Plan, methods
 from accelcal_cli.evaluate.gravity import Residuals, run
-from accelcal_cli.evaluate.simulated.cases import Plan
-from accelcal_cli.evaluate.simulated.optimizers import methods
 
 LOCAL, STANDARD = 9.81676, 9.80665
 SHIFT = (LOCAL**2 - STANDARD**2) ** 2

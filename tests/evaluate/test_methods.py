@@ -15,8 +15,7 @@ from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.evaluate.methods import Row, collected, compare
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.plan import plan
-from accelcal_cli.pipeline.request import Request, no_progress
+from accelcal_cli.pipeline.jobs import Request, no_progress, plan
 from tests.optimize.oracle import least_squares
 from tests.optimize.test_contract import norms_mg
 from tests.recordings import good_csv

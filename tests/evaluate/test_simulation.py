@@ -12,13 +12,9 @@ from scipy.optimize import least_squares
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import Fit, Model, Operations, PointSet
-from accelcal_cli.evaluate.simulated.bound import expected_errors
-from accelcal_cli.evaluate.simulated.cases import Plan, make_case
-from accelcal_cli.evaluate.simulated.optimizers import Method, methods
-from accelcal_cli.evaluate.simulated.published import TABLE_2
-from accelcal_cli.evaluate.simulated.tally import Scores
-from accelcal_cli.evaluate.simulation import Protocol, Table, run
-from accelcal_cli.pipeline.request import no_progress
+from accelcal_cli.evaluate.cases import Method, Plan, make_case, methods
+from accelcal_cli.evaluate.simulation import TABLE_2, Protocol, Scores, Table, expected_errors, run
+from accelcal_cli.pipeline.jobs import no_progress
 from tests.optimize.oracle import residual
 
 SMALL = Protocol(cases=60, points=(18,))

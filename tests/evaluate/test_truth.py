@@ -11,7 +11,7 @@ import pytest
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import Calibration, TemperatureScale
-from accelcal_cli.evaluate.truth import Truth, true_errors, truth_beside
+from accelcal_cli.evaluate.methods import Truth, true_errors, truth_beside
 
 GAIN = [[1.5, 0.0, 0.0], [0.25, 1.0, 0.0], [0.0, -0.125, 0.75]]
 

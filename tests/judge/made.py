@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelcal_cli.core.judgement import ErrorSummary, Holdout, Trial
 from accelcal_cli.core.points import PointSet
+from accelcal_cli.core.results import ErrorSummary, Holdout, Trial
 from tests.optimize.oracle import IDEAL, directions, measured, points, random_directions
 
 OFFSET = np.array([1.0, 1, 1, 0, 0, 0, 0.04, -0.03, 0.02, 0, 0, 0])

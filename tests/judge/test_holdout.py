@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.judgement import Holdout
 from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
+from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import deviations_mg, interval95, per_posture, summary
-from accelcal_cli.judge.holdout import Sample, control
-from accelcal_cli.judge.holdout import blocked as blocked_sample
-from accelcal_cli.judge.postures import folds, postures
+from accelcal_cli.judge.model_ladder import Sample, control, folds, postures
+from accelcal_cli.judge.model_ladder import blocked as blocked_sample
 from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, clusters, four_postures, spread
 from tests.optimize.oracle import fast_fit, points

@@ -10,21 +10,22 @@ import pytest
 
 from accelcal_cli.core.errors import FixedPointOverflowError
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.judgement import Trial
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet, TemperatureScale
+from accelcal_cli.core.results import Trial
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.judge.holdout import Sample
-from accelcal_cli.judge.ladder import (
+from accelcal_cli.judge.errors import coverage
+from accelcal_cli.judge.model_ladder import (
     LADDER,
     Evidence,
+    Sample,
     choose,
     not_eligible,
     one_sided_axes,
+    postures,
+    temperature_blocks,
     temperature_range_c,
     try_models,
 )
-from accelcal_cli.judge.postures import postures, temperature_blocks
-from accelcal_cli.judge.uncertainty import coverage
 from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, spread, trial
 from tests.optimize.oracle import IDEAL, directions, fast_fit, measured, points

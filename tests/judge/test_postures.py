@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PointSet, TemperatureScale
-from accelcal_cli.judge.postures import folds, postures, temperature_blocks
+from accelcal_cli.judge.model_ladder import folds, postures, temperature_blocks
 from tests.optimize.oracle import directions, points, random_directions
 
 COARSE = 0.15

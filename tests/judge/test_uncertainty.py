@@ -7,7 +7,7 @@ import pytest
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
-from accelcal_cli.judge.uncertainty import coverage, directions, jacobian, uncertainty
+from accelcal_cli.judge.errors import coverage, directions, jacobian, uncertainty
 from tests.judge.made import NINE, WARM
 from tests.optimize import oracle
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.judgement import Outcome
 from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, PAPER
-from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
-from accelcal_cli.judge.postures import postures
-from accelcal_cli.judge.uncertainty import uncertainty
+from accelcal_cli.judge.errors import deviations_mg, mean, per_posture, uncertainty
+from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.optimize import ellipsoid, fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread

@@ -15,7 +15,7 @@ from accelcal_cli.core import fixed
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, PointSet
-from accelcal_cli.optimize import _fixed_model, fixed32
+from accelcal_cli.optimize import fixed32
 from tests.optimize.oracle import (
     directions,
     drawn_errors,
@@ -146,7 +146,7 @@ def floating(tree: ast.Module) -> list[str]:
 TABLES = {"RATES_OF_F", "PAPER", "DEFAULT", "OPTIMIZER"}
 
 
-@pytest.mark.parametrize("module", [fixed32, _fixed_model], ids=lambda item: item.__name__.split(".")[-1])
+@pytest.mark.parametrize("module", [fixed32, fixed32], ids=lambda item: item.__name__.split(".")[-1])
 def test_no_float_takes_part_outside_the_tables_of_settings(module: object) -> None:
     tree = ast.parse(Path(module.__file__).read_text("utf-8"))
     tables = [
@@ -163,7 +163,7 @@ def test_no_float_takes_part_outside_the_tables_of_settings(module: object) -> N
 def test_the_helpers_of_the_arithmetic_keep_integers() -> None:
     values = np.array([3, -5], np.int64)
     assert fixed.narrow(values, 1).dtype == np.int64
-    assert type(_fixed_model.rounded_quotient(7, 2)) is int
+    assert type(fixed32.rounded_quotient(7, 2)) is int
 
 
 def test_a_collapsed_axis_is_refused() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS
-from accelcal_cli.optimize import _float_model, float32, float64
+from accelcal_cli.optimize import _float, float32, float64
 from tests.optimize.test_fixed32 import made
 from tests.optimize.test_float64 import drawn
 
@@ -30,11 +30,11 @@ def test_profile_paper_agrees_with_double_precision_to_four_digits() -> None:
 
 
 def test_everything_stays_in_single_precision() -> None:
-    held = _float_model.as_floats(made(1, 20, warm=True, weighted=True), np.float32)
-    p = _float_model.ideal(np.float32)
-    state = _float_model.evaluate(held, p)
+    held = _float.as_floats(made(1, 20, warm=True, weighted=True), np.float32)
+    p = _float.ideal(np.float32)
+    state = _float.evaluate(held, p)
     results = [held.v, held.tau, held.weights, state.shifted, state.calibrated, state.residual]
-    results += [_float_model.cost(held, state), _float_model.gradient(held, state, p)]
+    results += [_float.cost(held, state), _float.gradient(held, state, p)]
     assert {item.dtype for item in results} == {np.dtype(np.float32)}
 
 

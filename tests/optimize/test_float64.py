@@ -10,7 +10,7 @@ import pytest
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, Operations, PointSet
-from accelcal_cli.optimize import _float_model, fixed32, float64
+from accelcal_cli.optimize import _float, fixed32, float64
 from tests.optimize.oracle import (
     IDEAL,
     directions,
@@ -82,19 +82,19 @@ def test_the_gradient_is_the_slope_of_the_cost() -> None:
     tau, weights = random.uniform(-1.5, 1.5, 30), random.uniform(0.1, 1, 30)
     held = points(directions(30), weights=weights, tau=tau)
     p = IDEAL + 0.02 * random.standard_normal(12)
-    real = _float_model.as_floats(held)
-    state = _float_model.evaluate(real, p)
+    real = _float.as_floats(held)
+    state = _float.evaluate(real, p)
     w = held.weights / held.weights.sum()
 
     def cost(q: np.ndarray) -> float:
         return float(w @ residual(q, held.xyz / ONE, held.tau / ONE) ** 2)
 
     slopes = [(cost(p + 1e-6 * one) - cost(p - 1e-6 * one)) / 2e-6 for one in np.eye(12)]
-    assert np.allclose(_float_model.gradient(real, state, p), slopes, atol=1e-9)
-    assert float(_float_model.cost(real, state)) == pytest.approx(cost(p), rel=1e-12)
+    assert np.allclose(_float.gradient(real, state, p), slopes, atol=1e-9)
+    assert float(_float.cost(real, state)) == pytest.approx(cost(p), rel=1e-12)
 
 
 @pytest.mark.parametrize("broken", [[np.nan], [np.inf], [4.0], [-1.0], [0.0]])
 def test_parameters_that_mean_nothing_are_refused(broken: list[float]) -> None:
     with pytest.raises(DivergedError):
-        _float_model.as_integers(np.array(broken + [1.0, 1.0] + [0.0] * 9))
+        _float.as_integers(np.array(broken + [1.0, 1.0] + [0.0] * 9))

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.processes import host
-from accelcal_cli.output.atomic import replacing, write_text
+from accelcal_cli.core.system import host
+from accelcal_cli.output.files import replacing, write_text
 
 
 def names(folder: Path) -> list[str]:
@@ -58,7 +58,7 @@ def test_a_full_disk_is_an_output_error_that_says_so() -> None:
     except OSError as caught:
         error = caught
     assert error is not None
-    from accelcal_cli.output.atomic import output_error
+    from accelcal_cli.output.files import output_error
 
     assert "free some space" in str(output_error(error, Path("out.parquet")))
 
@@ -104,7 +104,7 @@ def test_a_large_folder_is_not_listed_for_each_file(tmp_path: Path, monkeypatch:
         return plain(folder)
 
     plain = os.scandir
-    monkeypatch.setattr("accelcal_cli.output.atomic.os.scandir", slow)
+    monkeypatch.setattr("accelcal_cli.output.files.os.scandir", slow)
     for number in range(20):
         write_text(tmp_path / f"{number}.txt", "x")
     assert listed == [tmp_path]

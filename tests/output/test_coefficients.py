@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import Calibration, TemperatureScale
-from accelcal_cli.output.coefficients import calibration_of, read_coefficients
-from accelcal_cli.output.sections import coefficients_json
-from tests.devices import ONE, donor, edit, set_coefficients
+from accelcal_cli.output.report import coefficients_json
+from accelcal_cli.output.report_reading import calibration_of, read_coefficients
+from tests.device_recordings import ONE, donor, edit, set_coefficients
 
 K = st.integers(round(0.8 * ONE), round(1.2 * ONE))
 SMALL = st.integers(-ONE // 20, ONE // 20)

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output import parquet
+from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.output.parquet import Columns, ParquetSink
-from accelcal_cli.output.parquet_metadata import refuse_foreign, written_by_us
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:

@@ -10,9 +10,8 @@ from typing import Any
 import jsonschema
 import pytest
 
-from accelcal_cli.output.report import report_schema
-from accelcal_cli.output.schema import fault
-from tests.devices import donor
+from accelcal_cli.output.report import fault, report_schema
+from tests.device_recordings import donor
 
 WRONG: list[Any] = [None, True, -1, 1.5, "", [], {}]
 

@@ -10,8 +10,8 @@ from accelcal_cli.core.points import Fit, Model, PointSet
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import all_optimizers, named_optimizer
-from accelcal_cli.output.sections import calibration_json
-from accelcal_cli.pipeline.profiles import optimizer_json
+from accelcal_cli.output.report import calibration_json
+from accelcal_cli.pipeline.method import optimizer_json
 from tests.judge.made import NINE, spread
 
 

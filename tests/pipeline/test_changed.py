@@ -8,8 +8,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.plan import plan
-from accelcal_cli.pipeline.request import Progress, ProgressMaker, Request
+from accelcal_cli.pipeline.jobs import Progress, ProgressMaker, Request, plan
 from tests.recordings import good_csv
 
 ROW = "2024-03-05T00:00:00,0.0,0.0,1.0\n"

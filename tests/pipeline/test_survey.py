@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.clock import StampClock
-from accelcal_cli.core.facts import Facts
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
+from accelcal_cli.core.results import Facts
 from accelcal_cli.pipeline import survey as module
 from accelcal_cli.pipeline.survey import Observer, with_clipping
 

@@ -10,11 +10,10 @@ from itertools import pairwise
 import numpy as np
 
 from accelcal_cli.core.clock import UniformClock
+from accelcal_cli.core.points import WindowCounts, Windows
 from accelcal_cli.core.recording import Chunk, Validity
-from accelcal_cli.core.windows import WindowCounts, Windows
-from accelcal_cli.segment.blocks import Rule
-from accelcal_cli.segment.rules import StillRule
-from accelcal_cli.segment.segmenter import Segmenter
+from accelcal_cli.segment import StillRule
+from accelcal_cli.segment.segmenter import Rule, Segmenter
 
 Row = tuple[int, tuple[int, ...], tuple[int, ...], int | None]
 """A still window: first sample, sums, spreads, temperature sum."""

@@ -8,11 +8,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.settings import Adaptive
-from accelcal_cli.core.windows import WindowCounts
-from accelcal_cli.segment._states import States
-from accelcal_cli.segment.adaptive import AdaptiveRule
+from accelcal_cli.segment.adaptive import AdaptiveRule, States
 from accelcal_cli.segment.segmenter import Segmenter
 from tests.segment.streams import Stream, batched
 

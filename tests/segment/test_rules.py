@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from accelcal_cli.segment.rules import StillRule, still_rule
+from accelcal_cli.segment import StillRule, still_rule
 from tests.segment.streams import Stream, naive_still, segmented, variance
 
 LEAST = Fraction(1, 10**15)

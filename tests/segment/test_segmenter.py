@@ -11,9 +11,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Validity
-from accelcal_cli.core.windows import WindowCounts
-from accelcal_cli.segment.rules import StillRule, still_rule
+from accelcal_cli.segment import StillRule, still_rule
 from accelcal_cli.segment.segmenter import Segmenter
 from tests.segment.streams import Stream, naive, rows, segmented
 

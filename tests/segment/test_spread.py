@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from accelcal_cli.segment._spread import MOVING, NEVER, LeastSpread, norm_bits, norms, squares, steps
+from accelcal_cli.segment.adaptive import MOVING, NEVER, LeastSpread, norm_bits, norms, squares, steps
 from tests.segment.streams import variance
 
 NO_WINDOW = np.empty(0, np.int64)

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.pipeline.request import no_progress
+from accelcal_cli.pipeline.jobs import no_progress
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate.recording import Plan
-from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
+from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 
 RATE_HZ, LSB_PER_G = 12.0, 256.0
 DAY, TWENTY_MINUTES = 1.0, 20 / 1440

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate.recording import Plan
-from accelcal_cli.simulate.sensor import Sensor, draw_gain_and_offset
+from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 
 RATES = {
     "flash": 10.0,

@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.run import Ran, run_process
 from tests.cli.studies import results, rows
-from tests.devices import week
+from tests.device_recordings import week
 from tests.study.borrowing import report
 from tests.study.processes import begun, lines, session, soon
 

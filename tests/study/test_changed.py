@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from accelcal_cli.pipeline.request import Request
-from accelcal_cli.study.borrow import borrowed
-from accelcal_cli.study.borrow import tasks as borrowing_tasks
-from accelcal_cli.study.find import Where
-from accelcal_cli.study.items import Standing
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.study.borrowing import borrowed
+from accelcal_cli.study.borrowing import tasks as borrowing_tasks
+from accelcal_cli.study.discovery import Where
 from accelcal_cli.study.ledger import Ledger
-from accelcal_cli.study.plan import Study
-from accelcal_cli.study.pool import make_pool, pool_tasks
-from accelcal_cli.study.pooled import pooled, pooled_tasks
+from accelcal_cli.study.plan import Study, plan
+from accelcal_cli.study.pooling import make_pool, pool_tasks, pooled, pooled_tasks
+from accelcal_cli.study.records import Standing
 from accelcal_cli.study.rounds import Known
-from accelcal_cli.study.todo import plan
-from accelcal_cli.study.work import Task, calibrated
-from tests.devices import week
+from accelcal_cli.study.task import Task, calibrated
+from tests.device_recordings import week
 
 SAID = "changed while it was read"
 

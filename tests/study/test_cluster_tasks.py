@@ -15,10 +15,9 @@ import pytest
 
 import accelcal_cli
 from accelcal_cli.core.errors import ClusterError, OutputError, UsageError
-from accelcal_cli.study.cluster import Cluster
-from accelcal_cli.study.connect import connected
-from accelcal_cli.study.engine import Ended, Told
-from accelcal_cli.study.remote import Terms, code
+from accelcal_cli.study.dask_client import Cluster, connected
+from accelcal_cli.study.dask_worker import Terms, code
+from accelcal_cli.study.records import Ended, Told
 from tests.study.clusters import cluster
 
 pytest.importorskip("distributed")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelcal_cli.study.devices import identity, lenders, pools
+from accelcal_cli.study.borrowing import identity, lenders, pools
 
 
 def row(outcome: str = "calibrated", after_mg: float | None = 1.0, **more: Any) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import pytest
 
 from tests.cli.run import run, run_process
 from tests.cli.studies import NAMES, results, rows, study, study_folder
-from tests.devices import week
+from tests.device_recordings import week
 from tests.recordings import directions, still_counts, write_raw
 
 POOL = ("--pool", "device")

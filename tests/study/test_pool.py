@@ -11,7 +11,7 @@ import pytest
 
 from tests.cli.run import run_process
 from tests.cli.studies import results, rows
-from tests.devices import rest, write_device
+from tests.device_recordings import rest, write_device
 from tests.recordings import directions
 from tests.study.borrowing import report
 from tests.study.clusters import cluster

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.cli.studies import rows
-from tests.devices import rest, write_device
+from tests.device_recordings import rest, write_device
 from tests.recordings import RATE_HZ, directions
 from tests.study.borrowing import own_errors_mg, report
 from tests.study.pooling import pool_of, study

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.studies import results, rows
-from tests.devices import rest, week, write_device
+from tests.device_recordings import rest, week, write_device
 from tests.recordings import directions
 from tests.study.pooling import pool_of, study
 

@@ -1,0 +1,197 @@
+"""Tables on standard output: aligned text, CSV.
+
+One result as a line of tab-separated fields.
+
+Progress on stderr, only where it is a terminal.
+
+What commands share that make a result of each recording: the loop, the line, the comments.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import click
+
+from accelcal_cli.cli import exit_codes
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
+
+
+def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Columns as wide as their widest cell, the first to the left and the others to the right."""
+    widths = [max(map(len, column)) for column in zip(head, *rows, strict=True)]
+    lines = [_line(row, widths) for row in (head, ["-" * width for width in widths], *rows)]
+    return "\n".join(lines)
+
+
+def _line(row: Sequence[str], widths: list[int]) -> str:
+    first, *rest = zip(row, widths, strict=True)
+    return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in rest)]).rstrip()
+
+
+def comma_separated(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
+    """CSV with a header line; None is an empty cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows([["" if cell is None else cell for cell in row] for row in rows])
+    return text.getvalue().rstrip("\n")
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A cell of so many significant digits, `-` for none."""
+    if value is None:
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
+
+
+def number(value: float | None, form: str) -> str:
+    """A cell of a number in a format, `-` for none."""
+    return "-" if value is None else format(value, form)
+
+
+def line(report: dict[str, Any], source: Path, written: Path | None) -> str:
+    """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
+    held, found = report["holdout"], report["calibration"]
+    told = held is not None and found is not None
+    fields = [
+        printable(source),
+        report["outcome"],
+        "-" if found is None else found["model"],
+        "-" if held is None else f"{held['before_mg']['mean']:.3f}",
+        f"{held['after_mg']['mean']:.3f}" if told else "-",
+        _percent(held["improvement_percent"]) if told else "-",
+        "-" if written is None else printable(written),
+    ]
+    return "\t".join(fields)
+
+
+def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
+    """The same fields from a recording's row in a study's summary."""
+    fields = [
+        printable(source),
+        row["outcome"],
+        row["model"] or "-",
+        *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("before_mg", "after_mg")),
+        _percent(row["improvement_percent"]),
+        "-" if written is None else printable(written),
+    ]
+    return "\t".join(fields)
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0f}"
+
+
+@contextlib.contextmanager
+def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[ProgressMaker]:
+    """A maker of bars for the stages of one recording; each replaces the one before."""
+    if quiet or sys.stderr is None or not sys.stderr.isatty():
+        yield no_progress
+        return
+    from tqdm import tqdm
+
+    with contextlib.ExitStack() as stack:
+
+        def make(stage: str, total: int) -> Progress:
+            stack.close()
+            bar = tqdm(
+                total=total, desc=f"{label} {stage}", unit=unit, unit_scale=True, leave=False, file=sys.stderr
+            )
+            stack.callback(bar.close)
+            return lambda done: bar.update(min(done, total) - bar.n) and None
+
+        yield make
+
+
+Work = Callable[[Job, ProgressMaker, Path | None], Result]
+"""Makes one recording's result; the path is where its bytes are, if not at the job's source."""
+
+
+def parquet_of(result: Result) -> Path | None:
+    """The Parquet file of a result, if it has one."""
+    return result.job.parquet if result.has_parquet else None
+
+
+def each(
+    jobs: list[Job],
+    work: Work,
+    values: dict[str, Any],
+    written: Callable[[Result], Path | None] = parquet_of,
+) -> int:
+    """Do every job, print its result, and return the exit code of all.
+
+    Args:
+        values: the options `quiet`, `verbose` and `as_json`.
+        written: the output that a result's line names.
+    """
+    codes = [_one(job, work, values, written) for job in jobs]
+    if len(codes) == 1:
+        return codes[0]
+    return exit_codes.SOME_FAILED if any(codes) else exit_codes.OK
+
+
+def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result], Path | None]) -> int:
+    """Do one job; a failure is said and does not stop the rest."""
+    source = None
+    try:
+        with contextlib.ExitStack() as stack:
+            if job.source == STDIN:
+                source = stack.enter_context(spooled(stdin()))
+            bars = stack.enter_context(progress_bars(job.source.name, quiet=values["quiet"]))
+            result = work(job, bars, source)
+    except AccelcalError as error:
+        error.path = STDIN if source is not None and error.path == source else error.path
+        exit_codes.say(str(error))
+        return error.exit_code
+    except Exception:
+        return exit_codes.report_bug()
+    shown = line(result.report, result.job.source, written(result))
+    click.echo(json.dumps(result.report) if values["as_json"] else shown)
+    _comment(result, values)
+    return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
+
+
+def stdin() -> BinaryIO:
+    """Standard input; raises UsageError where there is none."""
+    if sys.stdin is None:
+        raise UsageError("standard input is closed", hint="name a file")
+    return sys.stdin.buffer
+
+
+def _comment(result: Result, values: dict[str, Any]) -> None:
+    """Reasons and warnings, on stderr."""
+    report = result.report
+    if result.outcome is Outcome.REFUSED:
+        exit_codes.say(f"{printable(result.job.source)}: refused: {report['message']}")
+    if result.outcome is Outcome.BORROWED:
+        from accelcal_cli.pipeline.apply import warning
+
+        if (beware := warning(report)) is not None:
+            exit_codes.say(f"{printable(result.job.source)}: {beware}")
+    if values["quiet"]:
+        return
+    if result.up_to_date:
+        exit_codes.say(f"{printable(result.job.source)}: up to date")
+    problems = report["file_health"]["problems"]
+    for problem in problems if values["verbose"] else problems[:1]:
+        more = (
+            ""
+            if values["verbose"] or len(problems) == 1
+            else f" (and {len(problems) - 1} more, see the report)"
+        )
+        exit_codes.say(f"{printable(result.job.source)}: {problem['code']}: {problem['message']}{more}")
+    if values["verbose"]:
+        exit_codes.say(f"{printable(result.job.source)}: {report['message']}")
+        for trial in report["models_tried"]:
+            found = trial["reason"] if trial["after_mg"] is None else f"{trial['after_mg']:.3f} mg held out"
+            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {found}")

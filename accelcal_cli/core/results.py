@@ -1,0 +1,192 @@
+"""What the judge says of a calibration: errors in mg, coverage, verdict.
+
+What one pass over a recording finds out: length, gaps, problems, measured rate.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import fsum
+
+from accelcal_cli.core.clock import ZoneChange
+from accelcal_cli.core.points import Calibration, Fit
+from accelcal_cli.core.recording import Problem
+
+
+class Outcome(StrEnum):
+    """The report's `outcome`."""
+
+    CALIBRATED = "calibrated"
+    REDUCED_MODEL = "reduced_model"
+    ALREADY_GOOD = "already_good"
+    BORROWED = "borrowed"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorSummary:
+    """mean | |a| - 1 g | over postures, their median and 95th percentile [mg]."""
+
+    mean: float
+    median: float
+    p95: float
+
+
+@dataclass(frozen=True, slots=True)
+class Holdout:
+    """Error on data that took no part in the fit.
+
+    Attributes:
+        method: how it was held out.
+        ci95: confidence interval of the mean after calibration [mg], Student's t over postures.
+        per_posture: (before, after) [mg] of each posture, in the order of the postures.
+        blocks: (posture, after [mg]) of each block by which models are compared: a posture, or
+            where there is temperature a posture within a narrow range of it.
+    """
+
+    method: str
+    points: int
+    postures: int
+    before: ErrorSummary
+    after: ErrorSummary
+    ci95: tuple[float, float]
+    per_posture: tuple[tuple[float, float], ...]
+    blocks: tuple[tuple[int, float], ...] = ()
+
+    def compared_mg(self) -> float:
+        """Mean over the blocks after calibration: what the model ladder compares [mg]."""
+        return fsum(after for _, after in self.blocks) / len(self.blocks)
+
+    def improvement_percent(self) -> float:
+        """R of F eq. 21: error before over error after, in percent."""
+        return 100 * self.before.mean / self.after.mean if self.after.mean else float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """Where the points lie.
+
+    Attributes:
+        subsets: points in F's nine subsets (eq. 10), rows n, 0, p and columns x, y, z; a point
+            counts on every axis.
+        axis_min_g, axis_max_g: extreme raw values of x, y, z.
+        cells: number of orientation cells with points (split by temperature where it is used).
+        condition_number: of the fit's Jacobian with columns of unit length; None if not fitted.
+        worst_direction_mg: standard error of |a| in the least certain of 162 directions.
+    """
+
+    subsets: tuple[tuple[int, int, int], ...]
+    axis_min_g: tuple[float, float, float]
+    axis_max_g: tuple[float, float, float]
+    cells: int
+    condition_number: float | None = None
+    worst_direction_mg: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One model of the ladder.
+
+    Attributes:
+        holdout: its held-out error, None where it could not be fitted.
+        reason: why it was not eligible, None where it was.
+    """
+
+    model: str
+    holdout: Holdout | None
+    reason: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class FitErrors:
+    """Errors on the very points that were fitted; not the number to quote."""
+
+    points: int
+    postures: int
+    before_mg: float
+    after_mg: float
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """The verdict on a recording, with all that supports it; calibration is None if refused."""
+
+    outcome: Outcome
+    message: str
+    coverage: Coverage
+    trials: tuple[Trial, ...]
+    calibration: Calibration | None = None
+    fit: Fit | None = None
+    holdout: Holdout | None = None
+    fit_errors: FitErrors | None = None
+    standard_errors: tuple[float, ...] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Time that is missing between two consecutive rows.
+
+    Attributes:
+        sample: number of the first sample after the gap.
+        start_us: time of the last sample before it.
+        seconds: from that sample to the next one.
+    """
+
+    sample: int
+    start_us: int
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Jumps:
+    """Where the times of consecutive rows do not go on.
+
+    Attributes:
+        gaps: how many times time is missing, and how much in all [us].
+        back: how many times a stamp repeats the one before or goes back.
+    """
+
+    gaps: int = 0
+    gap_us: int = 0
+    back: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Facts:
+    """A recording as it was found.
+
+    Attributes:
+        first_us, last_us: times of the first and last sample; None without samples.
+        rate_hz: measured: samples over time within unbroken stretches; None if unknown.
+        gaps_omitted: gaps beyond those that are listed.
+        still_error_mg: mean | |v| - 1 g | of the raw means of all plausible still windows; None
+            without any.
+        utc_offset_s: seconds that the device's clock is ahead of UTC; None where its zone, or the
+            time of the start, is not known.
+        lost_bytes, used_bytes: of the (uncompressed) file: damaged ones, and those that the samples
+            were made of.
+        zone_change: the zone changed its offset from UTC during the recording; None if not, or unknown.
+    """
+
+    samples: int
+    first_us: int | None
+    last_us: int | None
+    rate_hz: float | None
+    gaps: tuple[Gap, ...]
+    gaps_omitted: int
+    problems: tuple[Problem, ...]
+    filled: int
+    clipped: int
+    has_temperature: bool
+    has_gyroscope: bool
+    still_error_mg: float | None = None
+    utc_offset_s: int | None = None
+    lost_bytes: int = 0
+    used_bytes: int = 0
+    jumps: Jumps = Jumps()
+    zone_change: ZoneChange | None = None
+
+    def lost_percent(self) -> float:
+        """Share of the recording's bytes that damage has taken."""
+        return 100 * self.lost_bytes / max(1, self.lost_bytes + self.used_bytes)

@@ -1,0 +1,190 @@
+"""CPUs and memory that this process was given, not the machine's; how many workers they keep busy.
+
+Processes of this host: what it is called, and which of them live.
+
+How the C library deals with memory that was used and will be used again.
+
+How many threads the linear algebra below numpy takes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import platform
+import sys
+from collections.abc import Iterator
+from functools import cache
+from math import ceil
+from pathlib import Path
+from typing import Any
+
+WORKER_BYTES = 330_000_000
+"""What one worker needs at most: it peaks at 285 MB for a CSV, at 205 MB where it has but one thread."""
+
+CGROUPS = Path("/sys/fs/cgroup")
+PROCESS = Path("/proc/self/cgroup")
+MEMORY = Path("/proc/meminfo")
+
+
+def workers(recordings: int) -> int:
+    """Workers for so many recordings: at least one, at most what CPUs and memory allow."""
+    memory = available_bytes()
+    fitting = cpus() if memory is None else min(cpus(), memory // WORKER_BYTES)
+    return max(1, min(fitting, recordings))
+
+
+def threads(workers: int) -> int:
+    """Threads for each of so many workers, so that all of them together fit the CPUs; at least one."""
+    return max(1, cpus() // workers)
+
+
+def cpus() -> int:
+    """CPUs this process may use: the least of affinity, cgroup quota (v2) and Slurm's word."""
+    told = os.environ.get("SLURM_CPUS_PER_TASK", "")
+    limits = [_affinity(), *_quotas()]
+    if told.isdecimal():
+        limits.append(int(told))
+    return max(1, min(limits))
+
+
+def _affinity() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _quotas() -> Iterator[int]:
+    """`cpu.max` holds a quota and a period, both in microseconds, or `max` for none."""
+    for folder in cgroups():
+        words = _text(folder / "cpu.max").split()
+        if len(words) == 2 and words[0].isdecimal() and int(words[1]) > 0:
+            yield ceil(int(words[0]) / int(words[1]))
+
+
+def available_bytes() -> int | None:
+    """Memory that is left to this process: the machine's and its cgroup's (v2); None where neither tells."""
+    found = [*_machine_bytes(), *_cgroup_bytes()]
+    return max(0, min(found)) if found else None
+
+
+def _machine_bytes() -> Iterator[int]:
+    for line in _text(MEMORY).splitlines():
+        words = line.split()
+        if words[:1] == ["MemAvailable:"]:
+            yield int(words[1]) * 1024
+
+
+def _cgroup_bytes() -> Iterator[int]:
+    for folder in cgroups():
+        limit, used = _text(folder / "memory.max").strip(), _text(folder / "memory.current").strip()
+        if limit.isdecimal() and used.isdecimal():
+            yield int(limit) - int(used)
+
+
+def cgroups() -> list[Path]:
+    """This process's cgroup (v2) and those around it: each can limit it."""
+    for line in _text(PROCESS).splitlines():
+        if line.startswith("0::"):
+            own = CGROUPS / line[3:].strip().lstrip("/")
+            return [own, *(folder for folder in own.parents if folder.is_relative_to(CGROUPS))]
+    return []
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text("utf-8", "replace")
+    except OSError:
+        return ""
+
+
+FIRST_NUMBERS = "pid:[4026531836]"
+"""The namespace of process numbers that a Linux host begins with (pid_namespaces(7), linux/proc_ns.h)."""
+
+
+@cache
+def host() -> str:
+    """This host's name; of a container that counts its processes from 1, with its namespace.
+
+    Two containers may have one name and not see each other's processes.
+    """
+    name = platform.node() or "host"
+    try:
+        numbers = Path("/proc/self/ns/pid").readlink().name
+    except OSError:
+        return name
+    return name if numbers == FIRST_NUMBERS else f"{name}-{''.join(filter(str.isdigit, numbers))}"
+
+
+def lives(process: int) -> bool:
+    """Whether a process of this host lives; yes where it cannot be told.
+
+    One that ended and that nobody asked about yet is dead (state Z in proc(5)).
+    """
+    if os.name != "posix":
+        return True
+    try:
+        os.kill(process, 0)
+    except (ProcessLookupError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return _state(process) != "Z"
+
+
+def _state(process: int) -> str:
+    try:
+        return Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0]
+    except (OSError, IndexError):
+        return ""
+
+
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
+"""Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
+
+KEPT_BYTES = 1 << 27
+LARGEST_KEPT_BYTES = 1 << 25
+"""glibc takes no larger one on 64-bit machines (mallopt(3))."""
+
+
+def keep_freed_memory() -> bool:
+    """Let this process use the memory of one chunk again for the next, as far as its C library can.
+
+    By default glibc gives arrays of some megabytes back to the system and asks for fresh ones, each
+    page of which must be cleared and mapped anew: a third of the time of reading a recording.
+
+    Returns:
+        whether the C library took it.
+    """
+    mallopt = _of_glibc("mallopt")
+    wanted = ((MMAP_THRESHOLD, LARGEST_KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES))
+    return mallopt is not None and all(mallopt(name, value) for name, value in wanted)
+
+
+def give_back_freed_memory() -> bool:
+    """Return to the system what is kept: what comes next needs arrays of other sizes.
+
+    Returns:
+        whether there was something that could be returned.
+    """
+    trim = _of_glibc("malloc_trim")
+    return trim is not None and bool(trim(0))
+
+
+def _of_glibc(name: str) -> Any:
+    """A function that only glibc has, or None."""
+    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
+
+
+NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What OpenMP, OpenBLAS and MKL ask for, in this process and those it starts."""
+
+
+def hold_to_one_thread() -> None:
+    """Let matrix products take one thread each; to be called before numpy is loaded.
+
+    By default they take one for every CPU, which wait for each other spinning: what they took from the
+    thread that encodes, half a second of a week's recording, the small products here never gave back.
+    One thread also adds in the same order on every machine.
+    """
+    os.environ.update(dict.fromkeys(NAMES, "1"))

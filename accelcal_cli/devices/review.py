@@ -1,0 +1,404 @@
+"""One device as it is shown.
+
+Why a device should be serviced.
+
+From a study's table to its devices.
+
+A review as one JSON object, and as rows of recordings.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field, replace
+from enum import StrEnum
+from math import isfinite
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from accelcal_cli import __version__
+from accelcal_cli.devices.table import (
+    OFFSETS,
+    OWN,
+    PARAMETERS,
+    Device,
+    Floats,
+    Records,
+    Use,
+    mask,
+    read,
+    uses,
+    with_error,
+)
+from accelcal_cli.devices.trends import (
+    DAMAGED_FROM_PERCENT,
+    FEWEST_DEVICES,
+    LEAST_SPREAD_MG,
+    PERHAPS,
+    REPEATED,
+    SIGNIFICANT,
+    Referred,
+    Rules,
+    Trend,
+    at_one_temperature,
+    trends,
+)
+
+
+class Verdict(StrEnum):
+    """What to do with a device."""
+
+    SERVICE = "service"
+    WATCH = "watch"
+    UNKNOWN = "unknown"
+    GOOD = "good"
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a device is to be serviced, or watched if that is not certain."""
+
+    rule: str
+    text: str
+    certain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A device.
+
+    Attributes:
+        rows: its recordings, in `Records`.
+        firmware: all that its recordings name.
+        counts: how many recordings had which use.
+        damaged: recordings that lost bytes to damage.
+        begin, end: starts of the first and the last recording that has a date.
+        held_out_mg: median held-out error of its own calibrations; None where it has none.
+        reference_c: temperature of its offsets; None where no recording has slopes.
+        worst_lost_percent: the most that one of its recordings lost.
+    """
+
+    device: Device
+    rows: range
+    firmware: tuple[str, ...]
+    counts: dict[Use, int]
+    damaged: int
+    begin: str | None
+    end: str | None
+    held_out_mg: float | None
+    reference_c: float | None
+    worst_lost_percent: float
+    trends: tuple[Trend, ...]
+    reasons: tuple[Reason, ...] = field(default=())
+
+    def counted(self, *wanted: Use) -> int:
+        """How many recordings had one of these uses."""
+        return sum(self.counts.get(use, 0) for use in wanted)
+
+    @property
+    def recordings(self) -> int:
+        """Its recordings, copies counted once."""
+        return sum(self.counts.values()) - self.counted(Use.COPY)
+
+    @property
+    def refused(self) -> int:
+        """Recordings that could not be calibrated by themselves."""
+        return self.counted(Use.REFUSED, Use.BORROWED)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst that the reasons say."""
+        if self.reasons:
+            return Verdict.SERVICE if any(one.certain for one in self.reasons) else Verdict.WATCH
+        told = bool(self.trends) or self.counted(Use.GOOD) > 0
+        return Verdict.GOOD if told else Verdict.UNKNOWN
+
+
+@dataclass(frozen=True, slots=True)
+class Kin:
+    """Devices of one kind (model and format).
+
+    Attributes:
+        devices: those with a held-out error.
+        held_out_mg: median of theirs; None where there are none.
+        spread_mg: 1.4826 times the median distance from it, which is a standard deviation of normal ones.
+        recordings, refused, damaged: of all devices of the kind.
+    """
+
+    devices: int
+    held_out_mg: float | None
+    spread_mg: float
+    recordings: int
+    refused: int
+    damaged: int
+
+
+def kin(units: Iterable[Unit]) -> Kin:
+    """What is usual among devices."""
+    units = list(units)
+    errors = [unit.held_out_mg for unit in units if unit.held_out_mg is not None]
+    centre = median(errors) if errors else None
+    spread = 0.0 if centre is None else 1.4826 * median(abs(error - centre) for error in errors)
+    return Kin(
+        len(errors),
+        centre,
+        spread,
+        sum(unit.recordings for unit in units),
+        sum(unit.refused for unit in units),
+        sum(unit.damaged for unit in units),
+    )
+
+
+def reasons(unit: Unit, others: Kin, rules: Rules) -> tuple[Reason, ...]:
+    """All of a device, the certain ones first, of each rule the worst first.
+
+    Args:
+        others: its kind, itself included.
+    """
+    found = [*_drifts(unit, rules), *_levels(unit, rules), *_outlying(unit, others, rules)]
+    found += _refused(unit, others, rules)
+    found += _damaged(unit, others, rules)
+    return tuple(sorted(found, key=lambda one: not one.certain))
+
+
+def _drifts(unit: Unit, rules: Rules) -> Iterator[Reason]:
+    limits = dict(zip(PARAMETERS, rules.drifts().tolist(), strict=True))
+    found = [(trend, trend.drift) for trend in unit.trends if trend.drift is not None]
+    for trend, drift in sorted(found, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
+        size = abs(drift.per_month)
+        if size > limits[trend.parameter] and drift.probability < PERHAPS:
+            shown = f"{with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
+            text = f"{trend.parameter.label} drifts by {shown} a month"
+            doubt = "" if drift.significant else f" (not certain from {trend.number} recordings)"
+            yield Reason("drift", text + doubt, drift.significant)
+
+
+def _levels(device: Unit, rules: Rules) -> Iterator[Reason]:
+    limits = dict(zip(PARAMETERS, rules.levels().tolist(), strict=True))
+    for trend in sorted(device.trends, key=lambda one: -abs(one.value) / limits[one.parameter]):
+        beyond = abs(trend.value) - limits[trend.parameter]
+        if beyond > 0:
+            unit = trend.parameter.unit
+            limit = f"limit {limits[trend.parameter]:g} {unit}"
+            text = f"{trend.parameter.label} is {with_error(trend.value, trend.error)} {unit} ({limit})"
+            yield Reason("level", text, beyond > SIGNIFICANT * trend.error)
+
+
+def _outlying(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:
+    if unit.held_out_mg is None or others.held_out_mg is None or others.devices < FEWEST_DEVICES:
+        return
+    spread = max(others.spread_mg, LEAST_SPREAD_MG)
+    if unit.held_out_mg > others.held_out_mg + rules.outlying * spread:
+        text = f"held-out error {unit.held_out_mg:.1f} mg, of devices of its kind {others.held_out_mg:.1f} mg"
+        yield Reason("held out", text, unit.counted(*OWN) >= REPEATED)
+
+
+def _refused(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:
+    rest = (others.refused - unit.refused, others.recordings - unit.recordings)
+    if _repeated((unit.refused, unit.recordings), rest, rules.refused_percent):
+        text = f"{unit.refused} of {unit.recordings} recordings refused or borrowed{_elsewhere(*rest)}"
+        yield Reason("refused", text, True)
+
+
+def _damaged(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:
+    rest = (others.damaged - unit.damaged, others.recordings - unit.recordings)
+    if _repeated((unit.damaged, unit.recordings), rest, rules.damaged_percent):
+        worst = f"up to {unit.worst_lost_percent:.2g} % lost"
+        text = f"damage in {unit.damaged} of {unit.recordings} recordings, {worst}{_elsewhere(*rest)}"
+        yield Reason("damaged", text, True)
+
+
+def _repeated(own: tuple[int, int], rest: tuple[int, int], percent: float) -> bool:
+    """Whether it happened twice, to so many percent, and at least twice as often as to the others."""
+    (count, number), (elsewhere, others) = own, rest
+    often = count >= REPEATED and 100 * count >= percent * number
+    return often and (others == 0 or count * others >= 2 * elsewhere * number)
+
+
+def _elsewhere(count: int, number: int) -> str:
+    return f" (other devices: {100 * count / number:.0f} %)" if number else ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Review:
+    """All devices of a study.
+
+    Attributes:
+        records: as in the table.
+        referred: the same with offsets at one temperature a device.
+        use: of each recording.
+        units: the devices, those to service first.
+        kinds: what is usual among devices of a model and format.
+    """
+
+    records: Records
+    referred: Referred
+    use: list[Use]
+    units: tuple[Unit, ...]
+    kinds: dict[tuple[str, str], Kin]
+    rules: Rules
+
+
+def review(out: Path, rules: Rules, now_s: float) -> Review:
+    """Judge the devices of the study in a folder.
+
+    Args:
+        now_s: the time [s since 1970].
+
+    Raises:
+        UsageError, UnreadableError: see `table.read`.
+    """
+    return judged(read(out, now_s), rules)
+
+
+def judged(records: Records, rules: Rules) -> Review:
+    """Judge the devices of recordings."""
+    found = uses(records)
+    referred = at_one_temperature(records, mask(found, Use.USED, Use.UNDATED), rules.reference_c)
+    told = trends(referred.records, found, rules)
+    units = [_unit(records, referred, found, device, told[device]) for device in range(len(told))]
+    kinds = {kind: kin(one for one in units if one.device.kind == kind) for kind in _kinds(units)}
+    units = [replace(one, reasons=reasons(one, kinds[one.device.kind], rules)) for one in units]
+    order = tuple(Verdict)
+    units.sort(key=lambda one: order.index(one.verdict))
+    return Review(records, referred, found, tuple(units), kinds, rules)
+
+
+def _kinds(units: list[Unit]) -> list[tuple[str, str]]:
+    return sorted({one.device.kind for one in units})
+
+
+def _unit(
+    records: Records, referred: Referred, found: list[Use], device: int, told: tuple[Trend, ...]
+) -> Unit:
+    rows = records.rows(device)
+    single = [row for row in rows if found[row] is not Use.COPY]
+    dated = [row for row in single if np.isfinite(records.days[row])]
+    starts = records.text["start_time"]
+    lost = [float(value) for value in np.nan_to_num(records.number["lost_percent"][single])]
+    warm = float(referred.temperature_c[device])
+    return Unit(
+        records.devices[device],
+        rows,
+        tuple(sorted({name for row in rows if (name := records.text["device_firmware"][row])})),
+        dict(Counter(found[row] for row in rows)),
+        sum(value >= DAMAGED_FROM_PERCENT for value in lost),
+        starts[dated[0]] if dated else None,
+        starts[dated[-1]] if dated else None,
+        _held_out(records, found, single),
+        warm if np.isfinite(warm) else None,
+        max(lost, default=0.0),
+        told,
+    )
+
+
+def _held_out(records: Records, found: list[Use], rows: list[int]) -> float | None:
+    errors = [float(records.number["after_mg"][row]) for row in rows if found[row] in OWN]
+    known = [error for error in errors if np.isfinite(error)]
+    return median(known) if known else None
+
+
+DEVICE = ("serial", "device_model", "format", "device_firmware")
+TEMPERATURES = ("reference_c", "one_temperature_c")
+SAID = ("path", "start_time", "outcome")
+ERRORS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "lost_percent")
+AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in PARAMETERS[OFFSETS])
+
+
+def as_json(review: Review, units: tuple[Unit, ...]) -> dict[str, Any]:
+    """All that is known of some devices; null for what is not."""
+    kinds = [
+        {"model": model or None, "format": name or None, **asdict(known)}
+        for (model, name), known in review.kinds.items()
+    ]
+    return {
+        "accelcal_version": __version__,
+        "recordings": len(review.records) + review.records.nameless,
+        "without_serial": review.records.nameless,
+        "failed_without_serial": review.records.failed,
+        "rules": asdict(review.rules),
+        "kinds": kinds,
+        "devices": [_device(review, unit) for unit in units],
+    }
+
+
+def _device(review: Review, unit: Unit) -> dict[str, Any]:
+    return {
+        "serial": unit.device.serial,
+        "model": unit.device.model or None,
+        "format": unit.device.format or None,
+        "firmware": list(unit.firmware),
+        "verdict": str(unit.verdict),
+        "reasons": [asdict(one) for one in unit.reasons],
+        "recordings": unit.recordings,
+        "uses": {str(use): number for use, number in sorted(unit.counts.items())},
+        "damaged": unit.damaged,
+        "first": unit.begin,
+        "last": unit.end,
+        "held_out_mg": unit.held_out_mg,
+        "reference_c": unit.reference_c,
+        "parameters": {trend.parameter.name: _trend(trend) for trend in unit.trends},
+        "history": [row(review, unit, at) for at in unit.rows],
+    }
+
+
+def _trend(trend: Trend) -> dict[str, Any]:
+    return {
+        "unit": trend.parameter.unit,
+        "value": trend.value,
+        "standard_error": trend.error,
+        "recordings": trend.number,
+        "drift": None if trend.drift is None else asdict(trend.drift),
+    }
+
+
+def row(review: Review, unit: Unit, at: int) -> dict[str, Any]:
+    """One recording of a device: a row of the CSV, in the study's units."""
+    records = review.records
+    device = {"serial": unit.device.serial, "device_model": unit.device.model or None}
+    own = {"format": unit.device.format or None, "device_firmware": records.text["device_firmware"][at]}
+    said = {name: records.text[name][at] for name in SAID}
+    numbers = {name: _number(records.number[name], at) for name in ERRORS}
+    return {
+        **device,
+        **own,
+        "verdict": str(unit.verdict),
+        **said,
+        "use": str(review.use[at]),
+        "model": records.text["model"][at],
+        **numbers,
+        **_parameters(review, at),
+        "message": records.text["message"][at],
+    }
+
+
+def columns() -> list[str]:
+    """Names of a row's columns, in their order."""
+    parameters = [name for one in PARAMETERS for name in (one.column, f"se_{one.column}")]
+    moved = [name for one in AT_ONE for name in (one, f"se_{one}")]
+    return [*DEVICE, "verdict", *SAID, "use", "model", *ERRORS, *parameters, *TEMPERATURES, *moved, "message"]
+
+
+def _parameters(review: Review, at: int) -> dict[str, float | None]:
+    """Parameters with their standard errors, and the offsets at the device's one temperature."""
+    records, moved = review.records, review.referred.records
+    told: dict[str, float | None] = {}
+    for index, parameter in enumerate(PARAMETERS):
+        told[parameter.column] = _number(records.values[:, index], at)
+        told[f"se_{parameter.column}"] = _number(records.errors[:, index], at)
+    told["reference_c"] = _number(records.number["reference_c"], at)
+    device = int(records.first.searchsorted(at, side="right")) - 1
+    told["one_temperature_c"] = _number(review.referred.temperature_c, device)
+    for name, index in zip(AT_ONE, range(12)[OFFSETS], strict=True):
+        told[name] = _number(moved.values[:, index], at)
+        told[f"se_{name}"] = _number(moved.errors[:, index], at)
+    return told
+
+
+def _number(held: Floats, at: int) -> float | None:
+    found = float(held[at])
+    return found if isfinite(found) else None

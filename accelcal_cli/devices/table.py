@@ -1,0 +1,403 @@
+"""The twelve parameters of a device, as columns of a study's table and as people read them.
+
+A study's recordings, device by device, as arrays.
+
+Reading a study's table.
+
+Which recordings tell something of their device's coefficients.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from enum import StrEnum
+from math import floor, isnan, log10, nan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.points import MODELS
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.study.records import FAILED
+from accelcal_cli.study.summary import PARAMETERS as COLUMNS
+
+
+class Kind(StrEnum):
+    """What a parameter is."""
+
+    SCALE = "scale"
+    MISALIGNMENT = "misalignment"
+    OFFSET = "offset"
+    SLOPE = "slope"
+
+
+UNITS = {Kind.SCALE: "%", Kind.MISALIGNMENT: "%", Kind.OFFSET: "mg", Kind.SLOPE: "mg/C"}
+FACTORS = {Kind.SCALE: 100.0, Kind.MISALIGNMENT: 100.0, Kind.OFFSET: 1000.0, Kind.SLOPE: 1000.0}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter.
+
+    Attributes:
+        name: its kind and its axis (of K: row and column).
+        column: in a study's table; its standard error is in `se_` of that.
+        ideal: what a sensor without error has, in the table's unit.
+        factor: from the table's unit to `unit`.
+    """
+
+    name: str
+    kind: Kind
+    column: str
+    ideal: float
+    unit: str
+    factor: float
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return self.name.replace("_", " ")
+
+
+def with_error(value: float, error: float) -> str:
+    """A value and its standard error, this to two significant digits."""
+    digits = 2 if error <= 0 else min(6, max(0, 1 - floor(log10(error))))
+    return f"{value:+.{digits}f} +- {error:.{digits}f}"
+
+
+def _parameter(index: int, axes: str) -> Parameter:
+    kind = tuple(Kind)[index // 3]
+    ideal = 1.0 if kind is Kind.SCALE else 0.0
+    return Parameter(f"{kind}_{axes}", kind, COLUMNS[index], ideal, UNITS[kind], FACTORS[kind])
+
+
+AXES = ("x", "y", "z", "yx", "zx", "zy", "x", "y", "z", "x", "y", "z")
+PARAMETERS = tuple(_parameter(index, axes) for index, axes in enumerate(AXES))
+"""In the order of the core's PARAMETER_NAMES."""
+
+SCALES, OFFSETS, SLOPES = slice(0, 3), slice(6, 9), slice(9, 12)
+IDEAL = np.array([parameter.ideal for parameter in PARAMETERS])
+FACTOR = np.array([parameter.factor for parameter in PARAMETERS])
+
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """What recordings must share to be compared: values of one sensor, read in one way.
+
+    Attributes:
+        serial: as in the table.
+        model, format: empty where the table has none.
+    """
+
+    serial: str
+    model: str
+    format: str
+
+    @property
+    def kind(self) -> tuple[str, str]:
+        """Devices of one kind are compared with each other."""
+        return self.model, self.format
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Records:
+    """The recordings of all devices that are known, n of them: by device, start and path.
+
+    Attributes:
+        devices: d of them; the recordings of device j are rows first[j] to first[j + 1].
+        text: columns of text, by name.
+        number: columns of numbers (n,), NaN for none.
+        values, errors: (n, 12) parameters and their standard errors, in the table's units; NaN where
+            the recording's model did not fit them.
+        days: (n,) start of the recording [days since 1970]; NaN where it is not known.
+        nameless: recordings that name no device; they are not among the n.
+        failed: how many of these could not be read at all.
+    """
+
+    devices: tuple[Device, ...]
+    first: Indices
+    text: dict[str, list[str | None]]
+    number: dict[str, Floats]
+    values: Floats
+    errors: Floats
+    days: Floats
+    nameless: int = 0
+    failed: int = 0
+
+    def __len__(self) -> int:
+        return len(self.days)
+
+    def rows(self, device: int) -> range:
+        """The rows of a device."""
+        return range(int(self.first[device]), int(self.first[device + 1]))
+
+    def device_of(self) -> Indices:
+        """The number of each row's device, (n,)."""
+        return np.repeat(np.arange(len(self.devices)), np.diff(self.first))
+
+
+NAME = "study.parquet"
+TEXT = (
+    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
+    "start_time", "sha256",
+)  # fmt: skip
+NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")
+ERRORS = tuple(f"se_{name}" for name in COLUMNS)
+WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
+LARGEST = 1e9
+"""Of any number in a study's table that is looked at."""
+LEAST_ERROR = 1e-12
+"""Of a parameter; they are known to 2**-29."""
+DAY_S = 86_400
+EARLIEST_DAY = 10_957.0
+"""2000-01-01: before, no such device recorded; it is where clocks begin that were never set."""
+AHEAD_DAYS = 2.0
+"""A start so much later than now is a wrong clock, not another time zone."""
+
+
+def read(out: Path, now_s: float) -> Records:
+    """The table of the study in a folder.
+
+    Args:
+        now_s: the time [s since 1970]; recordings that begin later have no date.
+
+    Raises:
+        UsageError: there is no table.
+        UnreadableError: it cannot be read, or is none of a study.
+    """
+    return records(columns(out / NAME), now_s / DAY_S + AHEAD_DAYS)
+
+
+def columns(path: Path) -> dict[str, Any]:
+    """The columns that are wanted: lists of text, arrays of numbers (NaN for none)."""
+    _check_there(path)
+    try:
+        with path.open("rb") as source, pq.ParquetFile(source) as file:
+            names = file.schema_arrow.names
+            missing = [name for name in WANTED if name not in names]
+            if missing:
+                raise _not_ours(path, names, missing)
+            table = file.read(columns=list(WANTED))
+        text = {name: _texts(table[name]) for name in TEXT}
+        numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
+    except (pa.ArrowException, OSError, ValueError, TypeError) as error:
+        said = " ".join(str(error).split())
+        raise UnreadableError(f"cannot be read ({said})", path=path, hint="run the study again") from error
+    return text | numbers
+
+
+def _check_there(path: Path) -> None:
+    if path.is_file():
+        return
+    if any(path.parent.glob("study.*-of-*.parquet")):
+        raise UsageError(
+            "does not exist, only those of shards", path=path, hint="run the study with --collect first"
+        )
+    hint = "name the folder that was given to `accelcal study` with -d, or run it first"
+    raise UsageError("does not exist", path=path, hint=hint)
+
+
+def _not_ours(path: Path, names: list[str], missing: list[str]) -> UnreadableError:
+    if all(name.startswith("se_") or name == "lost_percent" for name in missing) and "path" in names:
+        text = "is of an earlier version, without standard errors"
+        return UnreadableError(text, path=path, hint="run the study again, with --force")
+    return UnreadableError(f"is no table of a study: it has no column {missing[0]}", path=path)
+
+
+def _texts(column: pa.ChunkedArray) -> list[str | None]:
+    found: list[Any] = column.to_pylist()
+    if not all(value is None or isinstance(value, str) for value in found):
+        raise ValueError(f"a column of text is {column.type}")
+    return found
+
+
+def _floats(column: pa.ChunkedArray) -> Floats:
+    """NaN for none. Arrow's own way to numpy loads pandas, which takes a third of a second."""
+    return np.array(column.to_pylist(), np.float64)
+
+
+def records(held: dict[str, Any], latest_day: float) -> Records:
+    """Columns as recordings of devices, in their order; see `Records`."""
+    named = [row for row, serial in enumerate(held["device_serial"]) if serial]
+    days = [day(start, latest_day) for start in held["start_time"]]
+    keys = {row: (_device(held, row), days[row]) for row in named}
+    order = sorted(named, key=lambda row: (*_sortable(*keys[row]), held["path"][row] or ""))
+    devices = tuple(dict.fromkeys(keys[row][0] for row in order))
+    number = {device: index for index, device in enumerate(devices)}
+    counts = np.bincount([number[keys[row][0]] for row in order], minlength=len(devices))
+    pairs = zip(held["outcome"], held["device_serial"], strict=True)
+    nameless = [outcome for outcome, serial in pairs if not serial]
+    values, errors = _parameters(held, order)
+    return Records(
+        devices,
+        np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        {name: [held[name][row] for row in order] for name in TEXT},
+        {name: _possible(held[name][order]) for name in NUMBERS},
+        values,
+        errors,
+        np.array([days[row] for row in order], np.float64),
+        nameless=len(nameless),
+        failed=nameless.count(FAILED),
+    )
+
+
+def _device(held: dict[str, Any], row: int) -> Device:
+    return Device(held["device_serial"][row], held["device_model"][row] or "", held["format"][row] or "")
+
+
+def _sortable(device: Device, start: float) -> tuple[str, str, str, bool, float]:
+    undated = isnan(start)
+    return device.serial, device.model, device.format, undated, 0.0 if undated else start
+
+
+def _parameters(held: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]:
+    """What was fitted, and its standard error where that says something."""
+    values = np.stack([held[name][order] for name in COLUMNS], axis=1)
+    errors = np.stack([held[name][order] for name in ERRORS], axis=1)
+    models = [held["model"][row] for row in order]
+    free = np.array([_free(model) for model in models], bool).reshape(values.shape)
+    values, errors = np.where(free, _possible(values), nan), _possible(errors)
+    return values, np.where(np.isfinite(values) & (errors >= LEAST_ERROR), errors, nan)
+
+
+def _possible(held: Floats) -> Floats:
+    """NaN for what no study writes: a damaged table has no sums of squares that overflow."""
+    return np.where(np.abs(held) <= LARGEST, held, nan)
+
+
+def _free(model: str | None) -> list[bool]:
+    known = MODELS.get(model or "")
+    return [known is not None and index in known.free for index in range(len(COLUMNS))]
+
+
+def day(start: str | None, latest_day: float) -> float:
+    """Days since 1970 of a start; NaN of none, and of one that no clock shows which was set."""
+    try:
+        moment = datetime.fromisoformat(start or "")
+    except ValueError:
+        return nan
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    found = (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() / DAY_S
+    return found if EARLIEST_DAY <= found <= latest_day else nan
+
+
+class Use(StrEnum):
+    """What became of a recording."""
+
+    USED = "used"
+    UNDATED = "undated"
+    """Its coefficients count, but not for the drift: no start, or none that can be."""
+    COPY = "copy"
+    """The same file as another recording of the device."""
+    REFUSED = "refused"
+    BORROWED = "borrowed"
+    GOOD = "already good"
+    """Nothing was fitted, since nothing improves on the raw data."""
+    SHARED = "shared"
+    """The very coefficients of another recording: they were found once."""
+    NO_ERRORS = "no errors"
+    """Its coefficients have no standard errors."""
+    OTHER_MODEL = "other model"
+    """Its offsets hold its scale errors, too, and most other recordings' do not, or the reverse."""
+
+
+COUNTED = (Use.USED, Use.UNDATED)
+NOT_OWN: dict[str, Use] = {
+    Outcome.REFUSED: Use.REFUSED,
+    Outcome.BORROWED: Use.BORROWED,
+    Outcome.ALREADY_GOOD: Use.GOOD,
+}
+
+OWN = (Use.USED, Use.UNDATED, Use.OTHER_MODEL, Use.NO_ERRORS, Use.GOOD)
+"""Recordings whose held-out error is that of their own calibration."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """What decides, by row, looked up once.
+
+    Attributes:
+        file: the recording's hash; its row where it has none.
+        values: its parameters as bytes.
+        fitted, scaled: whether any parameter was, and whether all scales were.
+        weighed: whether there are standard errors.
+    """
+
+    records: Records
+    file: list[str]
+    values: list[bytes]
+    fitted: list[bool]
+    scaled: list[bool]
+    weighed: list[bool]
+    dated: list[bool]
+
+
+def uses(records: Records) -> list[Use]:
+    """The use of each recording."""
+    known = np.isfinite(records.values)
+    seen = _Seen(
+        records,
+        [name or str(row) for row, name in enumerate(records.text["sha256"])],
+        [row.tobytes() for row in records.values],
+        _each(known, any),
+        _each(known[:, SCALES], all),
+        _each(np.isfinite(records.errors), any),
+        np.isfinite(records.days).tolist(),
+    )
+    return [use for device in range(len(records.devices)) for use in _of_device(seen, records.rows(device))]
+
+
+def _each(known: NDArray[np.bool_], whether: Callable[[Iterable[bool]], bool]) -> list[bool]:
+    return [whether(row) for row in known.tolist()]
+
+
+def _of_device(seen: _Seen, rows: range) -> list[Use]:
+    pairs = {(seen.values[row], seen.file[row]) for row in rows}
+    sharing = Counter(values for values, _ in pairs)
+    files: set[str] = set()
+    found = []
+    for row in rows:
+        copy = seen.file[row] in files
+        files.add(seen.file[row])
+        found.append(Use.COPY if copy else _single(seen, row, shared=sharing[seen.values[row]] > 1))
+    return _of_one_family(seen, rows, found)
+
+
+def _of_one_family(seen: _Seen, rows: range, found: list[Use]) -> list[Use]:
+    """Those that fitted the scale, or those that did not: the more; if as many, the former."""
+    scaled = [seen.scaled[row] for row, use in zip(rows, found, strict=True) if use in COUNTED]
+    usual = 2 * sum(scaled) >= len(scaled)
+    return [
+        Use.OTHER_MODEL if use in COUNTED and seen.scaled[row] is not usual else use
+        for row, use in zip(rows, found, strict=True)
+    ]
+
+
+def _single(seen: _Seen, row: int, *, shared: bool) -> Use:
+    own = NOT_OWN.get(seen.records.text["outcome"][row] or "")
+    if own is not None:
+        return own
+    if not seen.fitted[row]:
+        return Use.REFUSED if seen.records.text["model"][row] is None else Use.GOOD
+    if shared:
+        return Use.SHARED
+    if not seen.weighed[row]:
+        return Use.NO_ERRORS
+    return Use.USED if seen.dated[row] else Use.UNDATED
+
+
+def mask(found: list[Use], *wanted: Use) -> NDArray[np.bool_]:
+    """(n,) which recordings have one of these uses."""
+    return np.array([use in wanted for use in found], bool)

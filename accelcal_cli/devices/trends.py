@@ -1,0 +1,407 @@
+"""When a device is to be serviced: every number, with its source.
+
+Weighted least squares of all parameters of all devices at once.
+
+Offsets at one temperature, so that recordings with and without slopes can be compared.
+
+How probable a deviation is by chance.
+
+Level and drift of each parameter of each device, in people's units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import atan, erfc, isnan, nan, pi, sqrt
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.devices.table import (
+    FACTOR,
+    IDEAL,
+    OFFSETS,
+    PARAMETERS,
+    SLOPES,
+    Floats,
+    Indices,
+    Kind,
+    Parameter,
+    Records,
+    Use,
+    mask,
+)
+
+SIGNIFICANT = 3.0
+"""Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
+PERHAPS = 0.05
+"""A drift that is not certain is told if it is less probable than this by chance; our choice."""
+SLOPE_SPAN_C = 10.0
+"""A drift of a temperature slope counts by what it does over so many degrees; our choice."""
+FEWEST_DEVICES = 5
+"""Devices of one kind among which one can lie outside; our choice."""
+LEAST_SPREAD_MG = 0.5
+"""A smaller spread of held-out errors between devices is taken for this; our choice."""
+DAMAGED_FROM_PERCENT = 0.1
+"""Share of a recording's bytes from which damage counts; our choice."""
+REPEATED = 2
+"""Recordings that make a thing repeated."""
+DAYS_A_MONTH = 365.25 / 12
+
+
+@dataclass(frozen=True, slots=True)
+class Rules:
+    """Limits; what is beyond is a reason.
+
+    Attributes:
+        offset_mg: guaranteed limit of x and y of the ADXL345 (Analog Devices, data sheet, table 1: 0 g
+            output; z has 250).
+        scale_percent: guaranteed limits of the same sensor (230 to 282 LSB/g for 256).
+        misalignment_percent: our choice; that data sheet gives 1 % (typical cross-axis sensitivity), but
+            three ActiGraph recordings at hand, of as many devices, show 5.1 to 5.6 %.
+        slope_mg_per_c: our choice, above 3.9 (19.6 mg in 5 C), the highest that van Hees et al. 2014 report.
+        drift_mg: a month; our choice: as much as a good calibration leaves on real recordings.
+        drift_percent: a month; our choice: as much as `drift_mg` at 1 g.
+        outlying: robust standard deviations above the other devices' held-out error; our choice.
+        refused_percent, damaged_percent: share of a device's recordings; our choice.
+        least_days: shortest span of time that gives a drift; our choice.
+        reference_c: temperature of the offsets; None for each device's own median.
+    """
+
+    offset_mg: float = 150.0
+    scale_percent: float = 10.0
+    misalignment_percent: float = 10.0
+    slope_mg_per_c: float = 5.0
+    drift_mg: float = 2.0
+    drift_percent: float = 0.2
+    outlying: float = 5.0
+    refused_percent: float = 50.0
+    damaged_percent: float = 50.0
+    least_days: float = 14.0
+    reference_c: float | None = None
+
+    def levels(self) -> Floats:
+        """Largest distance of each parameter from its ideal, in its unit, (12,)."""
+        limit = {
+            Kind.SCALE: self.scale_percent,
+            Kind.MISALIGNMENT: self.misalignment_percent,
+            Kind.OFFSET: self.offset_mg,
+            Kind.SLOPE: self.slope_mg_per_c,
+        }
+        return np.array([limit[parameter.kind] for parameter in PARAMETERS])
+
+    def drifts(self) -> Floats:
+        """Largest drift of each parameter, in its unit a month, (12,)."""
+        limit = {
+            Kind.SCALE: self.drift_percent,
+            Kind.MISALIGNMENT: self.drift_percent,
+            Kind.OFFSET: self.drift_mg,
+            Kind.SLOPE: self.drift_mg / SLOPE_SPAN_C,
+        }
+        return np.array([limit[parameter.kind] for parameter in PARAMETERS])
+
+
+FEWEST = 3
+"""Recordings of which a drift is told: two give a line, but nothing that says how good it is."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Values of p parameters in n recordings, by device; NaN for none.
+
+    Attributes:
+        values, errors: (n, p).
+        days: (n,).
+        first: (d + 1,) where each device's recordings begin.
+    """
+
+    values: Floats
+    errors: Floats
+    days: Floats
+    first: Indices
+
+    def where(self, kept: NDArray[np.bool_]) -> Measured:
+        """Without the values of other recordings."""
+        held = np.where(kept[:, np.newaxis], self.values, nan)
+        return Measured(held, self.errors, self.days, self.first)
+
+    def weights(self) -> Floats:
+        """1 / SE^2, 0 where there is no value."""
+        there = np.isfinite(self.values) & np.isfinite(self.errors)
+        return np.divide(1.0, self.errors**2, out=np.zeros_like(self.errors), where=there)
+
+    def total(self, held: Floats) -> Floats:
+        """Sums over each device's recordings, (d, p)."""
+        return np.asarray(np.add.reduceat(held, self.first[:-1], axis=0) if len(held) else held[:0])
+
+    def spread(self, held: Floats) -> Floats:
+        """Values of the devices for each of their recordings, (n, p)."""
+        return np.repeat(held, np.diff(self.first), axis=0)
+
+
+class Mean(NamedTuple):
+    """The weighted mean of a parameter of a device; NaN without values.
+
+    Attributes:
+        number: how many values.
+        scatter: chi^2 over freedom, NaN for a single one.
+    """
+
+    number: int
+    value: float
+    error: float
+    scatter: float
+
+
+class Line(NamedTuple):
+    """A parameter of a device as a straight line over time; NaN where there are not enough recordings.
+
+    Attributes:
+        number: recordings with a value and a date.
+        slope, slope_error: a day.
+        value, error: of the line at the last of them.
+        scatter: chi^2 over freedom.
+    """
+
+    number: int
+    slope: float
+    slope_error: float
+    value: float
+    error: float
+    scatter: float
+
+
+def means(held: Measured) -> list[list[Mean]]:
+    """Weighted means, p of each device; errors f / sqrt(sum w), f^2 = chi^2 / (n - 1) if above 1, else 1."""
+    weights = held.weights()
+    number, total = held.total((weights > 0).astype(float)), held.total(weights)
+    values = np.where(weights > 0, held.values, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        value = held.total(weights * values) / total
+        freedom = _where(number - 1, number > 1)
+        scatter = held.total(weights * (values - held.spread(value)) ** 2) / freedom
+        error = _inflation(scatter) / np.sqrt(total)
+    columns = (value, _where(error, number > 0), scatter)
+    return [[Mean(*cell) for cell in device] for device in _cells(number.astype(np.int64), *columns)]
+
+
+def lines(held: Measured, least_days: float) -> list[list[Line]]:
+    """y = a + b (t - t0) with weights w = 1 / SE^2, t0 the weighted mean of the times; p of each device.
+
+    b = sum w (t - t0) y / S, S = sum w (t - t0)^2; SE(b) = f / sqrt(S); at a time t the line's error is
+    f sqrt(1 / sum w + (t - t0)^2 / S); f^2 = chi^2 / (n - 2) where that is above 1, else 1 (Birge, Physical
+    Review 40, 207, 1932; the scale factor of the Particle Data Group).
+    """
+    held = held.where(np.isfinite(held.days))
+    there = held.weights() > 0
+    number = held.total(there.astype(float))
+    begin, end = _extremes(held, there)
+    enough = (number >= FEWEST) & (end - begin >= least_days)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        columns = [_where(one, enough) for one in _fitted(held, there, number, end)]
+    return [[Line(*cell) for cell in device] for device in _cells(number.astype(np.int64), *columns)]
+
+
+def _cells(*columns: NDArray[Any]) -> Iterator[Iterator[tuple[Any, ...]]]:
+    """From columns (d, p) each to the tuples of each device's parameters, as plain numbers."""
+    for device in zip(*(column.tolist() for column in columns), strict=True):
+        yield zip(*device, strict=True)
+
+
+def _fitted(held: Measured, there: NDArray[np.bool_], number: Floats, at: Floats) -> tuple[Floats, ...]:
+    """Slope, its error, value and error at a day (d, p), scatter; see `lines`."""
+    weights, days = held.weights(), held.days[:, np.newaxis]
+    total = held.total(weights)
+    centre, middle = (
+        held.total(weights * np.where(there, column, 0.0)) / total for column in (days, held.values)
+    )
+    away = np.where(there, days - held.spread(centre), 0.0)
+    off = np.where(there, held.values - held.spread(middle), 0.0)
+    square = held.total(weights * away**2)
+    slope = held.total(weights * away * off) / square
+    left = np.where(there, off - held.spread(slope) * away, 0.0)
+    scatter = held.total(weights * left**2) / (number - 2)
+    grown, late = _inflation(scatter), at - centre
+    error = grown * np.sqrt(1 / total + late**2 / square)
+    return slope, grown / np.sqrt(square), middle + slope * late, error, scatter
+
+
+def _inflation(scatter: Floats) -> Floats:
+    return np.sqrt(np.where(scatter > 1, scatter, 1.0))
+
+
+def _where(held: Floats, kept: NDArray[np.bool_]) -> Floats:
+    return np.asarray(np.where(kept, held, nan), np.float64)
+
+
+def _extremes(held: Measured, there: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """First and last day of each device's values, (d, p); NaN where there are none."""
+    if not len(there):
+        return held.values[:0], held.values[:0]
+    days = held.days[:, np.newaxis]
+    first = np.minimum.reduceat(np.where(there, days, np.inf), held.first[:-1], axis=0)
+    last = np.maximum.reduceat(np.where(there, days, -np.inf), held.first[:-1], axis=0)
+    return _where(first, np.isfinite(first)), _where(last, np.isfinite(last))
+
+
+TEMPERATURE_DOUBT_C = 4.0
+"""Standard deviation of the unknown mean temperature of a recording without slopes about the reference:
+our choice, of the order of the spread between people, seasons and bedrooms."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Referred:
+    """Recordings with their offsets at one temperature a device.
+
+    Attributes:
+        temperature_c: (d,) of each device; NaN where none of its recordings has slopes.
+    """
+
+    records: Records
+    temperature_c: Floats
+
+
+def at_one_temperature(
+    records: Records, counted: NDArray[np.bool_], temperature_c: float | None = None
+) -> Referred:
+    """Move the offsets of recordings with slopes to one temperature, and widen the errors.
+
+    With slopes: o + s (T - Tref), variance SE(o)^2 + (T - Tref)^2 SE(s)^2; Tref is the mean temperature of
+    the recording's points, about which offset and slope are nearly uncorrelated. Without: the offset is that
+    at a mean temperature which is not known; its variance grows by (TEMPERATURE_DOUBT_C s)^2, s the
+    weighted mean slope of the device.
+
+    Args:
+        counted: (n,) the recordings that decide the temperature.
+        temperature_c: for all devices; if None, the median of each device's reference temperatures.
+    """
+    warm = np.isfinite(records.values[:, SLOPES]).all(axis=1) & np.isfinite(records.number["reference_c"])
+    chosen, slope = _of_devices(records, warm & counted, temperature_c)
+    at, mean = chosen[records.device_of()], slope[records.device_of()]
+    away = np.where(warm, at - records.number["reference_c"], nan)[:, np.newaxis]
+    values, errors = records.values.copy(), records.errors.copy()
+    moved = values[:, OFFSETS] + away * values[:, SLOPES]
+    spread = np.where(warm[:, np.newaxis], away * errors[:, SLOPES], TEMPERATURE_DOUBT_C * mean)
+    known = np.isfinite(at)[:, np.newaxis]
+    values[:, OFFSETS] = np.where(known & np.isfinite(away), moved, values[:, OFFSETS])
+    errors[:, OFFSETS] = np.where(
+        known, np.hypot(errors[:, OFFSETS], np.nan_to_num(spread)), errors[:, OFFSETS]
+    )
+    return Referred(replace(records, values=values, errors=errors), chosen)
+
+
+def _of_devices(
+    records: Records, warm: NDArray[np.bool_], temperature_c: float | None
+) -> tuple[Floats, Floats]:
+    """Temperature (d,) and weighted mean slope (d, 3) of each device that has slopes."""
+    chosen = np.full(len(records.devices), nan)
+    slope = np.full((len(records.devices), 3), nan)
+    for device in range(len(records.devices)):
+        rows = [row for row in records.rows(device) if warm[row]]
+        if not rows:
+            continue
+        own = float(np.median(records.number["reference_c"][rows]))
+        chosen[device] = own if temperature_c is None else temperature_c
+        weights = np.nan_to_num(1 / records.errors[rows, SLOPES] ** 2)
+        total = weights.sum(axis=0)
+        held = (weights * records.values[rows, SLOPES]).sum(axis=0)
+        slope[device] = np.divide(held, total, out=np.zeros(3), where=total > 0)
+    return chosen, slope
+
+
+def normal(deviation: float) -> float:
+    """Probability that a normal variable is as far from 0 as so many standard deviations, or farther."""
+    return erfc(abs(deviation) / sqrt(2))
+
+
+def two_sided(t: float, freedom: int) -> float:
+    """The same of Student's t with `freedom` (1 or more) degrees of freedom.
+
+    The finite sums of Abramowitz, Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4.
+    """
+    angle = atan(abs(t) / sqrt(freedom))
+    cosine2 = freedom / (freedom + t * t)
+    sine = abs(t) / sqrt(freedom + t * t)
+    if freedom % 2:
+        inside = 2 / pi * (angle + sine * _sum(sqrt(cosine2), cosine2, range(3, freedom, 2)))
+        return max(0.0, 1 - (2 / pi * angle if freedom == 1 else inside))
+    return max(0.0, 1 - sine * _sum(1.0, cosine2, range(2, freedom, 2)))
+
+
+def _sum(first: float, factor: float, numbers: range) -> float:
+    """first (1 + factor (n0 - 1) / n0 (1 + factor (n1 - 1) / n1 (...)))."""
+    total = term = first
+    for number in numbers:
+        term *= factor * (number - 1) / number
+        total += term
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Change of a parameter in a month of 365.25 / 12 days.
+
+    Attributes:
+        per_month, error: in the parameter's unit.
+        scatter: chi^2 over freedom about the line.
+        freedom: recordings less two.
+        probability: of so large a drift, or a larger one, by chance (two-sided Student's t).
+        significant: the probability is below that of 3 standard errors over the device's number of drifts.
+    """
+
+    per_month: float
+    error: float
+    scatter: float
+    freedom: int
+    probability: float
+    significant: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Trend:
+    """A parameter of a device.
+
+    Attributes:
+        value: distance from the ideal, in the parameter's unit: where there is a drift at the last
+            recording by the line, else the weighted mean.
+        error: its standard error.
+        number: recordings behind it.
+        drift: None where there are not enough recordings.
+    """
+
+    parameter: Parameter
+    value: float
+    error: float
+    number: int
+    drift: Drift | None
+
+
+def trends(records: Records, found: list[Use], rules: Rules) -> list[tuple[Trend, ...]]:
+    """Those of each device, of the parameters that were ever measured.
+
+    Args:
+        records: with their offsets at one temperature a device.
+    """
+    held = Measured((records.values - IDEAL) * FACTOR, records.errors * FACTOR, records.days, records.first)
+    level = means(held.where(mask(found, Use.USED, Use.UNDATED)))
+    drift = lines(held.where(mask(found, Use.USED)), rules.least_days)
+    return [_of_device(*one) for one in zip(level, drift, strict=True)]
+
+
+def _of_device(level: list[Mean], drift: list[Line]) -> tuple[Trend, ...]:
+    tested = sum(not isnan(line.slope) for line in drift)
+    cells = zip(PARAMETERS, level, drift, strict=True)
+    return tuple(_trend(*cell, tested) for cell in cells if cell[1].number)
+
+
+def _trend(parameter: Parameter, mean: Mean, line: Line, tested: int) -> Trend:
+    if isnan(line.slope):
+        return Trend(parameter, mean.value, mean.error, mean.number, None)
+    freedom = line.number - FEWEST + 1
+    chance = two_sided(line.slope / line.slope_error, freedom)
+    certain = chance < normal(SIGNIFICANT) / tested
+    slope, error = line.slope * DAYS_A_MONTH, line.slope_error * DAYS_A_MONTH
+    drift = Drift(slope, error, line.scatter, freedom, chance, certain)
+    return Trend(parameter, line.value, line.error, line.number, drift)

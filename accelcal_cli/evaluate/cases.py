@@ -1,0 +1,199 @@
+"""Artificial calibration points (Farago, Maczak, Gingl 2024, section III.A, eq. 17-20).
+
+Each case has a stream of random numbers of its own, from the seed and its index. The sensor comes
+first: it is the same for any number of points, any noise and either selection.
+
+Which optimizers are compared, and with which of their settings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from importlib.util import find_spec
+from typing import Any, Literal
+
+import numpy as np
+from numpy.random import RandomState
+from numpy.typing import NDArray
+
+from accelcal_cli.collect.subsets import SubsetCollector
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.fixed import ONE, to_fixed
+from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, Model, Optimizer, PointSet
+from accelcal_cli.optimize import all_optimizers, named_optimizer
+
+SCALE_ERROR = 0.1
+MISALIGNMENT = 0.05
+OFFSET_G = 0.1
+"""Reach of the errors to either side of the ideal (eq. 17)."""
+
+SUBSETS = 9
+Selection = Literal["subsets", "random"]
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How points are drawn.
+
+    Attributes:
+        number: of points.
+        noise_g: standard deviation of the noise on each axis.
+        selection: orientations are uniform on the sphere; they are taken as they come (`random`), or
+            F's collector chooses among them, as many for each of its nine subsets (`subsets`).
+        rest_g: what rest measures, in standard g.
+    """
+
+    number: int
+    noise_g: float
+    selection: Selection = "subsets"
+    rest_g: Fraction = Fraction(1)
+
+    def check(self) -> None:
+        """Raise UsageError where nine subsets cannot share the points."""
+        if self.selection == "subsets" and self.number % SUBSETS:
+            raise UsageError(
+                f"{self.number} points cannot be shared among nine subsets",
+                hint="use a multiple of 9, or --selection random",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Case:
+    """A sensor with known errors and its points at rest.
+
+    Attributes:
+        truth: the twelve true parameters, fixed-point integers.
+        still_g: (n, 3) what the sensor would measure without noise [g].
+        points: what it does measure.
+    """
+
+    truth: tuple[int, ...]
+    still_g: Real
+    points: PointSet
+
+
+def make_case(plan: Plan, seed: int, index: int) -> Case:
+    """Draw a sensor and points of it: the same for the same plan, seed and index."""
+    random = RandomState([seed, index])
+    truth = draw_truth(random)
+    draw = _drawn if plan.selection == "random" else _collected
+    still, noisy = draw(plan, random, truth)
+    return Case(truth, still, as_points(noisy))
+
+
+def draw_truth(random: RandomState) -> tuple[int, ...]:
+    """Errors by eq. 17, parameters by eq. 18, as twelve fixed-point integers without slopes."""
+    draw = random.uniform(-1, 1, 9)
+    scale, turn, offset = 1 + SCALE_ERROR * draw[:3], MISALIGNMENT * draw[3:6], OFFSET_G * draw[6:]
+    crossed = scale[[1, 2, 2]] * turn
+    return (*(to_fixed(float(value)) for value in (*scale, *crossed, *offset)), 0, 0, 0)
+
+
+def measured(truth: tuple[int, ...], acceleration_g: Real) -> Real:
+    """What the sensor measures of (n, 3) true accelerations: the inverse of eq. 7-9 [g].
+
+    Eq. 19 as printed is not that inverse: its second line subtracts the offset that it should add.
+    """
+    kxx, kyy, kzz, kxy, kxz, kyz, *offset = (value / ONE for value in truth[:9])
+    x = acceleration_g[:, 0] / kxx
+    y = (acceleration_g[:, 1] - kxy * x) / kyy
+    z = (acceleration_g[:, 2] - kxz * x - kyz * y) / kzz
+    return np.stack([x, y, z], axis=1) - offset
+
+
+def directions(random: RandomState, number: int) -> Real:
+    """Unit vectors, uniform on the sphere, (number, 3)."""
+    drawn = random.standard_normal((number, 3))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
+
+
+def as_points(xyz_g: Real) -> PointSet:
+    """Positions in g as points of equal weight."""
+    number = len(xyz_g)
+    ones = np.ones(number, np.int64)
+    return PointSet(np.rint(xyz_g * ONE).astype(np.int64), ones * WEIGHT_ONE, ones)
+
+
+def _drawn(plan: Plan, random: RandomState, truth: tuple[int, ...]) -> tuple[Real, Real]:
+    still = measured(truth, float(plan.rest_g) * directions(random, plan.number))
+    return still, still + plan.noise_g * random.standard_normal(still.shape)
+
+
+def _collected(plan: Plan, random: RandomState, truth: tuple[int, ...]) -> tuple[Real, Real]:
+    """What F's collector takes from a stream of points, in the order of the stream."""
+    collector = SubsetCollector(float(ONE), plan.number // SUBSETS)
+    taken: list[tuple[Real, Real]] = []
+    while len(taken) < plan.number:
+        for still, noisy in zip(*_drawn(plan, random, truth), strict=True):
+            x, y, z = np.rint(noisy * ONE).astype(int).tolist()
+            if collector.offer(1, (x, y, z)):
+                taken.append((still, noisy))
+    return np.array([still for still, _ in taken]), np.array([noisy for _, noisy in taken])
+
+
+USUAL = ("fixed32", "fixed32:paper", "float64:paper", "fixed16", "gauss-newton")
+ALL = "all"
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """An optimizer with the settings of one profile."""
+
+    optimizer: Optimizer
+    profile: str = "default"
+
+    @property
+    def label(self) -> str:
+        """NAME, or NAME:PROFILE."""
+        return self.optimizer.name + ("" if self.profile == "default" else f":{self.profile}")
+
+    @property
+    def model(self) -> Model:
+        """Nine parameters where it can fit them, else scale and offset."""
+        return MODELS["9" if "9" in self.optimizer.models else "6"]
+
+    @property
+    def settings(self) -> Any:
+        """The optimizer's own numbers."""
+        return self.optimizer.settings[self.profile]
+
+    def fit(self, points: PointSet) -> Fit:
+        """Fit its model; raises DivergedError."""
+        return self.optimizer.fit(points, self.model, self.settings)
+
+
+def methods(labels: tuple[str, ...]) -> tuple[Method, ...]:
+    """Methods by label, each once; `all` stands for every one whose packages are installed.
+
+    Raises:
+        UsageError: no such optimizer, or it has no such profile.
+    """
+    chosen: dict[str, Method] = {}
+    for label in labels or USUAL:
+        for method in _installed() if label == ALL else [_method(label)]:
+            chosen.setdefault(method.label, method)
+    return tuple(chosen.values())
+
+
+def _method(label: str) -> Method:
+    name, _, profile = label.partition(":")
+    optimizer = named_optimizer(name)
+    if (profile or "default") not in optimizer.settings:
+        raise UsageError(
+            f"optimizer {name} has no settings of profile {profile!r}",
+            hint=f"one of {', '.join(sorted(optimizer.settings))}",
+        )
+    return Method(optimizer, profile or "default")
+
+
+def _installed() -> Iterator[Method]:
+    """Every optimizer, and those with other settings in profile `paper` once more."""
+    for optimizer in all_optimizers():
+        if optimizer.needs is not None and find_spec(optimizer.needs) is None:
+            continue
+        yield Method(optimizer)
+        if optimizer.settings.get("paper", optimizer.settings["default"]) != optimizer.settings["default"]:
+            yield Method(optimizer, "paper")

@@ -1,0 +1,1 @@
+"""What readers of page-wise files share: pages and their times, rows, problems."""

@@ -1,0 +1,390 @@
+"""Fixed-size pages of a file, a block of them at a time.
+
+Pages after decoding: the valid ones as columns, the others as runs.
+
+What happens to single rows of a chunk: unusable ones go, unmeasured temperatures repeat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import StampClock
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import GZIP_MAGIC
+from accelcal_cli.core.recording import Chunk, Counts
+from accelcal_cli.formats._bytes import ByteSource
+
+SKIP_BYTES = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class RawBlock:
+    """Consecutive pages as they lie in the file.
+
+    Attributes:
+        first_position: number of the first page.
+        pages: (p, page_bytes).
+        end_byte: how far into the file on disk the block reaches, for progress.
+        tail: bytes of an incomplete page after these, only in the last block.
+        broken: the stream broke off (damaged gzip) rather than ended; only in the last block.
+        last: nothing follows.
+        undecoded: bytes on the disk that could not be unpacked after it broke off; only in the last block.
+    """
+
+    first_position: int
+    pages: NDArray[np.uint8]
+    end_byte: int
+    tail: bytes
+    broken: bool
+    last: bool
+    undecoded: int = 0
+
+    @property
+    def next_position(self) -> int:
+        """Number of the page after these."""
+        return self.first_position + len(self.pages)
+
+
+class Block(Protocol):
+    """What is asked of consecutive pages after they are decoded; the attributes are as in RawBlock."""
+
+    @property
+    def next_position(self) -> int:
+        """Number of the page after these."""
+
+    @property
+    def end_byte(self) -> int: ...
+    @property
+    def tail(self) -> bytes: ...
+    @property
+    def broken(self) -> bool: ...
+    @property
+    def last(self) -> bool: ...
+    @property
+    def undecoded(self) -> int: ...
+
+
+class Places(Protocol):
+    """Knows where pages lie, and about how long they are."""
+
+    @property
+    def page_bytes(self) -> int: ...
+
+    def offset(self, position: int) -> int:
+        """Where page `position` begins, bytes from the start of the (uncompressed) file."""
+
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many pages from `position` on."""
+
+
+@dataclass(frozen=True, slots=True)
+class PagedFile:
+    """Where the pages of a file lie.
+
+    Attributes:
+        size: bytes on disk.
+        compressed: gzip; such a file is only read from its beginning.
+        proved: its pages have checksums of their own.
+    """
+
+    path: Path
+    start_byte: int
+    page_bytes: int
+    size: int
+    compressed: bool
+    proved: bool
+
+    @property
+    def whole_pages(self) -> int:
+        """Number of complete pages of an uncompressed file."""
+        return max(0, self.size - self.start_byte) // self.page_bytes
+
+    def offset(self, position: int) -> int:
+        """Where page `position` begins, bytes from the start of the (uncompressed) file."""
+        return self.start_byte + position * self.page_bytes
+
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many pages from `position` on."""
+        return pages * self.page_bytes
+
+    def blocks(self, pages: int, first_position: int = 0) -> Generator[RawBlock]:
+        """Yield all pages from `first_position` on, `pages` at a time; the last block may be empty.
+
+        Raises:
+            UnreadableError: the disk fails, or the file is shorter than its header.
+        """
+        with ByteSource(self.path) as stream:
+            self._enter(stream, first_position)
+            last = False
+            while not last:
+                data = stream.read_exact(pages * self.page_bytes)
+                last = len(data) < pages * self.page_bytes
+                if not self.proved:
+                    stream.refuse_untrue()
+                whole = len(data) // self.page_bytes
+                cut = whole * self.page_bytes
+                table = np.frombuffer(data, np.uint8, cut).reshape(whole, self.page_bytes)
+                yield RawBlock(
+                    first_position,
+                    table,
+                    stream.disk_position(),
+                    data[cut:],
+                    stream.broken,
+                    last,
+                    stream.undecoded(),
+                )
+                first_position += whole
+
+    def _enter(self, stream: ByteSource, position: int) -> None:
+        if not self.compressed:
+            stream.seek(self.offset(position))
+            return
+        left = self.offset(position)
+        while left:
+            data = stream.read_exact(min(left, SKIP_BYTES))
+            if not data:
+                return
+            left -= len(data)
+
+    def data_pages(self) -> int:
+        """Whole pages before the erased ones at the end, found by bisection (uncompressed files)."""
+        low, high = 0, self.whole_pages
+        with ByteSource(self.path) as stream:
+            while low < high:
+                middle = (low + high) // 2
+                stream.seek(self.offset(middle))
+                page = stream.read_exact(self.page_bytes)
+                low, high = (low, middle) if is_erased(page) else (middle + 1, high)
+        return low
+
+
+def paged_file(path: Path, start_byte: int, page_bytes: int, *, proved: bool = True) -> PagedFile:
+    """Look at a file's size and compression.
+
+    Raises:
+        UnreadableError: it cannot be read.
+    """
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            compressed = file.read(2) == GZIP_MAGIC
+    except OSError as error:
+        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
+    return PagedFile(path, start_byte, page_bytes, size, compressed, proved)
+
+
+def is_erased(data: bytes) -> bool:
+    """Whether all bytes are 0xFF, as in flash memory that was never written."""
+    return not data.strip(b"\xff")
+
+
+def erased_pages(pages: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Which pages hold nothing but 0xFF, shape (p,)."""
+    erased: NDArray[np.bool_] = (pages[:, 0] == 0xFF) & (pages[:, -1] == 0xFF)
+    candidates = np.flatnonzero(erased)
+    erased[candidates] = (pages[candidates] == 0xFF).all(axis=1)
+    return erased
+
+
+NO_TEMPERATURE = int(np.iinfo(np.int32).min)
+"""Marks a sample whose temperature was not measured, until the last known one replaces it."""
+
+GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
+BAD_KINDS = {
+    ERASED: ("bad_page", "erased pages between pages with data, left out"),
+    CHECKSUM: ("checksum", "pages with a wrong checksum, left out"),
+    NONSENSE: ("bad_page", "pages without sensible content, left out"),
+    FOREIGN: ("bad_page", "pages of another recording, left out"),
+    RATE: ("rate_change", "pages recorded at another rate than the others, left out"),
+    REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
+    TEXT: ("bad_page", "pages whose own text is damaged, left out"),
+    LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
+    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
+    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
+}
+
+DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
+"""Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
+
+
+@dataclass(frozen=True, slots=True)
+class BadRun:
+    """`pages` unusable pages in a row from `position` on; `kind` is a key of BAD_KINDS."""
+
+    position: int
+    pages: int
+    kind: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PageBlock:
+    """Valid pages in file order: p pages with n samples in all.
+
+    Attributes:
+        position: (p,) int64, page number within the file.
+        rows: (p,) int64, samples in each, at least 1.
+        counts: (n, 3).
+        sequence: (p,) int64, or None where pages carry none.
+        time_us: (p,) int64 stamp of the first sample [us since 1970], or None.
+        fresh: (p,) bool, the page itself says that it does not continue the one before; or None.
+        temperature_mc: (n,) int32, NO_TEMPERATURE where not measured; or None.
+        gyro: (n, 3), or None.
+        faulty: (n,) bool, rows whose values are unusable, or None where every row is good.
+    """
+
+    position: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    counts: Counts
+    sequence: NDArray[np.int64] | None = None
+    time_us: NDArray[np.int64] | None = None
+    fresh: NDArray[np.bool_] | None = None
+    temperature_mc: NDArray[np.int32] | None = None
+    gyro: Counts | None = None
+    faulty: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decoded:
+    """A block of the file after decoding: its valid pages and the others.
+
+    Attributes:
+        leftover: bytes at the end that fill no page or frame.
+        unused_end: the frames before these were never written.
+    """
+
+    block: PageBlock
+    bad: list[BadRun]
+    leftover: bytes
+    unused_end: bool = False
+
+
+PER_PAGE = ("position", "rows", "sequence", "time_us", "fresh")
+PER_ROW = ("counts", "temperature_mc", "gyro", "faulty")
+
+
+def joined(first: PageBlock, second: PageBlock) -> PageBlock:
+    """The pages of both, in order."""
+    if not len(first) or not len(second):
+        return second if len(second) else first
+    columns: dict[str, Any] = {name: joined_column(first, second, name) for name in PER_PAGE + PER_ROW}
+    return PageBlock(**columns)
+
+
+def joined_column(first: PageBlock, second: PageBlock, name: str) -> NDArray[np.generic] | None:
+    """One column of both blocks."""
+    above, below = getattr(first, name), getattr(second, name)
+    return None if above is None or below is None else np.concatenate((above, below))
+
+
+def split(block: PageBlock, pages: int) -> tuple[PageBlock, PageBlock]:
+    """The first `pages` pages, and the rest."""
+    row = int(block.rows[:pages].sum())
+    cuts = dict.fromkeys(PER_PAGE, pages) | dict.fromkeys(PER_ROW, row)
+    above: dict[str, Any] = {name: cut_column(block, name, slice(None, at)) for name, at in cuts.items()}
+    below: dict[str, Any] = {name: cut_column(block, name, slice(at, None)) for name, at in cuts.items()}
+    return PageBlock(**above), PageBlock(**below)
+
+
+def cut_column(block: PageBlock, name: str, rows: slice) -> NDArray[np.generic] | None:
+    """Part of one column."""
+    column = getattr(block, name)
+    return None if column is None else column[rows]
+
+
+def bad_runs(status: NDArray[np.uint8], first_position: int) -> list[BadRun]:
+    """Runs of equal pages that are not GOOD.
+
+    Args:
+        status: (p,) of GOOD and the keys of BAD_KINDS.
+    """
+    if not len(status):
+        return []
+    starts = np.flatnonzero(np.diff(status, prepend=status[0] + 1))
+    lengths = np.diff(starts, append=len(status))
+    return [
+        BadRun(first_position + start, length, kind)
+        for start, length, kind in zip(
+            starts.tolist(), lengths.tolist(), status[starts].tolist(), strict=True
+        )
+        if kind != GOOD
+    ]
+
+
+def page_rows(block: PageBlock) -> NDArray[np.int64]:
+    """Usable rows of each page, (p,)."""
+    return block.rows if block.faulty is None else block.rows - per_page(block, block.faulty)
+
+
+def per_page(block: PageBlock, marks: NDArray[np.bool_] | None) -> NDArray[np.int64]:
+    """How many of each page's rows are marked, (p,)."""
+    if marks is None or not marks.any():
+        return np.zeros(len(block), np.int64)
+    starts = np.cumsum(block.rows) - block.rows
+    return np.add.reduceat(marks, starts, dtype=np.int64)
+
+
+class TemperatureHold:
+    """Repeats the last measured temperature where there is none.
+
+    Args:
+        first_mc: for samples before the first measured one; NO_TEMPERATURE if there never is any.
+    """
+
+    def __init__(self, first_mc: int) -> None:
+        self._last_mc = first_mc
+
+    def fill(self, measured: NDArray[np.int32] | None) -> NDArray[np.int32] | None:
+        """Temperatures of the next rows [thousandths of a degree C], (n,), or None without any."""
+        if measured is None or self._last_mc == NO_TEMPERATURE or not len(measured):
+            return None if self._last_mc == NO_TEMPERATURE else measured
+        known = measured != NO_TEMPERATURE
+        if not known.all():
+            source = np.maximum.accumulate(np.where(known, np.arange(len(measured)), -1))
+            measured = np.where(source < 0, np.int32(self._last_mc), measured[source])
+        self._last_mc = int(measured[-1])
+        return measured
+
+
+class RowFilter:
+    """Takes faulty rows out of chunks; the row after them does not continue the one before."""
+
+    def __init__(self) -> None:
+        self._pending = False
+        self._started = False
+
+    def apply(self, chunk: Chunk, faulty: NDArray[np.bool_] | None) -> Chunk:
+        """The chunk without the rows marked in `faulty` (n,)."""
+        if faulty is not None and (self._pending or faulty.any()):
+            chunk = self._without(chunk, faulty)
+        self._started |= len(chunk) > 0
+        return chunk
+
+    def _without(self, chunk: Chunk, faulty: NDArray[np.bool_]) -> Chunk:
+        keep = ~faulty
+        return replace(
+            chunk,
+            counts=chunk.counts[keep],
+            clock=StampClock(chunk.clock.times(0, len(keep))[keep]),
+            breaks=self._breaks(chunk.breaks, faulty),
+            temperature_mc=None if chunk.temperature_mc is None else chunk.temperature_mc[keep],
+            gyro_counts=None if chunk.gyro_counts is None else chunk.gyro_counts[keep],
+        )
+
+    def _breaks(self, breaks: NDArray[np.int64], faulty: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Rows, counted without the faulty ones, that follow a break or a faulty row."""
+        broken = faulty.copy()
+        broken[breaks] = True
+        marks = np.concatenate(([-int(self._pending)], np.cumsum(broken)[~faulty]))
+        self._pending = int(broken.sum()) > int(marks[-1])
+        found = np.flatnonzero(np.diff(marks) > 0)
+        return found if self._started else found[found > 0]

@@ -1,0 +1,401 @@
+"""What was wrong with pages, between pages and with rows, as events for the problem log.
+
+From blocks of decoded pages to chunks: times, breaks and problems across block borders.
+
+An open dump of fixed-size pages, whatever says what a page holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, PageClock
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.formats._pages.pages import (
+    BAD_KINDS,
+    DAMAGED,
+    ERASED,
+    NO_TEMPERATURE,
+    BadRun,
+    Block,
+    Decoded,
+    PageBlock,
+    PagedFile,
+    Places,
+    RawBlock,
+    RowFilter,
+    TemperatureHold,
+    is_erased,
+    joined,
+    page_rows,
+    per_page,
+    split,
+)
+from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
+from accelcal_cli.formats._problems import Event, ProblemLog
+
+MISSING_PAGES = "pages missing by their sequence numbers"
+SEQUENCE_BACK = "pages whose sequence number does not rise"
+CLOCK_AHEAD = "jumps of the device clock ahead"
+CLOCK_BACK = "jumps of the device clock back"
+FAULTY_ROWS = "samples without a usable value, left out"
+COLD_ROWS = "samples without a temperature, given the last one measured"
+BLANK_BYTES = 16
+"""A few bytes of 0xFF may belong to a number; so many, or after erased ones, were never written."""
+
+CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
+BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete page or frame, left out"
+
+
+class EventMaker:
+    """Turns findings into events with their place in the file.
+
+    Args:
+        row_bytes: bytes of a page for each of its rows.
+        warm: the recording has a temperature at all.
+    """
+
+    def __init__(self, file: Places, row_bytes: int, *, warm: bool) -> None:
+        self._file = file
+        self._row_bytes = row_bytes
+        self._warm = warm
+        self._erased: BadRun | None = None
+
+    def bad_pages(self, block: PageBlock, bad: list[BadRun], rows_in: int) -> Iterator[Event]:
+        """Unusable pages. Erased ones are held back until anything else follows them."""
+        followed = max(
+            [*(run.position for run in bad if run.kind != ERASED), *block.position[-1:].tolist()], default=-1
+        )
+        rows_before = np.concatenate(([0], np.cumsum(page_rows(block)))) + rows_in
+        waiting = [] if self._erased is None else [self._erased]
+        self._erased = None
+        for run in [*waiting, *bad]:
+            if run.kind == ERASED and run.position > followed:
+                self._hold(run)
+                continue
+            code, text = BAD_KINDS[run.kind]
+            sample = int(rows_before[np.searchsorted(block.position, run.position)])
+            lost = self._file.length(run.position, run.pages) if run.kind in DAMAGED else 0
+            event = self._event(run.position, code, text, sample, run.pages)
+            yield replace(event, pages=run.pages, lost_bytes=lost)
+
+    def _hold(self, run: BadRun) -> None:
+        first, pages = (
+            (run.position, 0) if self._erased is None else (self._erased.position, self._erased.pages)
+        )
+        self._erased = BadRun(first, pages + run.pages, ERASED)
+
+    def rows(self, block: PageBlock, rows_in: int) -> Iterator[Event]:
+        """Rows without usable values, and samples without a temperature, page by page."""
+        faults = per_page(block, block.faulty)
+        heat = block.temperature_mc if self._warm else None
+        cold = per_page(block, None if heat is None else heat == NO_TEMPERATURE)
+        after = rows_in + np.cumsum(page_rows(block))
+        for page in np.flatnonzero(faults + cold).tolist():
+            position, sample = int(block.position[page]), int(after[page])
+            for text, count, lost in (
+                (FAULTY_ROWS, faults[page], self._row_bytes),
+                (COLD_ROWS, cold[page], 0),
+            ):
+                if count:
+                    event = self._event(position, "missing_value", text, sample, int(count))
+                    yield replace(event, lost_bytes=int(count) * lost)
+
+    def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
+        """What stands between pages."""
+        samples = rows_before + np.cumsum(page_rows(pages))
+        columns = (step.missing, step.back, links.ahead_us, links.behind_us)
+        for page in np.flatnonzero(np.logical_or.reduce(columns)).tolist():
+            place, sample = int(pages.position[page + 1]), int(samples[page])
+            missing, back, ahead, behind = (int(column[page]) for column in columns)
+            if missing:
+                yield self._event(place, "sequence_gap", MISSING_PAGES, sample, missing)
+            if back:
+                yield self._event(place, "sequence_back", SEQUENCE_BACK, sample)
+            if ahead:
+                yield replace(self._event(place, "clock_gap", CLOCK_AHEAD, sample), amount_us=ahead)
+            if behind:
+                yield replace(self._event(place, "clock_back", CLOCK_BACK, sample), amount_us=behind)
+
+    def ending(self, raw: Block, decoded: Decoded, rows_in: int) -> Iterator[Event]:
+        """An incomplete page or frame at the end, unless it is erased flash."""
+        blank = len(decoded.leftover) >= BLANK_BYTES or self._erased is not None or decoded.unused_end
+        if not raw.broken and is_erased(decoded.leftover) and (blank or not decoded.leftover):
+            return
+        position = raw.next_position
+        offset = self._file.offset(position) + len(raw.tail) - len(decoded.leftover)
+        text = BROKEN_OFF if raw.broken else CUT_OFF
+        lost = len(decoded.leftover) + raw.undecoded
+        event = Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
+        yield replace(event, lost_bytes=lost)
+
+    def _event(self, place: int, code: str, text: str, sample: int, count: int = 1) -> Event:
+        return Event(place, 1, code, text, self._file.offset(place), sample, count)
+
+
+NO_PAGES = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Where a joiner begins.
+
+    Attributes:
+        sample: number of the first row.
+        temperature_mc: temperature of rows before the first measured one.
+        problems: what was found before any page.
+    """
+
+    sample: int
+    temperature_mc: int
+    problems: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretch:
+    """Pages whose times are settled: the block, and columns of shape (p,) as in PageClock."""
+
+    block: PageBlock
+    time_us: NDArray[np.int64]
+    span_rows: NDArray[np.int64]
+    span_us: NDArray[np.int64]
+    broken: NDArray[np.bool_]
+
+    def cut(self, pages: int) -> tuple[Stretch, Stretch]:
+        """The first `pages` pages, and the rest."""
+        above, below = split(self.block, pages)
+        columns = (self.time_us, self.span_rows, self.span_us, self.broken)
+        return (
+            Stretch(above, *(column[:pages] for column in columns)),  # type: ignore[arg-type]
+            Stretch(below, *(column[pages:] for column in columns)),  # type: ignore[arg-type]
+        )
+
+
+class PageJoiner:
+    """Takes blocks of decoded pages in order and gives a chunk for each.
+
+    The last page is held back until the next one tells how long it lasted.
+    """
+
+    def __init__(self, file: Places, spacing: Spacing, timeline: Timeline, start: Start) -> None:
+        self._spacing = spacing
+        self._timeline = timeline
+        self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
+        self._events = EventMaker(file, self._row_bytes, warm=start.temperature_mc != NO_TEMPERATURE)
+        self._log = ProblemLog(start.problems)
+        self._temperature = TemperatureHold(start.temperature_mc)
+        self._filter = RowFilter()
+        self._held: Stretch | None = None
+        self._rows_in = start.sample
+        self._rows_out = start.sample
+
+    def feed(self, raw: Block, decoded: Decoded) -> Chunk:
+        """Add a block; the last one releases the held page too."""
+        block = decoded.block
+        events = [*self._events.bad_pages(block, decoded.bad, self._rows_in)]
+        events += self._events.rows(block, self._rows_in)
+        stretch = self._settled(block, events)
+        self._rows_in += int(page_rows(block).sum())
+        if raw.last:
+            events += self._events.ending(raw, decoded, self._rows_in)
+        elif len(stretch.block):
+            stretch, self._held = stretch.cut(len(stretch.block) - 1)
+        for event in sorted(events, key=lambda event: event.position):
+            self._log.add(event)
+        scanned = None if raw.last else raw.next_position
+        return self._chunk(stretch, raw.end_byte, self._log.take(scanned))
+
+    def _settled(self, block: PageBlock, events: list[Event]) -> Stretch:
+        """Times of the held page and the new ones."""
+        held = self._held
+        pages = block if held is None else joined(held.block, block)
+        if not len(pages):
+            return Stretch(pages, *(NO_PAGES,) * 3, NO_PAGES.astype(np.bool_))
+        start_us = self._timeline.start(pages) if held is None else int(held.time_us[0])
+        step = steps(pages, self._spacing)
+        links = self._timeline.link(pages, step, start_us)
+        before = self._rows_in - (0 if held is None else int(page_rows(held.block).sum()))
+        events += self._events.links(pages, step, links, before)
+        return self._spread(pages, links, held is not None and bool(held.broken[0]))
+
+    def _spread(self, pages: PageBlock, links: Links, broken: bool) -> Stretch:
+        """Spread each page up to the next, or at the nominal rate where no next one limits it."""
+        lasted = np.diff(links.time_us)
+        free = links.broken & ((lasted > self._spacing.rows_us(pages.rows[:-1])) | (links.behind_us > 0))
+        free |= lasted <= 0
+        rate = self._spacing.rate
+        nominal_us = MICROSECONDS * rate.denominator
+        return Stretch(
+            pages,
+            links.time_us,
+            np.append(np.where(free, rate.numerator, pages.rows[:-1]), rate.numerator),
+            np.append(np.where(free, nominal_us, lasted), nominal_us),
+            np.append(broken, links.broken),
+        )
+
+    def _chunk(self, stretch: Stretch, end_byte: int, problems: tuple[Problem, ...]) -> Chunk:
+        block = stretch.block
+        first_row = np.cumsum(block.rows) - block.rows
+        chunk = Chunk(
+            first_sample=self._rows_out,
+            counts=block.counts,
+            clock=PageClock(first_row, stretch.time_us, stretch.span_rows, stretch.span_us),
+            end_byte=end_byte,
+            breaks=first_row[stretch.broken],
+            temperature_mc=self._temperature.fill(block.temperature_mc),
+            gyro_counts=block.gyro,
+            problems=problems,
+            used_bytes=self._used_bytes(block),
+        )
+        chunk = self._filter.apply(chunk, block.faulty)
+        self._rows_out += len(chunk)
+        return chunk
+
+    def _used_bytes(self, block: PageBlock) -> int:
+        faults = 0 if block.faulty is None else int(block.faulty.sum())
+        return len(block) * self._page_bytes - faults * self._row_bytes
+
+
+LAST_PAGES = 64
+FIRST_ROWS = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class PageScheme:
+    """How to read the pages of one file.
+
+    Attributes:
+        decode: turns a block into valid pages and the rest.
+        timeline: makes a fresh timeline.
+    """
+
+    file: PagedFile
+    spacing: Spacing
+    decode: Callable[[RawBlock], Decoded]
+    timeline: Callable[[], Timeline]
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """What the first block with a valid page tells.
+
+    Attributes:
+        block: its valid pages.
+        start_us: time of the first sample.
+        temperature_mc: the first measured temperature, or NO_TEMPERATURE.
+    """
+
+    block: PageBlock
+    start_us: int
+    temperature_mc: int
+
+
+def look_inside(scheme: PageScheme) -> Opening | None:
+    """Read on until a page is valid; None where there is none in the whole file."""
+    pages = max(1, FIRST_ROWS // scheme.spacing.rows)
+    for raw in scheme.file.blocks(pages):
+        block = scheme.decode(raw).block
+        if len(block) and (block.faulty is None or not block.faulty.all()):
+            return Opening(block, scheme.timeline().start(block), first_temperature(block))
+    return None
+
+
+def first_temperature(block: PageBlock) -> int:
+    """The first measured one in the block, NO_TEMPERATURE where there is none."""
+    if block.temperature_mc is None:
+        return NO_TEMPERATURE
+    known = block.temperature_mc[block.temperature_mc != NO_TEMPERATURE]
+    return int(known[0]) if len(known) else NO_TEMPERATURE
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """Length of a recording as its first and last page tell; None where they do not."""
+
+    samples: int | None
+    duration_s: float | None
+
+
+def extent(scheme: PageScheme, opening: Opening) -> Extent:
+    """Compare the first valid page with the last, without reading what lies between.
+
+    The number of samples takes all pages between for full and present; it is None where the
+    sequence numbers contradict that, and for a gzip file, whose end is not known.
+    """
+    last = None if scheme.file.compressed else last_page(scheme)
+    if last is None:
+        return Extent(None, None)
+    ends, _ = split(opening.block, 1)
+    if last.position[0] > ends.position[0]:
+        ends = joined(ends, last)
+    step = steps(ends, scheme.spacing)
+    timeline = scheme.timeline()
+    links = timeline.link(ends, step, timeline.start(ends))
+    rows = int(np.ptp(ends.position)) * scheme.spacing.rows + int(ends.rows[-1])
+    lasted_us = int(np.ptp(links.time_us)) + float(scheme.spacing.rows_us(ends.rows[-1]))
+    certain = ends.faulty is None and not step.missing.any()
+    return Extent(rows if certain else None, lasted_us / MICROSECONDS)
+
+
+def last_page(scheme: PageScheme) -> PageBlock | None:
+    """The last valid page, looked for among the last few before erased ones; None if not there."""
+    first = max(0, scheme.file.data_pages() - LAST_PAGES)
+    with closing(scheme.file.blocks(LAST_PAGES + 1, first)) as blocks:
+        block = scheme.decode(next(blocks)).block
+    return split(block, len(block) - 1)[1] if len(block) else None
+
+
+class PagedReader(Reader):
+    """Streams the pages of a dump; each call of `chunks` reads the file from its beginning.
+
+    Args:
+        problems: what was found while opening; reported with the first chunk.
+    """
+
+    def __init__(
+        self, recording: Recording, scheme: PageScheme, opening: Opening, problems: tuple[Problem, ...] = ()
+    ) -> None:
+        self.recording = recording
+        self._scheme = scheme
+        self._opening = opening
+        self._problems = problems
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order, whole pages, at least one."""
+        joiner = self._joiner(0, self._problems)
+        for raw in self._scheme.file.blocks(self._pages(chunk_samples)):
+            chunk = joiner.feed(raw, self._scheme.decode(raw))
+            if len(chunk) or chunk.problems:
+                yield chunk
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Enter the file at evenly spread pages; a gzip file gives its first chunks."""
+        if self._scheme.file.compressed:
+            yield from super().preview(chunk_samples, pieces)
+            return
+        total = self._scheme.file.data_pages()
+        pages = min(self._pages(chunk_samples), max(1, total // max(1, pieces)))
+        for piece in range(min(pieces, max(1, total))):
+            chunk = self._piece(piece * total // pieces, pages)
+            if len(chunk) or chunk.problems:
+                yield chunk
+
+    def _piece(self, position: int, pages: int) -> Chunk:
+        with closing(self._scheme.file.blocks(pages, position)) as blocks:
+            raw = next(blocks)
+        joiner = self._joiner(position * self._scheme.spacing.rows, ())
+        whole = replace(raw, last=True, tail=raw.tail if raw.last else b"")
+        return joiner.feed(whole, self._scheme.decode(whole))
+
+    def _pages(self, chunk_samples: int) -> int:
+        return max(1, chunk_samples // self._scheme.spacing.rows)
+
+    def _joiner(self, sample: int, problems: tuple[Problem, ...]) -> PageJoiner:
+        scheme = self._scheme
+        start = Start(sample, self._opening.temperature_mc, problems)
+        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), start)

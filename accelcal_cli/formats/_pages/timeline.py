@@ -1,0 +1,284 @@
+"""When each page of a dump began, and where one page does not continue the page before.
+
+A timeline takes pages in file order, the last page of one call being the first of the next, so
+that the times do not depend on how many pages a call brings. Between two pages that continue
+each other the samples are spread evenly; a page before a break runs at the nominal rate.
+
+Times of pages whose stamps are coarser than a sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.formats._pages.pages import PageBlock
+
+RATE_TOLERANCE = 0.1
+"""Sensors run up to 6 % off their nominal rate; a page may last this much more or less."""
+
+STAMP_TOLERANCE_SAMPLES = 1.5
+"""And a stamp may be this many sample intervals early or late."""
+
+LONGEST_GAP_S = 365 * 86_400
+"""A sequence number that jumps further is taken for a new numbering."""
+
+LATEST_US = 1 << 61
+
+
+@dataclass(frozen=True, slots=True)
+class Spacing:
+    """What is known of a recording's pages before reading them.
+
+    Attributes:
+        rate: samples per second.
+        rows: samples in a full page.
+        sequence_bits: width of the sequence number, after which it starts from 0 again.
+    """
+
+    rate: Fraction
+    rows: int
+    sequence_bits: int = 32
+
+    def rows_us(self, rows: NDArray[np.int64] | int) -> NDArray[np.float64]:
+        """How long so many samples last [us]."""
+        return np.asarray(rows * (MICROSECONDS * self.rate.denominator) / self.rate.numerator)
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """From each page to the next, (m - 1,).
+
+    Attributes:
+        pages: by how many pages the recording went on, at least 1.
+        missing: how many of these are not in the file at all.
+        back: the sequence number did not rise.
+    """
+
+    pages: NDArray[np.int64]
+    missing: NDArray[np.int64]
+    back: NDArray[np.bool_]
+
+
+def steps(block: PageBlock, spacing: Spacing) -> Steps:
+    """Compare positions and sequence numbers of neighbouring pages."""
+    across = np.diff(block.position)
+    if block.sequence is None:
+        return Steps(across, np.zeros_like(across), np.zeros(len(across), np.bool_))
+    rise = np.diff(block.sequence) % (1 << spacing.sequence_bits)
+    longest = int(LONGEST_GAP_S * spacing.rate / spacing.rows) + 1
+    back = (rise == 0) | (rise > min(longest, 1 << (spacing.sequence_bits - 1)))
+    forward = np.where(back, across, rise)
+    return Steps(np.maximum(forward, across), np.maximum(forward - across, 0), back)
+
+
+@dataclass(frozen=True, slots=True)
+class Links:
+    """Times of m pages and how each of the first m - 1 goes on.
+
+    Attributes:
+        time_us: (m,) int64, first sample of each page.
+        broken: (m - 1,) bool, the next page does not continue this one.
+        ahead_us, behind_us: (m - 1,) int64, by how much the clock jumps before the next page
+            beyond what the samples explain; 0 where it does not.
+    """
+
+    time_us: NDArray[np.int64]
+    broken: NDArray[np.bool_]
+    ahead_us: NDArray[np.int64]
+    behind_us: NDArray[np.int64]
+
+
+class Timeline(Protocol):
+    """Gives pages their times. `start` once, then `link` with overlapping stretches of pages."""
+
+    def start(self, block: PageBlock) -> int:
+        """Time of the block's first page [us]."""
+        ...
+
+    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
+        """Times of all pages of a block whose first page begins at `start_us`."""
+        ...
+
+
+def fresh_pages(block: PageBlock) -> NDArray[np.bool_]:
+    """Which pages but the first say that they do not continue the one before, (m - 1,)."""
+    return np.zeros(len(block) - 1, np.bool_) if block.fresh is None else block.fresh[1:]
+
+
+class NominalTimeline:
+    """Pages without a stamp: they follow each other at the nominal rate, lost ones included."""
+
+    def __init__(self, spacing: Spacing, origin_us: int) -> None:
+        self._spacing = spacing
+        self._origin_us = origin_us
+        self._slot = 0
+        self._latest = int(LATEST_US // MICROSECONDS * spacing.rate / spacing.rows)
+
+    def start(self, block: PageBlock) -> int:
+        """The file's page 0 begins at the origin."""
+        self._slot = int(block.position[0])
+        return self._times([self._slot])[0]
+
+    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
+        """Count pages, by sequence number where there is one."""
+        slots = self._slot + np.cumsum(np.concatenate(([0], step.pages)))
+        slots = np.minimum(slots, self._latest)
+        self._slot = int(slots[-1])
+        time_us = np.array(self._times(slots.tolist()), np.int64)
+        short = block.rows[:-1] < self._spacing.rows
+        none = np.zeros(len(short), np.int64)
+        broken = short | (step.pages > 1) | step.back | fresh_pages(block)
+        return Links(time_us, broken, none, none)
+
+    def _times(self, slots: list[int]) -> list[int]:
+        samples_per_s = self._spacing.rate.numerator
+        step = self._spacing.rows * MICROSECONDS * self._spacing.rate.denominator
+        half = samples_per_s // 2
+        return [self._origin_us + (slot * step + half) // samples_per_s for slot in slots]
+
+
+class ExactTimeline:
+    """Pages with stamps finer than a sample: each page begins at its stamp."""
+
+    def __init__(self, spacing: Spacing) -> None:
+        self._spacing = spacing
+
+    def start(self, block: PageBlock) -> int:
+        """The first stamp."""
+        return int(stamps(block)[0])
+
+    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
+        """A jump of the clock is what neither the samples nor `tolerance_us` explain."""
+        time_us = stamps(block)
+        lasted = np.diff(time_us)
+        expected = self._spacing.rows_us(block.rows[:-1])
+        allowed = tolerance_us(expected, self._spacing)
+        ahead = (lasted > expected + allowed) & (step.pages == 1)
+        behind = lasted < expected - np.minimum(allowed, expected / 2)
+        off = np.rint(lasted - expected).astype(np.int64)
+        broken = ahead | behind | (step.pages > 1) | step.back | fresh_pages(block)
+        return Links(time_us, broken, np.where(ahead, off, 0), np.where(behind, -off, 0))
+
+
+def stamps(block: PageBlock) -> NDArray[np.int64]:
+    """The pages' stamps, which a timeline by stamps needs."""
+    assert block.time_us is not None
+    return block.time_us
+
+
+def tolerance_us(expected_us: NDArray[np.float64], spacing: Spacing) -> NDArray[np.float64]:
+    """How far the length of a page may differ from the nominal one before the clock has jumped."""
+    return RATE_TOLERANCE * expected_us + STAMP_TOLERANCE_SAMPLES * float(spacing.rows_us(1))
+
+
+@dataclass(frozen=True, slots=True)
+class _Next:
+    """What is known of a page and the one before it.
+
+    Attributes:
+        stamp: the page's stamp [us].
+        rows: samples of the page before.
+        advance: the same with those of lost pages between.
+        apart: the page does not continue the one before.
+        limit: misfit beyond which the clock has jumped [us].
+    """
+
+    stamp: int
+    rows: int
+    advance: int
+    apart: bool
+    limit: float
+
+
+class CoarseTimeline:
+    """Pages whose stamps are coarser than a sample, such as whole seconds.
+
+    Pages follow the first stamp at the nominal rate as long as that stays within one unit of
+    each page's stamp, so that a recording at its nominal rate is evenly spaced throughout. Where
+    it leaves that band (a sensor faster or slower than nominal) the page is moved to the band's
+    edge and the samples before it are spread over what remains. More than half a unit beyond the
+    band and the page tolerance is a jump of the clock: times then go on from the new stamp.
+    """
+
+    def __init__(self, spacing: Spacing, unit_us: int) -> None:
+        self._spacing = spacing
+        self._unit_us = unit_us
+        self._anchor_us = 0
+        self._rows = 0
+        self._ahead_us = self._behind_us = 0
+
+    def start(self, block: PageBlock) -> int:
+        """The first stamp."""
+        self._anchor(int(stamps(block)[0]))
+        return self._anchor_us
+
+    def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
+        """Pages that keep to the nominal rate at once, from the first that does not one by one."""
+        apart = (step.pages > 1) | step.back | fresh_pages(block)
+        before = block.rows[:-1]
+        advance = before + (step.pages - 1) * self._spacing.rows
+        limit = tolerance_us(self._spacing.rows_us(before), self._spacing) + self._unit_us / 2
+        time_us = np.full(len(block), start_us)
+        ahead_us, behind_us = np.zeros_like(before), np.zeros_like(before)
+        done = self._steady(stamps(block)[1:], advance, apart, time_us)
+        columns = (stamps(block)[1:], before, advance, apart, limit)
+        rest = zip(*(column[done:].tolist() for column in columns), strict=True)
+        for page, known in enumerate(rest, done):
+            time_us[page + 1] = self._follow(int(time_us[page]), _Next(*known))
+            ahead_us[page], behind_us[page] = self._ahead_us, self._behind_us
+        return Links(time_us, apart | (ahead_us > 0) | (behind_us > 0), ahead_us, behind_us)
+
+    def _steady(
+        self,
+        stamp_us: NDArray[np.int64],
+        advance: NDArray[np.int64],
+        apart: NDArray[np.bool_],
+        time_us: NDArray[np.int64],
+    ) -> int:
+        """Fill in the times of the first pages that continue each other and fit; how many they are."""
+        joined = int(np.argmax(np.append(apart, True)))
+        rows = np.cumsum(advance[:joined])
+        rate = self._spacing.rate
+        step = MICROSECONDS * rate.denominator
+        whole, rest = divmod(self._rows * step + rate.numerator // 2, rate.numerator)
+        predicted = self._anchor_us + whole + (rest + rows * step) // rate.numerator
+        off = np.abs(stamp_us[:joined] - predicted) > self._unit_us
+        count = int(np.argmax(np.append(off, True)))
+        time_us[1 : count + 1] = predicted[:count]
+        self._rows += int(rows[count - 1]) if count else 0
+        return count
+
+    def _follow(self, before_us: int, page: _Next) -> int:
+        """Time of a page after one at `before_us`; notes a jump of the clock."""
+        end_us = before_us + self._nominal(page.rows)
+        self._rows += page.advance
+        late = self._misfit(page.stamp, self._predicted())
+        gap = page.advance > page.rows
+        early = -(self._misfit(page.stamp, end_us) if gap else late)
+        if abs(late) > page.limit or (page.apart and late):
+            self._anchor(page.stamp if early > page.limit else max(page.stamp, end_us))
+        elif late:
+            self._anchor(max(self._predicted() + late, before_us + self._nominal(page.rows) // 2))
+        self._ahead_us = late if late > page.limit and not gap else 0
+        self._behind_us = early if early > page.limit else 0
+        return self._predicted()
+
+    def _anchor(self, time_us: int) -> None:
+        self._anchor_us, self._rows = time_us, 0
+
+    def _nominal(self, rows: int) -> int:
+        rate = self._spacing.rate
+        return (rows * MICROSECONDS * rate.denominator + rate.numerator // 2) // rate.numerator
+
+    def _predicted(self) -> int:
+        return self._anchor_us + self._nominal(self._rows)
+
+    def _misfit(self, stamp: int, predicted: int) -> int:
+        """How far the band of a stamp lies after (or, negative, before) a time; 0 inside."""
+        return max(stamp - self._unit_us - predicted, 0) + min(stamp + self._unit_us - predicted, 0)

@@ -1,0 +1,220 @@
+"""What a single cell of a text file is: a number, a time, nothing, or some other text.
+
+Units of acceleration, and of time, in words that files use; and how values become counts.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.gravity import STANDARD_GRAVITY
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+
+MISSING = (
+    *("", "NaN", "nan", "NAN", "-nan", "-NaN", "NA", "N/A", "n/a", "na", "#N/A", "#NA", "NULL", "null"),
+    *("None", "none", "1.#QNAN", "-1.#QNAN", "1.#IND", "-1.#IND"),
+)
+"""Cells that stand for a missing value; the same list is given to pyarrow."""
+
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
+POINT_NUMBER = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
+COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
+DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?")
+TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d.*)?( ?[AaPp][Mm])?")
+
+
+class Kind(Enum):
+    """The kind of a cell, or of a column whose cells are nearly all of it."""
+
+    NUMBER = "number"
+    TIME = "time"
+    MISSING = "missing"
+    TEXT = "text"
+
+
+def cell_kind(cell: str, decimal_comma: bool) -> Kind:
+    """The kind of one cell, blanks around it ignored."""
+    cell = cell.strip()
+    if cell in MISSING:
+        return Kind.MISSING
+    if NUMBER.fullmatch(cell) or (decimal_comma and COMMA_NUMBER.fullmatch(cell)):
+        return Kind.NUMBER
+    return Kind.TIME if DATE.fullmatch(cell) or TIME_OF_DAY.fullmatch(cell) else Kind.TEXT
+
+
+def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> Kind:
+    """The kind that this share of the cells are or miss; text where there is none."""
+    kinds = [cell_kind(cell, decimal_comma) for cell in cells]
+    missing = kinds.count(Kind.MISSING)
+    if missing == len(kinds):
+        return Kind.MISSING
+    for kind in (Kind.NUMBER, Kind.TIME):
+        if kind in kinds and kinds.count(kind) + missing >= share * len(kinds):
+            return kind
+    return Kind.TEXT
+
+
+def number_of(cell: str) -> float | None:
+    """The cell as a number, None where it is none."""
+    cell = cell.strip().replace(",", ".")
+    return float(cell) if NUMBER.fullmatch(cell) else None
+
+
+LARGEST_G = 127.0
+BRACKETS = re.compile(r"[\[(]\s*(.*?)\s*[\])]\s*$")
+WORDS = {
+    "g": ("g", "gs", "gn", "g0", "gravity"),
+    "mg": ("mg", "millig", "milli-g"),
+    "m/s2": (
+        *("m/s2", "m/s^2", "m/s**2", "m/s²", "m/s/s", "m/(s^2)", "m/(s^2", "mps2"),
+        *("ms2", "ms-2", "ms^-2", "m.s-2", "m s-2", "m s^-2"),
+    ),
+    "counts": ("counts", "count", "lsb", "raw", "adc", "digits"),
+}
+TIME_WORDS = {
+    1.0: ("us", "µs", "μs", "usec", "micros", "microseconds", "microsecond"),
+    1e-3: ("ns", "nsec", "nanos", "nanoseconds", "nanosecond"),
+    1e3: ("ms", "msec", "millis", "milliseconds", "millisecond", "millisec"),
+    1e6: ("s", "sec", "secs", "second", "seconds"),
+}
+OTHER_WORDS = (
+    *("-", "", "°c", "degc", "deg_c", "c", "celsius", "deg/s", "dps", "rad/s", "°/s", "deg/sec"),
+    *("no units", "no_units", "n/a", "local_flux", "ut", "µt", "hz", "v", "mv", "lux", "pa", "kpa", "cal"),
+)
+USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
+SURE_SHARE = 0.15
+USUAL_G = (0.3, 3.0)
+"""A recording's usual length of acceleration lies between, however its wearer moves."""
+
+GUESSES = (("g", 0.7, 1.4), ("m/s2", 7.0, 13.0), ("mg", 700.0, 1400.0))
+
+
+def acceleration_unit(text: str) -> str | None:
+    """One of g, mg, m/s2, counts for a word such as `m/s^2`; None for any other."""
+    text = text.strip().lower()
+    return next((unit for unit, words in WORDS.items() if text in words), None)
+
+
+def microseconds_in(text: str) -> float | None:
+    """Microseconds in a unit of time such as `ms`; None for any other word."""
+    text = text.strip().lower()
+    return next((size for size, words in TIME_WORDS.items() if text in words), None)
+
+
+def is_unit_cell(text: str) -> bool:
+    """Whether a cell below a column's name can be its unit."""
+    text = text.strip().strip("[]()").lower()
+    known = acceleration_unit(text) is not None or microseconds_in(text) is not None
+    return known or text in OTHER_WORDS
+
+
+def name_and_hint(name: str) -> tuple[str, str | None]:
+    """A column's name without its bracketed unit, and the words in the brackets."""
+    found = BRACKETS.search(name)
+    return (name[: found.start()].strip(), found[1]) if found else (name.strip(), None)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How values of one unit become whole counts."""
+
+    unit: str
+    lsb_per_g: float
+
+    @property
+    def limit(self) -> float:
+        """Counts beyond this are damage."""
+        return min(LARGEST_G * self.lsb_per_g, float(np.iinfo(np.int32).max))
+
+    def counts(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values (n,) as counts (n,), rounded half to even; NaN stays NaN."""
+        if self.unit == "counts":
+            return values
+        in_g = values if self.per_g == 1.0 else values / self.per_g
+        return np.rint(in_g * self.lsb_per_g)
+
+    @property
+    def per_g(self) -> float:
+        """How much one g is in the unit."""
+        return {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}.get(self.unit, self.lsb_per_g)
+
+
+def scale_for(unit: str, lsb_per_g: float | None) -> Scale:
+    """The scale of a unit.
+
+    Raises:
+        UsageError: counts whose number in one g is not known.
+    """
+    if unit != "counts":
+        return Scale(unit, FLOAT_LSB_PER_G)
+    if lsb_per_g is None:
+        raise UsageError("counts need their scale", hint="give --lsb-per-g, the counts in one g")
+    return Scale(unit, float(lsb_per_g))
+
+
+def said_unit(options: ReadOptions, hints: set[str]) -> str | None:
+    """The unit that the user or the column names give, None where neither does."""
+    if options.unit is not None:
+        unit = acceleration_unit(options.unit)
+        if unit is None:
+            raise UsageError(f"unknown unit {options.unit!r}", hint="--unit is one of g, mg, m/s2, counts")
+        return unit
+    if len(hints) == 1:
+        return next(iter(hints))
+    return "counts" if options.lsb_per_g is not None else None
+
+
+def guess_unit(values: NDArray[np.float64], path: Path) -> str:
+    """The unit of values (n, 3) by their length, which gravity makes unmistakable in most files.
+
+    Rows of zeros, which devices write while idle, do not count.
+
+    Raises:
+        UnreadableError: the length fits no unit.
+    """
+    median = usual_length(values)
+    for unit, low, high in GUESSES:
+        if low <= median <= high:
+            return unit
+    raise UnreadableError(
+        f"the unit of the acceleration is not clear (its usual length is {median:g})",
+        path=path,
+        hint=f"give --unit g, mg or m/s2, or --unit counts with --lsb-per-g{_likely_counts(median)}",
+    )
+
+
+def usual_length(values: NDArray[np.float64]) -> float:
+    """Median length of vectors (n, 3), zeros and missing ones left out; 0 where there are no others."""
+    norm = np.sqrt((values * values).sum(axis=1))
+    norm = norm[np.isfinite(norm) & (norm > 0)]
+    return float(np.median(norm)) if len(norm) else 0.0
+
+
+def _likely_counts(median: float) -> str:
+    """The number of counts in one g that many sensors have and that fits this length, in words."""
+    fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
+    return f" ({fits[0]} would fit)" if fits else ""
+
+
+def check_unit(values: NDArray[np.float64], scale: Scale, path: Path) -> None:
+    """Doubt a unit that a vendor's layout let expect.
+
+    Raises:
+        UnreadableError: in it, values (n, 3) are far from the length of gravity.
+    """
+    length = usual_length(values) / scale.per_g
+    if length and not USUAL_G[0] < length < USUAL_G[1]:
+        raise UnreadableError(
+            f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt",
+            path=path,
+            hint="give --unit g, mg or m/s2, or --unit counts with --lsb-per-g",
+        )

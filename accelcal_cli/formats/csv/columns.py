@@ -1,0 +1,261 @@
+"""Which column of a text file is what: by what the user said, by their names, or by their places."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats.csv.cells import Kind, acceleration_unit, microseconds_in, name_and_hint, number_of
+from accelcal_cli.formats.csv.dialect import Dialect
+
+ACCELEROMETER = frozenset({"acc", "accel", "accelerometer", "acceleration", "accelerations", "a"})
+NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
+OTHER_SENSORS = frozenset(
+    {"gyr", "gyro", "gyroscope", "mag", "magnetometer", "gravity", "linear", "lin", "user"}
+)
+TIME_NAMES = frozenset(
+    {"time", "timestamp", "timestamps", "datetime", "epoch", "unix", "unixtime", "utc", "ts", "date"}
+)
+BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
+TEMPERATURE_NAMES = ({"temperature"}, {"temp"})
+G_FORCE = re.compile(r"^gF([xyz])$")
+"""As Physics Toolbox names the acceleration in g."""
+
+CELSIUS = frozenset({"", "c", "°c", "degc", "deg", "celsius"})
+AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Roles:
+    """Column numbers, and what the columns' names say of their units.
+
+    Attributes:
+        time: None where the file has no time column.
+        hints: units of acceleration in the names of x, y and z.
+        time_unit_us: microseconds in one unit of the time column, None where its name is silent.
+    """
+
+    xyz: tuple[int, int, int]
+    time: int | None
+    temperature: int | None
+    hints: frozenset[str] = frozenset()
+    time_unit_us: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Title:
+    """A column's name taken apart into lower-case words, and the unit it mentions."""
+
+    number: int
+    words: tuple[str, ...]
+    hint: str
+
+    @classmethod
+    def of(cls, number: int, name: str, unit: str | None) -> Title:
+        """Take the title of a column apart; `unit` is what the user or the vendor said."""
+        plain, hint = name_and_hint(G_FORCE.sub(r"acc_\1 [g]", name.strip()))
+        spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", plain)
+        words = tuple(
+            word for part in re.split(r"[\W_]+", spaced.lower()) for word in _axis_apart(part) if word
+        )
+        said = unit or hint or ""
+        if not said and len(words) > 1 and _is_unit(words[-1]):
+            words, said = words[:-1], words[-1]
+        return cls(number, words, said.strip().strip("[]()"))
+
+    @property
+    def axis(self) -> str | None:
+        """The axis that its first or last word names."""
+        ends = [word for word in self.words if word in AXES]
+        return ends[0] if len(ends) == 1 else None
+
+    @property
+    def stem(self) -> tuple[str, ...]:
+        """Its words without the axis."""
+        return tuple(word for word in self.words if word not in AXES and word not in NEUTRAL)
+
+
+def _axis_apart(word: str) -> tuple[str, ...]:
+    """`accx` and `xacc` as two words."""
+    if word[:-1] in ACCELEROMETER and word[-1] in AXES:
+        return word[:-1], word[-1]
+    if word[1:] in ACCELEROMETER and word[:1] in AXES:
+        return word[1:], word[0]
+    return (word,)
+
+
+def _is_unit(word: str) -> bool:
+    return acceleration_unit(word) is not None or microseconds_in(word) is not None or word in CELSIUS
+
+
+def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
+    """What each column is.
+
+    Raises:
+        UnreadableError: it cannot be told, or a column that is needed holds no numbers.
+        UsageError: --columns or --time-column names no column of the file.
+    """
+    titles = _titles(dialect)
+    xyz = _said_axes(dialect, options, path) or _named_axes(titles, path) or _placed_axes(dialect, path)
+    for column in xyz:
+        if dialect.kinds[column] is not Kind.NUMBER:
+            raise UnreadableError(
+                f"{column_name(dialect, column)} does not hold numbers",
+                path=path,
+                line=dialect.skipped + 1,
+                hint="name the columns of x, y and z with --columns",
+            )
+    time = _time_column(dialect, titles, options, xyz, path)
+    hints = frozenset(
+        unit for title in titles if title.number in xyz and (unit := acceleration_unit(title.hint))
+    )
+    unit_us = next((microseconds_in(_time_unit(title)) for title in titles if title.number == time), None)
+    return Roles(xyz, time, _temperature(dialect, titles, {*xyz, time}), hints, unit_us)
+
+
+def column_name(dialect: Dialect, column: int) -> str:
+    """A column as people find it."""
+    name = dialect.names[column] if dialect.names else ""
+    return f"column {column} ({name!r})" if name else f"column {column}"
+
+
+def _titles(dialect: Dialect) -> list[Title]:
+    if dialect.names is None:
+        return []
+    units = dialect.units or ("",) * dialect.columns
+    pairs = zip(dialect.names, units, strict=True)
+    return [Title.of(number, name, unit) for number, (name, unit) in enumerate(pairs)]
+
+
+def _time_unit(title: Title) -> str:
+    return title.hint or (title.words[0] if len(title.words) == 1 else "")
+
+
+def _pick(dialect: Dialect, said: str, option: str, path: Path) -> int:
+    """The number of the column that the user named or numbered."""
+    names = [name.lower() for name in dialect.names or ()]
+    plain = [name_and_hint(name)[0] for name in names]
+    for known in (names, plain):
+        if known.count(said.strip().lower()) == 1:
+            return known.index(said.strip().lower())
+    if said.strip().isdecimal() and int(said) < dialect.columns:
+        return int(said)
+    known_names = ", ".join(dialect.names or ()) or "none has a name"
+    raise UsageError(
+        f"{option} {said!r} is no column of this file",
+        path=path,
+        hint=f"its columns are 0 to {dialect.columns - 1} ({known_names})",
+    )
+
+
+def _said_axes(dialect: Dialect, options: ReadOptions, path: Path) -> tuple[int, int, int] | None:
+    if options.columns is None:
+        return None
+    x, y, z = (_pick(dialect, said, "--columns", path) for said in options.columns)
+    if len({x, y, z}) < 3:
+        raise UsageError("--columns names one column twice", path=path, hint="give x, y and z")
+    return x, y, z
+
+
+def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
+    """Columns whose names end in x, y and z and otherwise say accelerometer, or nothing."""
+    groups: dict[tuple[str, ...], dict[str, int]] = {}
+    for title in titles:
+        if title.axis and not OTHER_SENSORS & set(title.stem):
+            groups.setdefault(title.stem, {}).setdefault(title.axis, title.number)
+    full = {stem: group for stem, group in groups.items() if len(group) == 3}
+    named = [group for stem, group in full.items() if ACCELEROMETER & set(stem)]
+    found = named or [group for stem, group in full.items() if not stem]
+    if len(found) > 1:
+        raise UnreadableError(
+            "several groups of columns are named like an accelerometer's",
+            path=path,
+            hint="name the columns of x, y and z with --columns",
+        )
+    return (found[0]["x"], found[0]["y"], found[0]["z"]) if found else None
+
+
+def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
+    """The only numbers there are: x,y,z or time,x,y,z."""
+    numeric = [kind is Kind.NUMBER for kind in dialect.kinds]
+    if dialect.names is None and dialect.columns == 3:
+        return 0, 1, 2
+    if dialect.names is None and dialect.columns == 4 and all(numeric[1:]) and _may_be_time(dialect, 0):
+        return 1, 2, 3
+    what = (
+        f"columns {', '.join(dialect.names)}" if dialect.names else f"{dialect.columns} columns without names"
+    )
+    raise UnreadableError(
+        f"which columns are x, y and z cannot be told from {what}",
+        path=path,
+        line=dialect.skipped + 1,
+        hint=f"give --columns X,Y,Z as names, or as numbers from 0{_if_commas(dialect)}",
+    )
+
+
+def _if_commas(dialect: Dialect) -> str:
+    """Advice for `0,012,0,996,-0,101`, which no option can settle."""
+    cells = [cell for row in dialect.sample for cell in row[-6:]]
+    doubtful = dialect.cleaner.delimiter == "," and dialect.columns in (6, 7, 8)
+    if not doubtful or not all(re.fullmatch(r"-?\d+", cell.strip()) for cell in cells):
+        return ""
+    return "; where commas are its decimals too, export it with another delimiter or decimal point"
+
+
+def _may_be_time(dialect: Dialect, column: int) -> bool:
+    """Whether a column without a name can be the time: dates, or numbers that only rise."""
+    if dialect.kinds[column] is not Kind.NUMBER:
+        return dialect.kinds[column] is Kind.TIME
+    values = [value for cell in dialect.cells(column) if (value := number_of(cell)) is not None]
+    rising = all(left <= right for left, right in pairwise(values))
+    return rising and (len(values) < 2 or values[-1] > values[0])
+
+
+def _time_column(
+    dialect: Dialect, titles: list[Title], options: ReadOptions, xyz: tuple[int, int, int], path: Path
+) -> int | None:
+    if options.time_column is not None:
+        return (
+            None
+            if options.time_column == "none"
+            else _pick(dialect, options.time_column, "--time-column", path)
+        )
+    named = [title for title in titles if title.number not in xyz and _is_time_name(title)]
+    dated = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
+    for found in (
+        [title.number for title in named if title.number in dated],
+        [t.number for t in named],
+        dated,
+    ):
+        if len(found) == 1:
+            return found[0]
+        if found:
+            which = ", ".join(column_name(dialect, item) for item in found)
+            raise UnreadableError(
+                f"several columns may be the time ({which})",
+                path=path,
+                hint="name one with --time-column, or give --time-column none and --rate",
+            )
+    return 0 if not titles and min(xyz) > 0 and _may_be_time(dialect, 0) else None
+
+
+def _is_time_name(title: Title) -> bool:
+    bare = len(title.words) == 1 and title.words[0] in BARE_TIME_NAMES
+    return bare or bool(TIME_NAMES & set(title.words))
+
+
+def _temperature(dialect: Dialect, titles: list[Title], taken: set[int | None]) -> int | None:
+    """The one column that is named as a temperature in degrees Celsius."""
+    found = [
+        title.number
+        for title in titles
+        if set(title.words) in TEMPERATURE_NAMES
+        and title.hint.lower() in CELSIUS
+        and title.number not in taken
+    ]
+    fits = len(found) == 1 and dialect.kinds[found[0]] is Kind.NUMBER
+    return found[0] if fits else None

@@ -1,0 +1,352 @@
+"""Text clean-up of whole blocks, so that pyarrow's parser understands them. Lines stay lines.
+
+How a text file of numbers is laid out: delimiter, decimals, where its rows begin, column names.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from accelcal_cli.core.formats import HEAD_BYTES
+from accelcal_cli.formats.csv import is_text
+from accelcal_cli.formats.csv.cells import (
+    COMMA_NUMBER,
+    POINT_NUMBER,
+    Kind,
+    cell_kind,
+    column_kind,
+    is_unit_cell,
+)
+from accelcal_cli.formats.csv.times import year_first
+
+SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
+COLON_FRACTION = re.compile(rb":(?<=\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
+COLON, POINT = b":."
+LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
+TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
+
+
+@dataclass(frozen=True, slots=True)
+class Cleaner:
+    """What has to be changed in a block of lines before it is parsed.
+
+    Attributes:
+        delimiter: between the columns; a blank stands for any run of blanks and tabs.
+        padded: blanks around the delimiter are to go.
+        split_date: date and time of day are separated by the delimiter itself.
+        decimal_comma: decimals are written with a comma.
+        slash_dates: dates are written 2024/03/04.
+        long_fraction: seconds have more than nine decimals.
+        colon_fraction: a colon stands before the decimals of seconds.
+        date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
+        thorough: look at every line for what differs from the others.
+    """
+
+    delimiter: str
+    padded: bool = False
+    split_date: bool = False
+    decimal_comma: bool = False
+    slash_dates: bool = False
+    long_fraction: bool = False
+    colon_fraction: bool = False
+    date_order: str | None = None
+    thorough: bool = False
+
+    def __call__(self, block: bytes) -> bytes:
+        """The block in pyarrow's terms, with the same lines in the same order."""
+        if self.delimiter == " ":
+            block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
+        elif self.padded or self.thorough:
+            block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
+        block = self._with_times(block)
+        return block.translate(self._table()) if self.decimal_comma or self.slash_dates else block
+
+    def _with_times(self, block: bytes) -> bytes:
+        """The block with dates and fractions of seconds as ISO 8601 has them."""
+        if self.date_order is not None:
+            block = year_first(block, self.date_order, self.thorough)
+        if self.split_date:
+            block = SPLIT_DATE.sub(rb"\1T", block)
+        if self.colon_fraction:
+            block = with_points(block)
+        if self.long_fraction:
+            block = LONG_FRACTION.sub(rb"\1", block)
+        return block
+
+    def _table(self) -> bytes:
+        pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
+        return bytes.maketrans(b"".join(old for old, _ in pairs), b"".join(new for _, new in pairs))
+
+
+def collapsed(block: bytes) -> bytes:
+    """Runs of blanks as one blank."""
+    while b"  " in block:
+        block = block.replace(b"  ", b" ")
+    return block
+
+
+def with_points(block: bytes) -> bytes:
+    """`12:34:56:789` as `12:34:56.789`."""
+    text = np.frombuffer(block, np.uint8).copy()
+    colon = text == COLON
+    text[6:][colon[6:] & colon[3:-3] & colon[:-6]] = POINT
+    return text.tobytes()
+
+
+def trimmed(block: bytes, mark: bytes) -> bytes:
+    """No single blank before or after the mark, or at either end."""
+    block = block.replace(b" \r\n", b"\n") if mark == b"\n" else block
+    return block.replace(b" " + mark, mark).replace(mark + b" ", mark).strip(b" ")
+
+
+DELIMITERS = (",", ";", "\t", "|", " ")
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
+SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
+TAIL_LINES = 40
+SURE_LINES = 6
+"""With fewer lines to judge by, most columns must be numbers, and half of all lines agree."""
+
+SAMPLE_ROWS = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """The layout of a text file, as its first 64 KiB show it.
+
+    Attributes:
+        cleaner: makes blocks of it readable for pyarrow.
+        kinds: of each column.
+        names: of the columns, None where no line names them.
+        units: from a line of units below the names, None where there is none.
+        sample: cells of the first rows.
+        skipped: lines before the first row.
+        offset: byte at which the first row begins.
+        bare_returns: lines end with a carriage return alone.
+    """
+
+    cleaner: Cleaner
+    kinds: tuple[Kind, ...]
+    names: tuple[str, ...] | None
+    units: tuple[str, ...] | None
+    sample: tuple[tuple[str, ...], ...]
+    skipped: int
+    offset: int
+    bare_returns: bool
+
+    @property
+    def columns(self) -> int:
+        """How many columns every row has."""
+        return len(self.kinds)
+
+    def cells(self, column: int) -> list[str]:
+        """The sample's cells of one column."""
+        return [row[column] for row in self.sample]
+
+
+def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
+    """The layout of the file with this beginning, None where it shows no rows of 3 or more numbers.
+
+    A last line without its end is used only where nothing else is there.
+
+    Args:
+        preamble: lines that are known to be neither rows nor names of columns.
+    """
+    head = head[:HEAD_BYTES]
+    if not is_text(head):
+        return None
+    bare_returns = b"\n" not in head and b"\r" in head
+    if bare_returns:
+        head = head.replace(b"\r", b"\n")
+    whole = head[: head.rfind(b"\n") + 1]
+    found = _dialect_of(whole, preamble) or _dialect_of(head, preamble)
+    return replace(found, bare_returns=bare_returns) if found else None
+
+
+def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
+    """One column's cells in some lines."""
+    rows = _rows(data.splitlines(keepends=True), dialect.cleaner)
+    return [row[column] for row in rows if column < len(row)]
+
+
+def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
+    mark = len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0
+    lines = head[mark:].splitlines(keepends=True)
+    raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
+    cleaners = _cleaners(b"".join(raw_lines))
+    for tail in _tail_sizes(len(raw_lines)):
+        layouts = [_Layout.of(raw_lines, cleaner, tail) for cleaner in cleaners]
+        best = max(layouts, key=lambda layout: layout.score)
+        least = 0.0 if tail >= SURE_LINES else 0.5
+        if best.score > least and (dialect := best.dialect(offset)):
+            return replace(dialect, skipped=dialect.skipped + preamble)
+    return None
+
+
+def _tail_sizes(lines: int) -> Iterator[int]:
+    """How many last lines to judge by: fewer and fewer in a short file, whose beginning may be text."""
+    size = min(TAIL_LINES, lines // 2 or lines)
+    yield size
+    while lines < 2 * TAIL_LINES and size > 1:
+        size //= 2
+        yield size
+
+
+def split_line(line: str, delimiter: str) -> list[str]:
+    """The cells of one line, quotes taken off."""
+    try:
+        return next(csv.reader([line], delimiter=delimiter), [])
+    except csv.Error:
+        return []
+
+
+def decode(line: bytes) -> str:
+    """A line as text: UTF-8, or Latin-1 where it is not."""
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+@dataclass(frozen=True, slots=True)
+class _Layout:
+    """One delimiter, tried on the last lines of a head."""
+
+    raw_lines: list[bytes]
+    cleaner: Cleaner
+    kinds: tuple[Kind, ...]
+
+    @classmethod
+    def of(cls, raw_lines: list[bytes], cleaner: Cleaner, tail: int) -> _Layout:
+        delimiter = cleaner.delimiter
+        last = _last(raw_lines, tail)
+        rows = _rows(last, cleaner) if any(_parts(line, delimiter) for line in last) else []
+        width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
+        if width < 3 or count < 0.9 * len(rows):
+            return cls(raw_lines, cleaner, ())
+        rows = [row for row in rows if len(row) == width]
+        kinds = _column_kinds(rows, delimiter, 0.9)
+        if Kind.MISSING in kinds or tail < SURE_LINES:
+            share = 0.5 if tail < SURE_LINES else 0.9
+            everywhere = [row for row in _rows(raw_lines, cleaner) if len(row) == width]
+            kinds = _column_kinds(everywhere, delimiter, share)
+        return cls(raw_lines, _with_decimals(cleaner, rows), kinds)
+
+    @property
+    def score(self) -> float:
+        if self.kinds.count(Kind.NUMBER) < 3:
+            return 0.0
+        return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
+
+    def dialect(self, offset: int) -> Dialect | None:
+        """The full layout of lines from this byte on, None where no run of rows begins anywhere."""
+        first = self._first_row()
+        if first is None:
+            return None
+        names, units = self._names(first)
+        sample = _rows(self.raw_lines[first : first + SAMPLE_ROWS], self.cleaner)
+        whole = tuple(tuple(row) for row in sample if len(row) == len(self.kinds))
+        offset += sum(map(len, self.raw_lines[:first]))
+        return Dialect(self.cleaner, self.kinds, names, units, whole, first, offset, False)
+
+    def _first_row(self) -> int | None:
+        """The first of three rows that follow each other, or of the last ones."""
+        run: list[int] = []
+        for number, line in enumerate(self.raw_lines):
+            for row in _rows([line], self.cleaner):
+                run = [*run, number] if self._is_row(row) else []
+            if len(run) == 3:
+                break
+        return run[0] if run else None
+
+    def _is_row(self, row: list[str]) -> bool:
+        if len(row) != len(self.kinds):
+            return False
+        comma = self.cleaner.delimiter != ","
+        pairs = zip(row, self.kinds, strict=True)
+        found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
+        filled = any(kind is other for kind, other in found)
+        return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
+
+    def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
+        """The names and, where a second line below them gives it, the units of the columns."""
+        above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
+        rows = [self._heading(number) for number in above]
+        if rows and rows[-1] and all(map(is_unit_cell, rows[-1])) and len(rows) == 2 and rows[0]:
+            return rows[0], rows[1]
+        return (rows[-1] if rows else None), None
+
+    def _heading(self, number: int) -> tuple[str, ...] | None:
+        """A line's cells where they can be names: as many as there are columns, none a number."""
+        text = decode(self.raw_lines[number])
+        text = COMMENT.sub("", text).strip("\r\n")
+        if self.cleaner.delimiter == " ":
+            text = " ".join(text.split())
+        cells = [cell.strip() for cell in split_line(text, self.cleaner.delimiter)]
+        if len(cells) == len(self.kinds) - 1:
+            cells = [*cells, ""] if self.kinds[-1] is Kind.MISSING else ["", *cells]
+        kinds = {cell_kind(cell, False) for cell in cells}
+        words = Kind.TEXT in kinds and Kind.NUMBER not in kinds
+        return tuple(cells) if len(cells) == len(self.kinds) and words else None
+
+
+def _rows(raw_lines: list[bytes], cleaner: Cleaner) -> list[list[str]]:
+    """The cells of all lines that are not blank, as they are written."""
+    plain = replace(cleaner, decimal_comma=False, slash_dates=False)
+    lines = [split_line(decode(plain(line)).rstrip("\r\n"), cleaner.delimiter) for line in raw_lines]
+    return [line for line in lines if line]
+
+
+def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:
+    return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
+
+
+def _last(raw_lines: list[bytes], number: int) -> list[bytes]:
+    """The last lines that are not blank."""
+    return [*islice((line for line in reversed(raw_lines) if line.strip()), number)][::-1]
+
+
+def _parts(line: bytes, delimiter: str) -> bool:
+    """Whether a line may have several cells."""
+    return delimiter.encode() in line or (delimiter == " " and b"\t" in line)
+
+
+def _cleaners(head: bytes) -> list[Cleaner]:
+    """What each delimiter would need; the times are looked for once."""
+    split_date = SPLIT_DATE.search(head) is not None
+    any_delimiter = Cleaner(
+        "",
+        slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
+        long_fraction=LONG_FRACTION.search(head) is not None,
+        colon_fraction=COLON_FRACTION.search(head) is not None,
+    )
+    return [
+        replace(
+            any_delimiter,
+            delimiter=delimiter,
+            padded=delimiter != " " and _padded(head, delimiter.encode()),
+            split_date=delimiter == " " and split_date,
+        )
+        for delimiter in DELIMITERS
+    ]
+
+
+def _padded(head: bytes, mark: bytes) -> bool:
+    return mark in head and b" " in head and (b" " + mark in head or mark + b" " in head)
+
+
+def _with_decimals(cleaner: Cleaner, rows: list[list[str]]) -> Cleaner:
+    """Decimals have a comma where these rows say so, or where they are whole numbers throughout.
+
+    A recording may begin with hours of zeros; only commas can then follow that are not understood.
+    """
+    cells = [cell.strip() for row in rows for cell in row]
+    commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
+    return replace(cleaner, decimal_comma=commas and cleaner.delimiter != ",")

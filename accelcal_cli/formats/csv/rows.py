@@ -1,0 +1,332 @@
+"""Rows of a text file as counts, times and faults, block after block.
+
+Stamps that several rows share, such as whole seconds, made into a time for every row.
+
+Rows that a device wrote while it slept: zeros, or its last sample over and over.
+
+Rows of small blocks as longer stretches: what comes after costs the same for a short one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.parallel import side_by_side
+from accelcal_cli.formats.csv.cells import Scale
+from accelcal_cli.formats.csv.table import Block, Sheet
+from accelcal_cli.formats.csv.times import NO_TIME, Pace
+
+HOTTEST_C = 1000.0
+UNKNOWN_MC = np.iinfo(np.int32).min
+"""Stands for a temperature that only rows before can tell."""
+
+
+class Fault(IntEnum):
+    """Why a row cannot be used."""
+
+    NONE = 0
+    MISSING = 1
+    OUT_OF_RANGE = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Consecutive rows of a file, good and bad ones.
+
+    first_row: number of the first, from 0. line: (n,) number in the text. counts: (n, 3) int32.
+    fault: (n,) uint8 of `Fault`. time_us: (n,) or None. temperature_mc: (n,) int32 or None.
+    filled: (n,) rows that the device did not measure, or None where none are known.
+    """
+
+    first_row: int
+    line: NDArray[np.int64]
+    counts: NDArray[np.int32]
+    fault: NDArray[np.uint8]
+    time_us: NDArray[np.int64] | None
+    temperature_mc: NDArray[np.int32] | None
+    filled: NDArray[np.bool_] | None = None
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @property
+    def row(self) -> NDArray[np.int64]:
+        """(n,) number of each row within the file, from 0."""
+        return self.first_row + np.arange(len(self), dtype=np.int64)
+
+    def part(self, start: int, stop: int) -> Rows:
+        """Rows start..stop-1, as views."""
+        return Rows(
+            self.first_row + start,
+            self.line[start:stop],
+            self.counts[start:stop],
+            self.fault[start:stop],
+            *(None if item is None else item[start:stop] for item in self._spare),
+        )
+
+    def then(self, other: Rows) -> Rows:
+        """These rows and the next ones of the same file."""
+        return joined_rows([self, other])
+
+    @property
+    def _spare(self) -> tuple[NDArray[Any] | None, ...]:
+        """The columns that not every file has."""
+        return self.time_us, self.temperature_mc, self.filled
+
+
+def joined_rows(parts: list[Rows]) -> Rows:
+    """Rows of the same file that follow each other, at least one stretch of them."""
+    if len(parts) == 1:
+        return parts[0]
+    spare = zip(*(part._spare for part in parts), strict=True)
+    return Rows(
+        parts[0].first_row,
+        np.concatenate([part.line for part in parts]),
+        np.concatenate([part.counts for part in parts]),
+        np.concatenate([part.fault for part in parts]),
+        *(None if any(item is None for item in items) else np.concatenate(items) for items in spare),
+    )
+
+
+class RowMaker:
+    """Turns blocks into rows, in the order of the file.
+
+    Args:
+        temperature_c: the file's first one, for rows before it; None without a temperature.
+    """
+
+    def __init__(self, sheet: Sheet, scale: Scale, temperature_c: float | None) -> None:
+        self._sheet = sheet
+        self._scale = scale
+        self._warm = temperature_c is not None
+        self._last_mc = round(1000 * (temperature_c or 0.0))
+        self._next_row = 0
+
+    def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[Rows, Block]]:
+        """The rows of blocks that follow each other, and each block without its lines.
+
+        Args:
+            threads: how many may work at a time.
+
+        Raises:
+            UnreadableError: a line is no row of the file, or counts are not whole.
+        """
+        for rows, block in side_by_side(self._parsed, blocks, threads):
+            yield self._placed(rows), block
+
+    def _placed(self, rows: Rows) -> Rows:
+        """The next rows, with their number in the file, and temperatures from before them."""
+        first, self._next_row = self._next_row, self._next_row + len(rows)
+        warmth = rows.temperature_mc
+        if warmth is not None and len(warmth):
+            np.copyto(warmth, self._last_mc, where=warmth == UNKNOWN_MC)
+            self._last_mc = int(warmth[-1])
+        return replace(rows, first_row=first)
+
+    def _parsed(self, block: Block) -> tuple[Rows, Block]:
+        """The rows of a block by themselves; does not depend on what was done before."""
+        cells = self._sheet.cells(block)
+        if self._scale.unit == "counts":
+            self._refuse_fractions(cells.values, cells.line)
+        counts, fault = self._counts(cells.values)
+        if cells.time_us is not None:
+            fault[cells.time_us == NO_TIME] = Fault.MISSING
+        warmth = cells.temperature if self._warm else None
+        spare = None if warmth is None else _millidegrees(warmth)
+        return Rows(0, cells.line, counts, fault, cells.time_us, spare), block.without_lines()
+
+    def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
+        scaled = self._scale.counts(values)
+        fault = np.zeros(len(values), np.uint8)
+        limit = self._scale.limit
+        if len(scaled) and not (scaled.max() <= limit and scaled.min() >= -limit):
+            fault[(np.abs(scaled) > limit).any(axis=1)] = Fault.OUT_OF_RANGE
+            fault[np.isnan(scaled).any(axis=1)] = Fault.MISSING
+            scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
+        return scaled.astype(np.int32), fault
+
+    def _refuse_fractions(self, values: NDArray[np.float64], line: NDArray[np.int64]) -> None:
+        broken = (np.rint(values) != values) & np.isfinite(values)
+        if not broken.any():
+            return
+        row, axis = np.argwhere(broken)[0]
+        raise UnreadableError(
+            f"{values[row, axis]:g} is not a whole number of counts",
+            path=self._sheet.path,
+            line=int(line[row]),
+            hint="give the unit of the values with --unit g, mg or m/s2",
+        )
+
+
+def _millidegrees(temperature: NDArray[np.float64]) -> NDArray[np.int32]:
+    """Every row's temperature [mC]: where a cell is empty, the last one that was measured, if any was."""
+    usable = np.abs(temperature) < HOTTEST_C
+    if not usable.all():
+        last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
+        temperature = np.where(last < 0, UNKNOWN_MC / 1000, temperature[last])
+    millidegrees: NDArray[np.int32] = np.rint(temperature * 1000).astype(np.int32)
+    return millidegrees
+
+
+LONGEST_GROUP = 4
+"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
+
+
+class Spreader:
+    """Spreads the rows of each stamp evenly until the next stamp.
+
+    A group of rows is given on once the stamp after it is known, so that its times do not
+    depend on where the blocks of the file end.
+    """
+
+    def __init__(self, pace: Pace) -> None:
+        self._period = pace.stamp_period_us
+        self._usual = pace.rows_per_stamp
+        self._held: Rows | None = None
+        self._before = NO_TIME
+
+    def add(self, rows: Rows, last: bool) -> Rows:
+        """Take the next rows; gives those whose times are settled (all, where these are the last)."""
+        rows = rows if self._held is None else self._held.then(rows)
+        stamps = self._filled(rows.time_us)
+        starts = self._starts(stamps)
+        ends = np.append(starts[1:], len(stamps))
+        settled = len(starts) if last else max(len(starts) - 1, 0)
+        cut = int(ends[settled - 1]) if settled else 0
+        times = stamps[:0]
+        if settled:
+            after = stamps[starts[settled]] if settled < len(starts) else NO_TIME
+            around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
+            times = self._spread(around, (ends - starts)[:settled])
+            self._before = int(around[-2])
+        self._held = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
+        return replace(rows.part(0, cut), time_us=times)
+
+    def _filled(self, stamps: NDArray[np.int64] | None) -> NDArray[np.int64]:
+        """Rows without a time belong to the group before them; they are left out later."""
+        if stamps is None or not len(stamps):
+            return np.empty(0, np.int64)
+        known = np.where(stamps == NO_TIME, 0, np.arange(len(stamps)))
+        return stamps[np.maximum.accumulate(known)]
+
+    def _starts(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """First row of every group."""
+        if not len(stamps):
+            return np.empty(0, np.int64)
+        changes = np.flatnonzero(np.diff(stamps)) + 1
+        starts = np.concatenate(([0], changes))
+        sizes = np.diff(np.append(starts, len(stamps)))
+        longest = LONGEST_GROUP * self._usual
+        if sizes.max() <= longest:
+            return starts
+        return np.concatenate(
+            [np.arange(start, start + size, longest) for start, size in zip(starts, sizes, strict=True)]
+        )
+
+    def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of the rows of groups with these stamps; `around` has one more at either end.
+
+        A short group beside a gap is the rest of a stamp's time, at the usual pace: its end
+        where the gap is before it, else its beginning.
+        """
+        steps = np.diff(around)
+        joined = (steps > 0) & (steps <= self._period * 3 // 2)
+        before, after = joined[:-1], joined[1:]
+        full = (sizes >= self._usual) | (before & after)
+        span = np.where(full & after, steps[1:], self._period)
+        parts = np.where(full, sizes, self._usual)
+        shift = np.where(~full & after, self._usual - sizes, 0)
+        group = np.repeat(np.arange(len(sizes)), sizes)
+        place = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
+        into = (2 * place * span[group] + parts[group]) // (2 * parts[group])
+        times: NDArray[np.int64] = around[1:-1][group] + into
+        return times
+
+
+class FillFinder:
+    """Marks rows of zeros, and runs of rows that repeat the one before.
+
+    Rows are given on once it is known whether their run is long enough, so that the marks do not
+    depend on where the blocks of the file end.
+
+    Args:
+        least: rows of a run of equal ones, its first included, from which on all but the first are
+            marked; a sensor's noise makes shorter ones.
+    """
+
+    def __init__(self, least: int) -> None:
+        self._least = max(least, 2)
+        self._held: Rows | None = None
+        self._asleep: NDArray[np.int32] | None = None
+
+    def add(self, rows: Rows, last: bool) -> Rows:
+        """Take the next rows; gives those that are settled (all, where these are the last)."""
+        rows = rows if self._held is None else self._held.then(rows)
+        if not len(rows):
+            return rows
+        repeats = self._repeats(rows)
+        begins = ~repeats
+        begins[0] = True
+        starts = np.flatnonzero(begins)
+        sizes = np.diff(starts, append=len(rows))
+        long = sizes >= self._least
+        long[0] |= repeats[0]
+        settled = len(rows) if last or long[-1] else int(starts[-1])
+        filled = (np.repeat(long, sizes) & repeats) | self._zeros(rows)
+        self._asleep = rows.counts[-1].copy() if long[-1] else None
+        self._held = rows.part(settled, len(rows)) if settled < len(rows) else None
+        return replace(rows.part(0, settled), filled=filled[:settled])
+
+    def _repeats(self, rows: Rows) -> NDArray[np.bool_]:
+        """Rows that equal the one before, (n,); one that cannot be used equals none."""
+        same = rows.fault == Fault.NONE
+        same[0] &= self._asleep is not None and np.array_equal(rows.counts[0], self._asleep)
+        for axis in rows.counts.T:
+            same[1:] &= axis[1:] == axis[:-1]
+        return np.asarray(same)
+
+    def _zeros(self, rows: Rows) -> NDArray[np.bool_]:
+        x, y, z = rows.counts.T
+        return np.asarray((rows.fault == Fault.NONE) & ((x | y | z) == 0))
+
+
+BLOCK_BYTES = 1 << 21
+"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
+
+MOST_JOINED = 1 << 18
+"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
+
+
+def block_bytes(samples: int, line_bytes: float) -> int:
+    """How much text to parse at a time where so many samples are wanted."""
+    return max(1, min(BLOCK_BYTES, int(0.95 * samples * line_bytes)))
+
+
+def joined(parts: Iterable[tuple[Rows, Block]], samples: int) -> Iterator[tuple[Rows, Block]]:
+    """Rows of blocks joined as long as they are no more than `samples`, each with its last block."""
+    samples = min(samples, MOST_JOINED)
+    held: list[Rows] = []
+    number, place = 0, None
+    for rows, block in parts:
+        if place is not None and number + len(rows) > samples:
+            yield _taken(held), place
+            number = 0
+        if len(rows) or not held:
+            held.append(rows)
+        number, place = number + len(rows), block
+    if place is not None:
+        yield _taken(held), place
+
+
+def _taken(held: list[Rows]) -> Rows:
+    """Stretches as one; the list does not keep their memory."""
+    rows = joined_rows(held)
+    held.clear()
+    return rows

@@ -1,0 +1,288 @@
+"""A text file as blocks of whole lines.
+
+Slow looks at single lines, taken only where a block does not parse.
+
+A text file as it was understood at opening: layout, columns, units, pace.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
+from accelcal_cli.formats.csv.columns import Roles
+from accelcal_cli.formats.csv.dialect import Dialect, decode, split_line
+from accelcal_cli.formats.csv.times import STAMP, TimeFormat, floats
+
+PIECE_BYTES = 1 << 18
+"""Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""
+
+LONGEST_LINE = 1 << 20
+CACHED_BYTES = 1 << 18
+LINE_END = ord("\n")
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Whole lines of a file.
+
+    Attributes:
+        data: the lines.
+        tail: the rest of the file behind its last line end; only in the last block.
+        line: number of its first line, from 1.
+        lines: how many lines `data` has.
+        offset: byte at which it begins, in the uncompressed stream.
+        end: byte behind its last line end.
+        end_byte: how far the file on the disk has been read.
+        last: nothing follows.
+        broken: the compressed data ended early or is damaged.
+    """
+
+    data: bytes
+    tail: bytes
+    line: int
+    lines: int
+    offset: int
+    end: int
+    end_byte: int
+    last: bool
+    broken: bool
+
+    def without_lines(self) -> Block:
+        """Where it lies, without the memory of its lines."""
+        return replace(self, data=b"")
+
+
+def lone_block(data: bytes, line: int, offset: int) -> Block:
+    """Some lines of a file, looked at by themselves."""
+    return Block(data, b"", line, count_lines(data), offset, offset + len(data), 0, False, False)
+
+
+class LineFile:
+    """A text file, plain or gzip, read once from its beginning."""
+
+    def __init__(self, path: Path, bare_returns: bool = False) -> None:
+        self._source = ByteSource(path)
+        self._bare_returns = bare_returns
+
+    def close(self) -> None:
+        """Release the file."""
+        self._source.close()
+
+    def read(self, count: int) -> bytes:
+        """At least `count` bytes, fewer only at the end of the data."""
+        return b"".join(self._pieces(count))
+
+    def _pieces(self, count: int) -> list[bytes]:
+        parts: list[bytes] = []
+        while count > 0 and (part := self._piece()):
+            parts.append(part)
+            count -= len(part)
+        return parts
+
+    def _piece(self) -> bytes:
+        piece = self._source.read(PIECE_BYTES)
+        self._source.refuse_untrue()
+        return piece.replace(b"\r", b"\n") if self._bare_returns else piece
+
+    def blocks(self, start: int, line: int, block_bytes: int) -> Iterator[Block]:
+        """All lines from byte `start`, which begins line number `line`, about `block_bytes` at a time.
+
+        Raises:
+            UnreadableError: a line does not end within 1 MiB, or the disk fails.
+        """
+        fresh = [self.read(start + block_bytes)[start:]]
+        tail, offset, last = b"", start, False
+        while not last:
+            data, tail = _cut([tail, *fresh])
+            fresh = self._pieces(block_bytes)
+            last = not fresh
+            if len(tail) > LONGEST_LINE and not data:
+                raise UnreadableError(
+                    "a line has no end", path=self._source.path, line=line, byte_offset=offset
+                )
+            if data or last:
+                rest, lines = tail if last else b"", count_lines(data)
+                disk, broken = self._source.disk_position(), self._source.broken
+                yield Block(data, rest, line, lines, offset, offset + len(data), disk, last, broken)
+                line += lines
+                offset += len(data)
+
+
+def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:
+    """All whole lines of pieces that follow each other, and what is left."""
+    for number in reversed(range(len(pieces))):
+        piece = pieces[number]
+        if cut := piece.rfind(b"\n") + 1:
+            whole = b"".join((*pieces[:number], memoryview(piece)[:cut]))
+            return whole, b"".join((piece[cut:], *pieces[number + 1 :]))
+    return b"", b"".join(pieces)
+
+
+def count_lines(data: bytes) -> int:
+    """How many line ends there are; several times as fast as `bytes.count` where lines are short."""
+    view = np.frombuffer(data, np.uint8)
+    return sum(
+        int(np.count_nonzero(view[start : start + CACHED_BYTES] == LINE_END))
+        for start in range(0, len(view), CACHED_BYTES)
+    )
+
+
+SHOWN = 40
+
+
+@dataclass(frozen=True, slots=True)
+class LineCheck:
+    """What every line of a file must be: so many columns, numbers in the used ones, a time."""
+
+    dialect: Dialect
+    used: tuple[int, ...]
+    time: int | None
+
+    def bad_line(self, data: bytes, first_line: int, path: Path) -> UnreadableError:
+        """The error that names the first line of cleaned `data` that is no row."""
+        for number, raw in enumerate(data.splitlines()):
+            fault = self._fault(decode(raw)) if raw else None
+            if fault:
+                line, hint = first_line + number, "correct or remove that line"
+                return UnreadableError(fault, path=path, line=line, hint=hint)
+        return UnreadableError(
+            "the lines from here on cannot be read", path=path, line=first_line, hint="look for stray quotes"
+        )
+
+    def _fault(self, text: str) -> str | None:
+        """What is wrong with a line, None where nothing is."""
+        cells = split_line(text, self.dialect.cleaner.delimiter)
+        if len(cells) != self.dialect.columns:
+            columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
+            return f"the line has {columns}, not {self.dialect.columns} ({shortened(text)!r})"
+        for column in sorted(self.used):
+            if not self._fits(cells[column], column):
+                what = "time" if column == self.time else "number"
+                return f"column {column} holds {shortened(cells[column])!r}, which is no {what}"
+        return None
+
+    def _fits(self, cell: str, column: int) -> bool:
+        kind = cell_kind(cell, False)
+        if column == self.time and self.dialect.kinds[column] is Kind.TIME:
+            return kind is Kind.MISSING or STAMP.fullmatch(cell) is not None
+        return kind in (Kind.NUMBER, Kind.MISSING)
+
+
+def shortened(text: str) -> str:
+    """A text short enough for a message."""
+    return text if len(text) <= SHOWN else text[:SHOWN] + "..."
+
+
+def blank_lines_apart(data: bytes) -> NDArray[np.int64]:
+    """Numbers, from 0, of the lines of `data` that are not empty."""
+    lines = data.splitlines()
+    return np.array([number for number, line in enumerate(lines) if line], np.int64)
+
+
+PARSER_BYTES = 1 << 20
+"""What is parsed at a time."""
+
+PADDING = frozenset(b" \t\r\n")
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """The columns of a block that are used, one entry a row.
+
+    line: (n,) number in the file. values: (n, 3) float64 in the file's unit, NaN where empty.
+    time_us: (n,), or None without a time column. temperature: (n,) float64 C or None.
+    """
+
+    line: NDArray[np.int64]
+    values: NDArray[np.float64]
+    time_us: NDArray[np.int64] | None
+    temperature: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is needed to turn a block of lines into columns."""
+
+    path: Path
+    dialect: Dialect
+    roles: Roles
+    time: TimeFormat | None
+    options: tuple[Any, Any] = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "options", (self._parse_options(), self._convert_options()))
+
+    @property
+    def used(self) -> list[int]:
+        """The numbers of the columns that are read."""
+        extra = [column for column in (self.roles.time, self.roles.temperature) if column is not None]
+        return [*self.roles.xyz, *extra]
+
+    @property
+    def _check(self) -> LineCheck:
+        return LineCheck(self.dialect, tuple(self.used), self.roles.time)
+
+    def _parse_options(self) -> Any:
+        return pa_csv.ParseOptions(delimiter=self.dialect.cleaner.delimiter, newlines_in_values=False)
+
+    def _convert_options(self) -> Any:
+        types = {str(column): pa.float64() for column in self.used}
+        if self.time is not None:
+            types[str(self.roles.time)] = self.time.arrow_type
+        return pa_csv.ConvertOptions(
+            column_types=types,
+            include_columns=list(types),
+            null_values=list(MISSING),
+            quoted_strings_can_be_null=True,
+        )
+
+    def cells(self, block: Block) -> Cells:
+        """The rows of a block's whole lines.
+
+        Raises:
+            UnreadableError: a line has a wrong number of columns, or a text where a number belongs.
+        """
+        data = self.dialect.cleaner(block.data)
+        table, data = self._table(data, block)
+        line = block.line + np.arange(table.num_rows, dtype=np.int64)
+        if block.lines != table.num_rows:
+            line = block.line + blank_lines_apart(data)
+        values = np.empty((table.num_rows, 3))
+        for axis, column in enumerate(self.roles.xyz):
+            values[:, axis] = floats(table[str(column)])
+        stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
+        spare = self.roles.temperature
+        return Cells(line, values, stamps, None if spare is None else floats(table[str(spare)]))
+
+    def _table(self, data: bytes, block: Block) -> tuple[Any, bytes]:
+        """The parsed columns, and the text that they come from, which has the same lines."""
+        try:
+            return self._parsed(data), data
+        except pa.ArrowException:
+            thorough = replace(self.dialect.cleaner, thorough=True)(block.data)
+        try:
+            return self._parsed(thorough), thorough
+        except pa.ArrowException as error:
+            raise self._check.bad_line(thorough, block.line, self.path) from error
+
+    def _parsed(self, data: bytes) -> Any:
+        """A table, in the C library's memory: Arrow's own keeps an eighth more of what was freed."""
+        parsing, converting = self.options
+        if PADDING.issuperset(data):
+            types = converting.column_types
+            return pa.table({name: pa.array([], kind) for name, kind in types.items()})
+        names = [str(column) for column in range(self.dialect.columns)]
+        reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
+        room = pa.system_memory_pool()
+        return pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=room)

@@ -1,0 +1,131 @@
+"""The contract of a vendor's export: one frozen record that each file in `vendors/` binds as VENDOR."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import date
+from functools import cache
+from pathlib import Path
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.formats import HEAD_BYTES
+from accelcal_cli.core.plugins import bound
+from accelcal_cli.core.recording import Device
+from accelcal_cli.formats.csv import is_text
+from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, decode
+from accelcal_cli.formats.csv.times import ORDERS, read_date, unclear_date
+
+HEAD_LINES = 200
+DAY_US = 86_400 * MICROSECONDS
+EPOCH = date(1970, 1, 1)
+NO_DEVICE = Device()
+
+Head = tuple[str, ...]
+"""The first lines of a file without their ends, at most 200; the last may be cut."""
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """When a header says that its recording began.
+
+    Attributes:
+        time_us: microseconds since midnight of its date; without a date, since 1970.
+        written: its date, as it is written.
+        line: where, from 1.
+    """
+
+    time_us: int
+    written: str | None = None
+    line: int = 1
+
+    def days(self, order: str | None) -> set[date]:
+        """The dates that it may be: in this order, or in any where none is given."""
+        orders = ORDERS if order is None else (order,)
+        return {day for item in orders if (day := read_date(self.written or "", item))}
+
+    def us(self, order: str | None, path: Path) -> int:
+        """Microseconds since 1970.
+
+        Raises:
+            UnreadableError: the date does not fit the order, or no order is known and several fit.
+        """
+        if self.written is None:
+            return self.time_us
+        days = self.days(order)
+        if len(days) != 1:
+            fitting = [item for item in ORDERS if self.days(item)]
+            raise unclear_date(self.written, fitting, path, self.line)
+        return self.time_us + (days.pop() - EPOCH).days * DAY_US
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why a file of a known vendor holds no raw acceleration, and where that comes from."""
+
+    message: str
+    hint: str
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What a vendor's head tells. What it does not tell is found out as in any other file.
+
+    Attributes:
+        title: whose export this is, for people.
+        preamble: lines before the names of the columns, or before the first row.
+        names: of the columns, where no line of the file names them.
+        unit: of the acceleration, as in `--unit`; `lsb_per_g` where they are counts.
+        rate_hz: sampling rate.
+        start: of the recording; used where rows carry no times.
+        timezone: of its clock.
+        range_g: the sensor clips at +- this.
+        date_order: of day, month and year, such as `mdy`.
+        repeats_idle: rows that only repeat the one before, for a second or more, were written by
+            the device while it slept, and so were zeros.
+        doubt: why it cannot be calibrated as it is; None for raw data.
+    """
+
+    title: str = ""
+    device: Device = NO_DEVICE
+    preamble: int = 0
+    names: tuple[str, ...] | None = None
+    unit: str | None = None
+    lsb_per_g: float | None = None
+    rate_hz: float | None = None
+    start: Start | None = None
+    timezone: str | None = None
+    range_g: float | None = None
+    date_order: str | None = None
+    repeats_idle: bool = False
+    doubt: Doubt | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Vendor:
+    """One vendor's way to write text files.
+
+    Attributes:
+        name: of the file that binds it.
+        recognise: whether the first lines are this vendor's. Never raises.
+        describe: what they tell. Never raises: what is damaged is not told.
+    """
+
+    name: str
+    recognise: Callable[[Head], bool]
+    describe: Callable[[Head], Known]
+
+
+@cache
+def all_vendors() -> tuple[Vendor, ...]:
+    """Every vendor, by name."""
+    return tuple(bound(__name__, __path__, "VENDOR"))
+
+
+def known_of(head: bytes) -> Known | None:
+    """What the head of a vendor's export tells; None where it is no known vendor's."""
+    if not is_text(head[:HEAD_BYTES]):
+        return None
+    raw = head[:HEAD_BYTES].removeprefix(BYTE_ORDER_MARK).splitlines()[:HEAD_LINES]
+    lines = tuple(map(decode, raw))
+    return next((item.describe(lines) for item in all_vendors() if lines and item.recognise(lines)), None)

@@ -1,0 +1,108 @@
+"""ActiGraph: raw CSV as ActiLife and its imitators write it, behind a header of ten lines.
+
+The first line tells the model, the firmware, how dates are written, and the rate; the others the
+serial number and the start. Rows are x, y, z in g, with or without a time stamp before them, with or
+without a line of names. While it sleeps, the device repeats its last sample at the usual rate, or
+writes zeros (ActiGraph, "Idle Sleep Mode Explained"; github.com/actigraph/agcounts, issue 19).
+"""
+
+from __future__ import annotations
+
+import re
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.recording import Device
+from accelcal_cli.formats.csv.times import order_in
+from accelcal_cli.formats.csv.vendors import Doubt, Head, Known, Start, Vendor
+
+HEADER_LINES = 15
+FASTEST_HZ = 1000.0
+
+FIRST = re.compile(r"Data\s+(?:Table\s+)?File\s+Created\s+By\s+ActiGraph\s+(\S+)", re.IGNORECASE)
+RATE = re.compile(r"\bat\s*(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz", re.IGNORECASE)
+FIRMWARE = re.compile(r"Firmware\s+v?(\S+)")
+DATES = re.compile(r"date\s+format\s+(.{5,12}?)\s+(?:at\s*\d|Filter|-{3})", re.IGNORECASE)
+KEY = re.compile(r"\W*(?:(?:Serial|Start|Epoch|Window|Cycle|Download|Current)\b|-{5,})")
+CLOCK = re.compile(r"(\d{1,2})[:.](\d\d)[:.](\d\d)\s*([AP]M)?", re.IGNORECASE)
+
+
+def recognise(head: Head) -> bool:
+    """The first line says who made the file."""
+    return FIRST.search(head[0]) is not None
+
+
+def describe(head: Head) -> Known:
+    """All that the header tells; ActiLife writes raw acceleration in g."""
+    first = head[0]
+    model, firmware, dates = (_found(pattern, first) for pattern in (FIRST, FIRMWARE, DATES))
+    return Known(
+        title="ActiGraph",
+        device=Device(f"ActiGraph {model}", _value(head, "Serial Number:?"), firmware),
+        preamble=_preamble(head),
+        unit="g",
+        rate_hz=_rate(first),
+        start=_start(head),
+        date_order=None if dates is None else order_in(dates),
+        repeats_idle=True,
+        doubt=_doubt(head),
+    )
+
+
+def _preamble(head: Head) -> int:
+    """Lines of the header, with the blank ones that some programs write behind it."""
+    lines = max((number for number, line in enumerate(head[:HEADER_LINES]) if KEY.match(line)), default=0) + 1
+    while lines < len(head) and not head[lines].strip():
+        lines += 1
+    return lines
+
+
+def _found(pattern: re.Pattern[str], line: str) -> str | None:
+    found = pattern.search(line)
+    return None if found is None else found[1].rstrip(",;")
+
+
+def _value(head: Head, key: str) -> str | None:
+    """What stands behind a key; tables saved by a spreadsheet have delimiters after it."""
+    pattern = re.compile(rf"\W*{key}\s*([^,;\t]+)")
+    found = next((match for line in head[1:HEADER_LINES] if (match := pattern.match(line))), None)
+    return None if found is None else found[1].strip().strip('"') or None
+
+
+def _rate(first: str) -> float | None:
+    written = _found(RATE, first)
+    rate = 0.0 if written is None else float(written.replace(",", "."))
+    return rate if 0 < rate <= FASTEST_HZ else None
+
+
+def _seconds(text: str | None) -> int | None:
+    """Seconds in `10:54:00` or `10:54:00 PM`."""
+    found = CLOCK.match(text or "")
+    if found is None:
+        return None
+    hour, minute, second = (int(found[part]) for part in (1, 2, 3))
+    if found[4]:
+        hour = hour % 12 + (12 if found[4].upper() == "PM" else 0)
+    return hour * 3600 + minute * 60 + second if max(hour - 23, minute - 59, second - 59) <= 0 else None
+
+
+def _start(head: Head) -> Start | None:
+    seconds, day = _seconds(_value(head, "Start Time")), _value(head, "Start Date")
+    if seconds is None or day is None or not re.match(r"\d{1,4}\D+\d{1,2}\D+\d{2,4}$", day):
+        return None
+    line = next(number for number, text in enumerate(head, 1) if "Start Date" in text)
+    return Start(seconds * MICROSECONDS, day, line)
+
+
+def _doubt(head: Head) -> Doubt | None:
+    """Tables of counts have an epoch; raw data has one of zero length."""
+    found = CLOCK.match(_value(head, r"(?:Epoch|Window|Cycle) \w+ \(hh:mm:ss\)") or "")
+    epoch = 0 if found is None else int(found[1]) * 3600 + int(found[2]) * 60 + int(found[3])
+    if not epoch:
+        return None
+    return Doubt(
+        f"it holds counts of {epoch} s each, not raw acceleration",
+        "export the raw data from ActiLife; or give --unit to read it all the same",
+    )
+
+
+VENDOR = Vendor("actigraph", recognise, describe)

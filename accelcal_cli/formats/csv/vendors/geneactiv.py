@@ -1,0 +1,95 @@
+"""GENEActiv: the CSV of its PC software, behind a header of 100 lines of `key,value`.
+
+Rows are time, x, y, z in calibrated g, light, button and temperature, without names. Times are
+written `2024-03-04 12:34:56:789` (Activinsights, "GENEActiv Instructions", data file formats).
+"""
+
+from __future__ import annotations
+
+import re
+
+from accelcal_cli.core.clock import WIDEST_OFFSET_H
+from accelcal_cli.core.recording import Device
+from accelcal_cli.formats.csv.vendors import Doubt, Head, Known, Vendor
+
+FIRST = re.compile(r"\W*Device Type\s*([,;\t])\s*GENEActiv", re.IGNORECASE)
+ROW = re.compile(r'"?\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d')
+ZONE = re.compile(r"GMT\s*([+-])(\d{1,2})(?::?(\d\d))?$")
+RANGE = re.compile(r"-(\d{1,3}(?:\.\d{1,3})?) to (\d{1,3}(?:\.\d{1,3})?)$")
+RATE = re.compile(r"(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz$")
+
+COLUMNS = ("time", "x", "y", "z", "light", "button", "temperature")
+SUMMARY_COLUMNS = 12
+
+
+def recognise(head: Head) -> bool:
+    """The first line names the device."""
+    return FIRST.match(head[0]) is not None
+
+
+def describe(head: Head) -> Known:
+    """All that the header tells."""
+    found = FIRST.match(head[0])
+    delimiter = found[1] if found else ","
+    told = _pairs(head, delimiter)
+    first_row = next((number for number, line in enumerate(head) if ROW.match(line)), len(head))
+    columns = head[first_row].count(delimiter) + 1 if first_row < len(head) else 0
+    named = head[first_row - 1].count(delimiter) + 1 == columns > 2
+    return Known(
+        title="GENEActiv",
+        device=_device(told),
+        preamble=first_row - named,
+        names=COLUMNS if columns == len(COLUMNS) else None,
+        unit="g" if told.get("Units", "g") == "g" else None,
+        rate_hz=_number(RATE.match(told.get("Measurement Frequency", ""))),
+        timezone=_zone(told.get("Time Zone", "")),
+        range_g=_range(told.get("Range", "")),
+        doubt=_doubt(columns),
+    )
+
+
+def _pairs(head: Head, delimiter: str) -> dict[str, str]:
+    """The first value of every key: of three sensors that tell their range, the first is x."""
+    told: dict[str, str] = {}
+    for line in head:
+        if ROW.match(line):
+            break
+        key, _, value = line.partition(delimiter)
+        told.setdefault(key.strip().strip('"'), value.strip(' "\t,;'))
+    return told
+
+
+def _device(told: dict[str, str]) -> Device:
+    model = f"GENEActiv {told.get('Device Model', '')}".strip()
+    serial, firmware = told.get("Device Unique Serial Code"), told.get("Device Firmware Version")
+    return Device(model, serial or None, firmware or None)
+
+
+def _number(found: re.Match[str] | None) -> float | None:
+    number = 0.0 if found is None else float(found[1].replace(",", "."))
+    return number if number > 0 else None
+
+
+def _range(text: str) -> float | None:
+    found = RANGE.match(text)
+    return _number(found) if found and found[1] == found[2] else None
+
+
+def _zone(text: str) -> str | None:
+    """`GMT +01:00` as `+01:00`."""
+    found = ZONE.match(text)
+    if found is None or int(found[2]) > WIDEST_OFFSET_H or int(found[3] or 0) > 59:
+        return None
+    return f"{found[1]}{int(found[2]):02d}:{found[3] or '00'}"
+
+
+def _doubt(columns: int) -> Doubt | None:
+    if columns != SUMMARY_COLUMNS:
+        return None
+    return Doubt(
+        "it holds means and sums over epochs, not raw acceleration",
+        "export the raw data; or give --columns and --unit to read it all the same",
+    )
+
+
+VENDOR = Vendor("geneactiv", recognise, describe)

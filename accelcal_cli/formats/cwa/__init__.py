@@ -1,0 +1,38 @@
+"""By what an Axivity .cwa file is known: how its header and its sectors begin.
+
+Source: `Docs/ax3/cwa.h` (github.com/digitalinteraction/openmovement).
+
+Axivity AX3 and AX6 recordings (.cwa): the device's own file, sector by sector.
+
+Sources: the vendor's `Docs/ax3/cwa.h`, `ax3-technical.md` and `ax3-auxiliary.md`
+(github.com/digitalinteraction/openmovement). Times are the wall clock of the computer that set the
+device up, without a zone.
+"""
+
+from __future__ import annotations
+
+from accelcal_cli.core.formats import Format, Probe
+
+HEADER_BYTES = 1024
+HEADER_MAGIC = b"MD" + (HEADER_BYTES - 4).to_bytes(2, "little")
+SECTOR_BYTES = 512
+SECTOR_MAGIC = b"AX" + (SECTOR_BYTES - 4).to_bytes(2, "little")
+"""The first four bytes of a data sector: two letters and the length of what follows."""
+
+
+def sniff(probe: Probe) -> int:
+    """100 by the header's signature; 97 by that of a data sector where the header is damaged."""
+    if probe.head.startswith(HEADER_MAGIC):
+        return 100
+    places = range(0, len(probe.head), SECTOR_BYTES)
+    return 97 if any(probe.head.startswith(SECTOR_MAGIC, at) for at in places) else 0
+
+
+FORMAT = Format(
+    "cwa",
+    "Axivity AX3 and AX6 (.cwa)",
+    (".cwa",),
+    sniff,
+    reader="accelcal_cli.formats.cwa.reader:open_recording",
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+)

@@ -1,0 +1,441 @@
+"""What was wrong with sectors and between them, as events for the problem log.
+
+Sectors of a file, a block of them at a time.
+
+From sectors to chunks: samples wait until the anchors that tell their times are read.
+
+An open .cwa file: what is known of the recording, and its rows.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, PageClock
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._pages.pages import BadRun, PagedFile, RawBlock, bad_runs, is_erased, paged_file
+from accelcal_cli.formats._problems import Event, ProblemLog
+from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES
+from accelcal_cli.formats.cwa.sector import (
+    CHECKSUM,
+    EMPTY,
+    FOREIGN,
+    NO_SENSOR,
+    NONSENSE,
+    OTHER,
+    RATE,
+    SETTINGS,
+    TEMPERATURE_MASK,
+    Header,
+    SectorBlock,
+    Settings,
+    Thermometer,
+    anchors,
+    as_sectors,
+    decode,
+    device_of_sector,
+    parse_header,
+    plausible,
+    settings_of,
+    thermometer,
+)
+from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline, nominal_us
+
+LEFT_OUT = {
+    EMPTY: ("bad_page", "empty sectors between sectors with data, left out"),
+    FOREIGN: ("bad_page", "sectors that are not Axivity data, left out"),
+    CHECKSUM: ("checksum", "data sectors with a wrong checksum, left out"),
+    NONSENSE: ("bad_page", "data sectors with an impossible number or layout of samples, left out"),
+    RATE: ("rate_change", "data sectors recorded at another rate than the first, left out"),
+    SETTINGS: ("settings_change", "data sectors with another range, scale or axes than the first, left out"),
+}
+DAMAGED = (EMPTY, FOREIGN, CHECKSUM, NONSENSE)
+"""Kinds whose bytes are lost; a sector recorded with other settings is sound."""
+
+MISSING = ("sequence_gap", "data sectors missing by their sequence numbers")
+RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin anew")
+SESSION = ("session_change", "changes of the session number: the device was set up anew")
+OVERFLOW = ("device_overflow", "data sectors where the device says that it lost samples")
+UNTIMED = (
+    "missing_value",
+    "data sectors without a valid time, placed by counting samples at the nominal rate",
+)
+AHEAD = ("clock_gap", "jumps of the device clock ahead")
+BACK = ("clock_back", "jumps of the device clock back")
+CUT_OFF = "bytes of an incomplete sector at the end of the file, left out"
+BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sector, left out"
+
+
+@dataclass(frozen=True, slots=True)
+class Size:
+    """Units that an event concerns, sectors that it reaches over, the time it takes, bytes lost."""
+
+    count: int
+    sectors: int = 1
+    amount_us: int = 0
+    lost_bytes: int = 0
+
+
+class EventMaker:
+    """Turns findings into events with their place in the file."""
+
+    def __init__(self, file: PagedFile) -> None:
+        self._file = file
+        self._empty: BadRun | None = None
+
+    def left_out(
+        self, raw: RawBlock, status: NDArray[np.uint8], block: SectorBlock, sample: int
+    ) -> Iterator[Event]:
+        """Unusable sectors. Empty ones are held back until anything else follows them.
+
+        Args:
+            status: (n,) what each sector is.
+            sample: number of the block's first sample.
+        """
+        if not status.any() and self._empty is None:
+            return
+        used = np.flatnonzero(status != EMPTY)
+        followed = raw.first_position + int(used[-1]) if len(used) else -1
+        samples = sample + np.concatenate(([0], np.cumsum(block.rows)))
+        waiting = [] if self._empty is None else [self._empty]
+        self._empty = None
+        for run in [*waiting, *bad_runs(status, raw.first_position)]:
+            if run.kind == EMPTY and run.position > followed:
+                self._hold(run)
+            elif run.kind != OTHER:
+                after = int(samples[np.searchsorted(block.position, run.position)])
+                lost = run.pages * SECTOR_BYTES if run.kind in DAMAGED else 0
+                size = Size(run.pages, run.pages, lost_bytes=lost)
+                yield self._event(run.position, LEFT_OUT[run.kind], after, size)
+
+    def _hold(self, run: BadRun) -> None:
+        first, before = (
+            (run.position, 0) if self._empty is None else (self._empty.position, self._empty.pages)
+        )
+        self._empty = BadRun(first, before + run.pages, EMPTY)
+
+    def links(self, block: SectorBlock, links: Links, sample: int) -> Iterator[Event]:
+        """What stands between sectors."""
+        if not (links.broken | links.overflow | links.untimed).any():
+            return
+        counted = {MISSING: links.missing, RESTARTED: links.restarted, SESSION: links.session}
+        counted |= {OVERFLOW: links.overflow, UNTIMED: links.untimed}
+        measured = {AHEAD: links.ahead_us, BACK: links.behind_us}
+        samples = sample + np.cumsum(block.rows) - block.rows
+        for kind, column in (counted | measured).items():
+            for sector in np.flatnonzero(column).tolist():
+                amount = int(column[sector])
+                size = Size(1, amount_us=amount) if kind in measured else Size(amount)
+                yield self._event(int(block.position[sector]), kind, int(samples[sector]), size)
+
+    def ending(self, raw: RawBlock, sample: int) -> Iterator[Event]:
+        """An incomplete sector at the end, unless it is empty."""
+        if not raw.broken and (is_erased(raw.tail) or not any(raw.tail)):
+            return
+        position = raw.first_position + len(raw.pages)
+        text = BROKEN_OFF if raw.broken else CUT_OFF
+        size = Size(len(raw.tail), lost_bytes=len(raw.tail) + raw.undecoded)
+        yield self._event(position, ("truncated", text), sample, size)
+
+    def _event(self, position: int, kind: tuple[str, str], sample: int, size: Size) -> Event:
+        offset = self._file.offset(position)
+        amounts = (size.count, size.amount_us, size.lost_bytes)
+        return Event(position, size.sectors, *kind, offset, sample, *amounts)
+
+
+def sector_blocks(file: PagedFile, sectors: int, first_position: int = 0) -> Generator[RawBlock, None, None]:
+    """All sectors from `first_position` on, about `sectors` at a time; the last block may be empty.
+
+    The next block overwrites the memory of the one before.
+
+    Raises:
+        UnreadableError: the disk fails.
+    """
+    if file.compressed:
+        yield from file.blocks(sectors, first_position)
+    else:
+        yield from _read_over(file, sectors, first_position)
+
+
+def _read_over(file: PagedFile, sectors: int, position: int) -> Iterator[RawBlock]:
+    """One buffer for all blocks: fresh memory for each costs more time than the reading."""
+    left = max(1, file.whole_pages - position + 1)
+    buffer = np.empty((min(sectors, left), SECTOR_BYTES), np.uint8)
+    data = buffer.reshape(-1)
+    with ByteSource(file.path) as source:
+        source.seek(file.offset(position))
+        last = False
+        while not last:
+            size = source.read_into(data.data)
+            last = size < len(data)
+            whole = size // SECTOR_BYTES
+            tail = data[whole * SECTOR_BYTES : size].tobytes()
+            yield RawBlock(position, buffer[:whole], source.disk_position(), tail, False, last)
+            position += whole
+
+
+@dataclass(frozen=True, slots=True)
+class Scheme:
+    """A file whose settings are known.
+
+    Attributes:
+        thermometer: what its temperature words mean, None where nothing was measured.
+        problems: what was found before any sample.
+    """
+
+    file: PagedFile
+    settings: Settings
+    thermometer: Thermometer | None
+    problems: tuple[Problem, ...] = ()
+
+    def sectors(self, chunk_samples: int) -> int:
+        """Sectors that make a chunk."""
+        return max(1, chunk_samples // self.settings.rows)
+
+    def stream(self, chunk_samples: int) -> Generator[Chunk, None, None]:
+        """All chunks of the file."""
+        assembler = Assembler(self, 0, self.problems)
+        with closing(sector_blocks(self.file, self.sectors(chunk_samples))) as blocks:
+            for raw in blocks:
+                yield from assembler.feed(raw)
+
+    def piece(self, position: int, sectors: int) -> Iterator[Chunk]:
+        """A few sectors from `position` on, as if the recording were just these."""
+        with closing(sector_blocks(self.file, sectors, position)) as blocks:
+            raw = next(blocks)
+        whole = replace(raw, last=True, tail=b"")
+        yield from Assembler(self, position * self.settings.rows, ()).feed(whole)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waiting:
+    """Samples of a block, its sectors' breaks (p,), and what to tell with them."""
+
+    block: SectorBlock
+    broken: NDArray[np.bool_]
+    end_byte: int
+
+
+class Assembler:
+    """Takes blocks of sectors in file order; gives chunks as soon as their times are known."""
+
+    def __init__(self, scheme: Scheme, sample: int, problems: tuple[Problem, ...]) -> None:
+        self._scheme = scheme
+        self._events = EventMaker(scheme.file)
+        self._linker = Linker(scheme.settings.rate, scheme.settings.rows)
+        self._timeline = Timeline(scheme.settings.rate)
+        self._log = ProblemLog(problems)
+        self._waiting: deque[_Waiting] = deque()
+        self._spans = NO_SPANS
+        self._nothing, _ = decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, scheme.settings)
+        self._rows_in = self._rows_out = sample
+
+    def feed(self, raw: RawBlock) -> Iterator[Chunk]:
+        """Add a block; the last one releases everything."""
+        block, status = decode(raw.pages, raw.first_position, self._scheme.settings)
+        events = list(self._events.left_out(raw, status, block, self._rows_in))
+        if len(block):
+            self._place(block, raw.end_byte, events)
+        if raw.last:
+            self._add_spans(self._timeline.finish())
+            events += self._events.ending(raw, self._rows_in)
+        for event in sorted(events, key=lambda event: event.position):
+            self._log.add(event)
+        yield from self._ready(None if raw.last else raw.first_position + len(raw.pages), raw.end_byte)
+
+    def _place(self, block: SectorBlock, end_byte: int, events: list[Event]) -> None:
+        links = self._linker.link(block)
+        events += self._events.links(block, links, self._rows_in)
+        self._add_spans(self._timeline.feed(links))
+        self._waiting.append(_Waiting(block, links.broken, end_byte))
+        self._rows_in += int(block.rows.sum())
+
+    def _add_spans(self, new: Spans) -> None:
+        old = self._spans
+        self._spans = Spans(
+            np.concatenate((old.time_us, new.time_us)), np.concatenate((old.span_us, new.span_us))
+        )
+
+    def _ready(self, scanned: int | None, end_byte: int) -> Iterator[Chunk]:
+        """Chunks whose times are settled; problems left over go with an empty one."""
+        problems = self._log.take(scanned)
+        while self._waiting and len(self._waiting[0].block) <= len(self._spans):
+            yield self._chunk(self._waiting.popleft(), problems)
+            problems = ()
+        if problems:
+            reached = self._waiting[0].end_byte if self._waiting else end_byte
+            nothing = _Waiting(self._nothing, np.empty(0, np.bool_), reached)
+            yield self._chunk(nothing, problems)
+
+    def _chunk(self, waiting: _Waiting, problems: tuple[Problem, ...]) -> Chunk:
+        block, sectors = waiting.block, len(waiting.block)
+        first_row = np.cumsum(block.rows) - block.rows
+        spans = self._spans
+        self._spans = Spans(spans.time_us[sectors:], spans.span_us[sectors:])
+        clock = PageClock(first_row, spans.time_us[:sectors], block.rows, spans.span_us[:sectors])
+        chunk = Chunk(
+            first_sample=self._rows_out,
+            counts=block.counts,
+            clock=clock,
+            end_byte=waiting.end_byte,
+            breaks=first_row[waiting.broken],
+            temperature_mc=self._temperature(block),
+            gyro_counts=block.gyro if self._scheme.settings.gyro_dps_per_lsb else None,
+            problems=problems,
+            used_bytes=sectors * SECTOR_BYTES,
+        )
+        self._rows_out += len(chunk)
+        return chunk
+
+    def _temperature(self, block: SectorBlock) -> NDArray[np.int32] | None:
+        """Each sector's temperature for all of its samples, (n,)."""
+        sensor = self._scheme.thermometer
+        return None if sensor is None else np.repeat(sensor.temperature_mc(block.temperature), block.rows)
+
+
+SEARCH_SECTORS = 2048
+LAST_SECTORS = 64
+START_SAMPLES = 8192
+COPY_AGAIN = "copy it again from the device"
+NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
+NO_START = "the device's clock was not set: times count from the recording's start"
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """The first believable sector: a scalar of SECTOR and its place."""
+
+    sector: Any
+    position: int
+
+
+class CwaReader(Reader):
+    """Streams the sectors; each call of `chunks` reads the file from its beginning."""
+
+    def __init__(self, recording: Recording, scheme: Scheme) -> None:
+        self.recording = recording
+        self._scheme = scheme
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order, whole sectors, at least one."""
+        return self._scheme.stream(chunk_samples)
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Enter the file at evenly spread sectors; a gzip file gives its first chunks."""
+        file = self._scheme.file
+        if file.compressed:
+            yield from super().preview(chunk_samples, pieces)
+            return
+        total = max(1, file.data_pages())
+        sectors = min(self._scheme.sectors(chunk_samples), max(1, total // max(1, pieces)))
+        for piece in range(min(pieces, total)):
+            chunks = self._scheme.piece(piece * total // pieces, sectors)
+            yield from (chunk for chunk in chunks if len(chunk) or chunk.problems)
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a recording.
+
+    Raises:
+        UnreadableError: it is not of this format, or no data sector is intact.
+    """
+    with ByteSource(path) as stream:
+        head = stream.read_exact(HEADER_BYTES)
+    header = parse_header(head)
+    file = paged_file(path, header.data_start, SECTOR_BYTES)
+    first = first_sector(file, header)
+    settings = settings_of(first.sector)
+    raw_temperature = int(first.sector["temperature"]) & TEMPERATURE_MASK
+    problems = [] if header.intact else [Problem("damaged_header", NO_HEADER, 0, 0)]
+    clock_set = bool(anchors(np.atleast_1d(first.sector), settings).known[0])
+    if not clock_set:
+        problems.append(Problem("no_start_time", NO_START, file.offset(first.position), 0))
+    sensor = None if raw_temperature in NO_SENSOR else thermometer(header.hardware)
+    scheme = Scheme(file, settings, sensor, tuple(problems))
+    device = header.device if header.intact else device_of_sector(settings, int(first.sector["fraction"]))
+    notes = _notes(scheme, header)
+    return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)
+
+
+def first_sector(file: PagedFile, header: Header) -> Sample:
+    """The first sector whose checksum is right; in the oldest files, which have none, that makes sense.
+
+    Raises:
+        UnreadableError: there is none in the whole file.
+    """
+    seen = 0
+    with closing(sector_blocks(file, SEARCH_SECTORS)) as blocks:
+        for raw in blocks:
+            seen += len(raw.pages)
+            for candidates in plausible(raw.pages):
+                if candidates.any():
+                    place = int(np.argmax(candidates))
+                    return Sample(as_sectors(raw.pages)[place].copy(), raw.first_position + place)
+    what = "holds no intact data sector" if header.intact else "is not an Axivity .cwa recording"
+    raise UnreadableError(
+        f"{what} ({seen} sectors looked at)", path=file.path, byte_offset=file.start_byte, hint=COPY_AGAIN
+    )
+
+
+def describe(
+    scheme: Scheme, device: Device, options: ReadOptions, clock_set: bool, notes: tuple[str, ...]
+) -> Recording:
+    """What is known of the recording."""
+    settings, file = scheme.settings, scheme.file
+    start_us = first_time(scheme)
+    end_us = last_time(scheme)
+    lasted = None if end_us is None or end_us <= start_us else (end_us - start_us) / MICROSECONDS
+    gyro = settings.gyro_dps_per_lsb
+    return Recording(
+        path=file.path,
+        format="cwa",
+        rate_hz=agreed_rate(options, float(settings.rate), file.path),
+        lsb_per_g=options.lsb_per_g or settings.lsb_per_g,
+        total_bytes=file.size,
+        device=device,
+        range_g=settings.range_g,
+        start_us=start_us if clock_set else None,
+        timezone=options.timezone,
+        duration_s=lasted if clock_set else None,
+        has_temperature=scheme.thermometer is not None,
+        gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
+        notes=notes,
+    )
+
+
+def first_time(scheme: Scheme) -> int:
+    """Time of the first sample [us], as `chunks` gives it."""
+    with closing(scheme.stream(START_SAMPLES)) as chunks:
+        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
+
+
+def last_time(scheme: Scheme) -> int | None:
+    """When the last sample ended [us], by the last intact sector; None where that is not found."""
+    if scheme.file.compressed:
+        return None
+    first = max(0, scheme.file.data_pages() - LAST_SECTORS)
+    with closing(sector_blocks(scheme.file, LAST_SECTORS + 1, first)) as blocks:
+        block, _ = decode(next(blocks).pages, first, scheme.settings)
+    if not len(block) or not block.anchors.known[-1]:
+        return None
+    after = block.rows[-1:] - block.anchors.row[-1:]
+    return int(block.anchors.time_us[-1] + nominal_us(after, scheme.settings.rate)[0])
+
+
+def _notes(scheme: Scheme, header: Header) -> tuple[str, ...]:
+    rate = scheme.settings.rate
+    notes = [] if scheme.thermometer is None else [scheme.thermometer.note]
+    if header.rate is not None and header.rate != rate:
+        notes.append(f"the header says {float(header.rate):g} Hz, the data sectors {float(rate):g} Hz")
+    return tuple(notes)

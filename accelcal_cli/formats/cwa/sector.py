@@ -1,0 +1,479 @@
+"""The 512-byte data sector of an Axivity .cwa file: its fields, settings and checksum.
+
+Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it,
+`Docs/ax3/ax3-technical.md` and `ax3-auxiliary.md` (github.com/digitalinteraction/openmovement).
+All numbers are little-endian.
+
+The first 1024 bytes of a .cwa file: who recorded. What the data say goes before what they say.
+
+Source: `Docs/ax3/cwa.h` (github.com/digitalinteraction/openmovement).
+
+When a data sector was written: an anchor, that is a sample number and its time.
+
+The device notes the time, to 1/32768 s, and how many samples its buffer held at that moment. For
+old software it stores the number as if the time were the whole second before, so that the two
+must be put together again. Source: `Docs/ax3/ax3-technical.md` (openmovement).
+
+From sectors as they lie in the file to samples, a block of them at a time.
+
+From a sector's temperature word to degrees C: which part the hardware carries.
+
+The word's low ten bits stand for 3 V. Sources, all in github.com/digitalinteraction/openmovement:
+
+- `Docs/ax3/cwa.h` and `ax3-auxiliary.md` give raw * 75 / 256 - 50, an MCP9700 (500 mV at 0 C, 10 mV
+  per degree). It holds for units that declare no hardware version (0x00, 0xff) and for the AX6
+  (0x64): a recording of such a unit on the body gives 24-35 C, the other formula 17-23 C.
+- The firmware's profiles of AX3 hardware 1.6 to 1.8 (`Firmware/Flux.AX3/include/Hardware/
+  HardwareProfile-CWA1.7.h`) define an MCP9701 (400 mV at 0 C, 19.5 mV per degree): raw * 0.15 - 20.5,
+  the formula of the vendor's omconvert. Such units declare themselves as 0x16 to 0x18.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.recording import Device
+from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
+
+SAMPLE_BYTES = 480
+MAGIC = int.from_bytes(SECTOR_MAGIC, "little")
+
+SECTOR = np.dtype(
+    [
+        ("magic", "<u4"),
+        ("fraction", "<u2"),
+        ("session", "<u4"),
+        ("sequence", "<u4"),
+        ("stamp", "<u4"),
+        ("light", "<u2"),
+        ("temperature", "<u2"),
+        ("events", "u1"),
+        ("battery", "u1"),
+        ("rate", "u1"),
+        ("axes", "u1"),
+        ("offset", "<i2"),
+        ("count", "<u2"),
+        ("data", "u1", (SAMPLE_BYTES,)),
+        ("checksum", "<u2"),
+    ]
+)
+FIELDS = np.dtype([(name, "<u2") for name in ("low", "high")])
+"""The two halves of a packed sample of 32 bits."""
+
+Sectors = NDArray[Any]
+"""(n,) of SECTOR."""
+
+PACKED = 0x30
+FULL_ROWS = {PACKED: 120, 0x32: 80, 0x62: 40, 0x92: 26}
+"""Samples in a full sector, by the byte that tells axes and packing: packed x y z; 16-bit x y z;
+gyroscope and accelerometer; gyroscope, accelerometer and magnetometer."""
+
+OVERFLOW_EVENTS = 0x30
+"""The sensor's (bit 4) or the firmware's (bit 5) buffer ran over: samples were lost."""
+
+HIGHEST_RATE = 3200
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How a sector was recorded.
+
+    Attributes:
+        rate_code: the byte that tells rate and range; 0 in the oldest files, which give the rate
+            in `old_rate_hz` and carry no checksum.
+        axes_code: a key of FULL_ROWS.
+        scale_bits: unit of the accelerometer (upper three) and range of the gyroscope.
+    """
+
+    rate_code: int
+    axes_code: int
+    scale_bits: int
+    old_rate_hz: int = 0
+
+    @property
+    def rate(self) -> Fraction:
+        """Nominal samples per second."""
+        return Fraction(self.old_rate_hz) if self.is_old else rate_of(self.rate_code)
+
+    @property
+    def is_old(self) -> bool:
+        """Whether this is the oldest format, without checksums and fractions of seconds."""
+        return self.rate_code == 0
+
+    @property
+    def range_g(self) -> float:
+        """The accelerometer clips at +- this."""
+        return float(16 >> (self.rate_code >> 6))
+
+    @property
+    def rows(self) -> int:
+        """Samples in a full sector."""
+        return FULL_ROWS[self.axes_code]
+
+    @property
+    def width(self) -> int:
+        """16-bit numbers in one sample: 3, 6 or 9; 3 for packed samples too."""
+        return self.axes_code >> 4
+
+    @property
+    def lsb_per_g(self) -> float:
+        """Counts in one g; packed samples are always of 1/256 g."""
+        return 256.0 if self.axes_code == PACKED else float(256 << (self.scale_bits >> 3))
+
+    @property
+    def gyro_dps_per_lsb(self) -> float | None:
+        """deg/s in one count, None without a gyroscope or where its range is not told."""
+        gyro_bits = self.scale_bits & 7
+        return 8000 / (1 << gyro_bits) / 32768 if self.width > 3 and gyro_bits else None
+
+
+def rate_of(code: int) -> Fraction:
+    """Samples per second of a rate code: 3200 Hz for 15, half of it for each one less."""
+    return Fraction(HIGHEST_RATE, 1 << (15 - (code & 15)))
+
+
+def settings_of(sector: Any) -> Settings:
+    """Settings of one sector (a scalar of SECTOR)."""
+    code, axes = int(sector["rate"]), int(sector["axes"])
+    old_rate = int(sector["offset"]) & 0xFFFF if code == 0 else 0
+    return Settings(code, axes, scale_mask(axes) & (int(sector["light"]) >> 10), old_rate)
+
+
+def scale_mask(axes_code: int) -> int:
+    """Which of the six scale bits matter: the gyroscope's do only where there is one."""
+    return 0x38 if axes_code >> 4 == 3 else 0x3F
+
+
+def as_sectors(pages: NDArray[np.uint8]) -> Sectors:
+    """The fields of sectors (n, 512), as a view."""
+    return pages.reshape(-1).view(SECTOR)
+
+
+def checksums(pages: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """Sums of the 256 16-bit words of each sector (n, 512), modulo 65536; 0 where it is intact."""
+    return np.asarray(pages.view("<u2").sum(axis=1, dtype=np.uint16))
+
+
+def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which sectors can be believed without knowing the recording's settings: (n,) each.
+
+    Returns:
+        those that a checksum proves, and those of the oldest format, which has none.
+    """
+    sectors = as_sectors(pages)
+    full = np.zeros(256, np.int64)
+    full[list(FULL_ROWS)] = list(FULL_ROWS.values())
+    usable = (
+        (sectors["magic"] == MAGIC) & (sectors["count"] > 0) & (sectors["count"] <= full[sectors["axes"]])
+    )
+    old = sectors["rate"] == 0
+    old_rate = sectors["offset"].view("<u2")
+    proved = usable & ~old & (checksums(pages) == 0)
+    return proved, usable & old & (old_rate > 0) & (old_rate <= HIGHEST_RATE)
+
+
+NO_DEVICE = Device()
+AX3, AX6 = "AX3", "AX6"
+MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
+UNSET_WORD = 0xFFFF
+UNSET_BYTE = 0xFF
+FRACTION_FLAG = 0x8000
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What the header tells.
+
+    Attributes:
+        data_start: where the first data sector lies, bytes.
+        intact: whether the file begins with a header at all.
+        device: all None where it does not.
+        rate: the configured one, None where unset.
+        hardware: the hardware type it declares, None where the header is lost.
+    """
+
+    data_start: int
+    intact: bool
+    device: Device = NO_DEVICE
+    rate: Fraction | None = None
+    hardware: int | None = None
+
+
+def parse_header(head: bytes) -> Header:
+    """Look at the beginning of a file; without a header, the data may begin at once."""
+    if not head.startswith(HEADER_MAGIC) or len(head) < HEADER_BYTES:
+        found = (at for at in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, at))
+        return Header(next(found, HEADER_BYTES), False)
+    hardware, low = struct.unpack_from("<BH", head, 4)
+    (high,) = struct.unpack_from("<H", head, 11)
+    rate, firmware = head[36], head[41]
+    number = low | (0 if high == UNSET_WORD else high << 16)
+    device = Device(
+        model=MODELS.get(hardware),
+        serial=None if number in (0, UNSET_WORD) else str(number),
+        firmware=None if firmware == UNSET_BYTE else str(firmware),
+    )
+    return Header(HEADER_BYTES, True, device, None if rate in (0, UNSET_BYTE) else rate_of(rate), hardware)
+
+
+def device_of_sector(settings: Settings, fraction: int) -> Device:
+    """What a data sector tells of its device, where the header is lost.
+
+    Args:
+        fraction: the word that holds either the fraction of the second or the device's number.
+    """
+    model = AX6 if settings.scale_bits >> 3 or settings.width > 3 else AX3
+    numbered = fraction and not fraction & FRACTION_FLAG
+    return Device(model, str(fraction) if numbered else None)
+
+
+HAS_FRACTION = 0x8000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Anchors:
+    """One anchor a sector, (n,) each.
+
+    Attributes:
+        row: int64, number of a sample counted from the sector's first; may lie outside the sector.
+        time_us: int64, its time [us since 1970, device clock].
+        known: bool, the sector tells a time at all.
+    """
+
+    row: NDArray[np.int64]
+    time_us: NDArray[np.int64]
+    known: NDArray[np.bool_]
+
+
+def anchors(sectors: Sectors, settings: Settings) -> Anchors:
+    """Anchors of sectors recorded with these settings."""
+    seconds, known = packed_seconds(sectors["stamp"].copy())
+    if settings.is_old:
+        return Anchors(np.zeros(len(sectors), np.int64), seconds * MICROSECONDS, known)
+    word = sectors["fraction"].copy()
+    ticks = (word & np.uint16(HAS_FRACTION - 1)).astype(np.int64)
+    ticks *= word >= HAS_FRACTION
+    row = sectors["offset"] + ((ticks * int(settings.rate)) >> 15)
+    return Anchors(row, seconds * MICROSECONDS + ((ticks * MICROSECONDS + (1 << 14)) >> 15), known)
+
+
+def packed_seconds(stamp: NDArray[np.uint32]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Seconds since 1970 of packed times, and which of them are times at all.
+
+    From the top: years since 2000 (6 bits), month (4), day (5), hour (5), minute (6), second (6).
+    """
+    midnights = day_table()[stamp >> np.uint32(17)]
+    hour, minute, second = ((stamp >> np.uint32(shift)) & np.uint32(63) for shift in (12, 6, 0))
+    hour &= np.uint32(31)
+    known = (midnights >= 0) & (hour < 24) & (minute < 60) & (second < 60)
+    return midnights + (hour * np.uint32(3600) + minute * np.uint32(60) + second), known
+
+
+@cache
+def day_table() -> NDArray[np.int64]:
+    """Seconds since 1970 at the beginning of each packed year, month and day (15 bits); -1 for none."""
+    packed = np.arange(1 << 15, dtype=np.int64)
+    year, month, day = packed >> 9, packed >> 5 & 15, packed & 31
+    months = ((year + 30) * 12 + month - 1).astype("M8[M]")
+    days = months.astype("M8[D]").astype(np.int64) + day - 1
+    return np.where((month >= 1) & (month <= 12) & (day >= 1), days * 86_400, -1)
+
+
+GOOD, EMPTY, OTHER, FOREIGN, CHECKSUM, NONSENSE, RATE, SETTINGS = range(8)
+"""What a sector is: OTHER is a kind without acceleration, FOREIGN no sector at all."""
+
+KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
+OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SectorBlock:
+    """Good sectors in file order, p of them with n samples in all.
+
+    Attributes:
+        position: (p,) int64, number of each sector in the file.
+        rows: (p,) int64, samples in each, at least 1.
+        sequence, session: (p,) int64.
+        overflow: (p,) bool, the device lost samples before or in the sector.
+        anchors: their times.
+        counts: (n, 3) int16.
+        temperature: (p,) uint16, raw words.
+        gyro: (n, 3) int16, or None.
+    """
+
+    position: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    sequence: NDArray[np.int64]
+    session: NDArray[np.int64]
+    overflow: NDArray[np.bool_]
+    anchors: Anchors
+    counts: NDArray[np.int16]
+    temperature: NDArray[np.uint16]
+    gyro: NDArray[np.int16] | None
+
+    def __len__(self) -> int:
+        return len(self.position)
+
+
+def decode(
+    pages: NDArray[np.uint8], first_position: int, settings: Settings
+) -> tuple[SectorBlock, NDArray[np.uint8]]:
+    """The good sectors of a block, and what every sector is.
+
+    Args:
+        pages: (n, 512).
+
+    Returns:
+        the good ones, and (n,) of GOOD and the other kinds.
+    """
+    sectors = as_sectors(pages)
+    good = fitting(sectors, settings)
+    if not settings.is_old:
+        good &= checksums(pages) == 0
+    status = np.full(len(pages), GOOD, np.uint8)
+    position = np.arange(first_position, first_position + len(pages))
+    if good.all():
+        return unpack(sectors, position, settings), status
+    status[~good] = classify(pages[~good], settings)
+    return unpack(sectors[good], position[good], settings), status
+
+
+def fitting(sectors: Sectors, settings: Settings) -> NDArray[np.bool_]:
+    """Which sectors say that they hold samples recorded with these settings, (n,)."""
+    fits = sectors["magic"] == MAGIC
+    fits &= (sectors["rate"] == settings.rate_code) & (sectors["axes"] == settings.axes_code)
+    scale = scale_mask(settings.axes_code) << 10
+    fits &= (sectors["light"] & np.uint16(scale)) == settings.scale_bits << 10
+    fits &= (sectors["count"] - np.uint16(1)) < settings.rows
+    if settings.is_old:
+        fits &= sectors["offset"].view("<u2") == settings.old_rate_hz
+    return np.asarray(fits)
+
+
+def classify(pages: NDArray[np.uint8], settings: Settings) -> NDArray[np.uint8]:
+    """Why sectors (n, 512) are not good: (n,) of the kinds above."""
+    sectors = as_sectors(pages)
+    known = np.isin(sectors["axes"], list(FULL_ROWS)) & (sectors["count"] > 0)
+    same = (sectors["axes"] == settings.axes_code) & (sectors["count"] > settings.rows)
+    status = np.full(len(pages), SETTINGS, np.uint8)
+    status[rates(sectors) != float(settings.rate)] = RATE
+    status[~known | same] = NONSENSE
+    if not settings.is_old:
+        status[checksums(pages) != 0] = CHECKSUM
+    status[sectors["magic"] != MAGIC] = FOREIGN
+    status[np.isin(sectors["magic"] & np.uint32(0xFFFF), KINDS_WITHOUT_SAMPLES)] = OTHER
+    status[(pages == pages[:, :1]).all(axis=1) & np.isin(pages[:, 0], (0, 0xFF))] = EMPTY
+    return status
+
+
+def rates(sectors: Sectors) -> NDArray[np.float64]:
+    """Rates of sectors in Hz, (n,)."""
+    coded = np.array([float(rate_of(code)) for code in range(16)])[sectors["rate"] & 15]
+    return np.where(sectors["rate"] == 0, sectors["offset"].view("<u2"), coded)
+
+
+def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) -> SectorBlock:
+    """All samples of good sectors (p,) of SECTOR."""
+    rows = sectors["count"].astype(np.int64)
+    accel, gyro = _samples(sectors, settings)
+    short = bool((rows < settings.rows).any())
+    return SectorBlock(
+        position=position,
+        rows=rows,
+        sequence=sectors["sequence"].astype(np.int64),
+        session=sectors["session"].astype(np.int64),
+        overflow=(sectors["events"] & OVERFLOW_MASK) != 0,
+        anchors=anchors(sectors, settings),
+        counts=_joined(accel, rows if short else None),
+        temperature=sectors["temperature"].copy(),
+        gyro=None if gyro is None else _joined(gyro, rows if short else None),
+    )
+
+
+def _samples(sectors: Sectors, settings: Settings) -> tuple[NDArray[np.int16], NDArray[np.int16] | None]:
+    """Acceleration and rotation, (p, rows, 3) each, as views where they are not packed."""
+    if settings.axes_code == PACKED:
+        return unpacked(sectors), None
+    used = sectors["data"][:, : 2 * settings.rows * settings.width].view("<i2")
+    values = used.reshape(len(sectors), settings.rows, settings.width)
+    if settings.width == 3:
+        return values, None
+    return values[:, :, 3:6], values[:, :, :3]
+
+
+def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArray[np.int16]:
+    """Samples of all sectors one after the other, (n, 3) in memory of their own.
+
+    Args:
+        values: (p, rows, 3).
+        rows: how many of each sector's are used, None where all are.
+    """
+    if rows is not None:
+        return values[np.arange(values.shape[1]) < rows[:, None]]
+    joined = np.empty(values.shape, np.int16)
+    joined[:] = values
+    return joined.reshape(-1, 3)
+
+
+def unpacked(sectors: Sectors) -> NDArray[np.int16]:
+    """Packed samples of 10 bits an axis and a common exponent as counts of 1/256 g, (p, 120, 3).
+
+    A word of 32 bits is, from the top, the exponent (2 bits), z, y and x. Each number is moved to
+    the top of a 16-bit integer, and its sign with it, before it is shifted down again.
+    """
+    halves = sectors["data"].copy().view(FIELDS)
+    low, high = halves["low"], halves["high"]
+    factor = (np.int16(1) << (high >> np.uint16(14)).astype(np.int16)).astype(np.int16)
+    counts = np.empty((len(sectors), FULL_ROWS[PACKED], 3), np.int16)
+    y = (high << np.uint16(12)) | ((low >> np.uint16(4)) & np.uint16(0x0FC0))
+    for axis, top in enumerate((low << np.uint16(6), y, high << np.uint16(2))):
+        np.multiply(top.view(np.int16) >> 6, factor, out=counts[:, :, axis])
+    return counts
+
+
+TEMPERATURE_MASK = 0x3FF
+NO_SENSOR = (0, TEMPERATURE_MASK)
+"""Readings at either end of the converter: nothing is fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class Thermometer:
+    """A temperature sensor: thousandths of a degree C = raw * slope / divisor - zero.
+
+    Attributes:
+        formula: for people, in degrees C.
+    """
+
+    part: str
+    slope: int
+    divisor: int
+    zero: int
+    formula: str
+
+    def temperature_mc(self, raw: NDArray[np.uint16]) -> NDArray[np.int32]:
+        """Thousandths of a degree C of temperature words, rounded to the nearest."""
+        scaled = (raw & TEMPERATURE_MASK).astype(np.int32) * self.slope
+        return (scaled + self.divisor // 2) // self.divisor - np.int32(self.zero)
+
+    @property
+    def note(self) -> str:
+        """A note for the report."""
+        return f"temperature = {self.formula} degrees C ({self.part})"
+
+
+MCP9700 = Thermometer("MCP9700", 75_000, 256, 50_000, "raw * 75 / 256 - 50")
+MCP9701 = Thermometer("MCP9701", 150, 1, 20_500, "raw * 0.15 - 20.5")
+_BY_HARDWARE = {0x16: MCP9701, 0x17: MCP9701, 0x18: MCP9701}
+
+
+def thermometer(hardware: int | None) -> Thermometer:
+    """The sensor of a hardware type (header byte 4); that of the format document where unknown."""
+    return MCP9700 if hardware is None else _BY_HARDWARE.get(hardware, MCP9700)

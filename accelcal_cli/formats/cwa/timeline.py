@@ -1,0 +1,370 @@
+"""How each sector goes on from the one before: lost sectors, restarts, jumps of the clock.
+
+Times of samples by straight lines between the anchors of their sectors.
+
+The sensor has its own oscillator, percents off its nominal rate and drifting with temperature, so
+that only the anchors tell when a sample was taken. Before the first and after the last anchor of
+an unbroken run the line goes on with the run's own rate at that end. Sectors begin and end on these
+lines; the samples of a sector are evenly spread.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.formats.cwa.sector import SectorBlock
+
+RATE_TOLERANCE = 0.1
+"""Sensors run up to 6 % off their nominal rate; the clock may differ by this much of the time."""
+
+STAMP_TOLERANCE_US = 250_000
+"""And always by this much: a stamp may come late when the memory was slow."""
+
+LONGEST_BRIDGE = 100
+"""Times are interpolated across fewer lost sectors than this, and begin anew after more."""
+
+LONGEST_GAP_S = 365 * 86_400
+"""A sequence number that jumps further is taken for a new numbering."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Sectors on the time axis, and how each follows the one before; (p,) each.
+
+    Attributes:
+        row: int64, number of the first sample; lost sectors that are bridged count too.
+        rows: int64, samples in the sector.
+        anchor_row, anchor_us: int64, a sample number on the same axis and its time [us].
+        fresh: bool, the times begin anew here.
+        broken: bool, samples are lost before the sector, or its times begin anew.
+        missing: int64, sectors that are not in the file, by the sequence numbers.
+        restarted: bool, the sequence numbers begin anew.
+        session: bool, the recording's session number changes.
+        overflow: bool, the device lost samples before or in the sector.
+        untimed: bool, the sector has no time of its own.
+        ahead_us, behind_us: int64, jump of the clock beyond what the samples explain.
+    """
+
+    row: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    anchor_row: NDArray[np.int64]
+    anchor_us: NDArray[np.int64]
+    fresh: NDArray[np.bool_]
+    broken: NDArray[np.bool_]
+    missing: NDArray[np.int64]
+    restarted: NDArray[np.bool_]
+    session: NDArray[np.bool_]
+    overflow: NDArray[np.bool_]
+    untimed: NDArray[np.bool_]
+    ahead_us: NDArray[np.int64]
+    behind_us: NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class _Last:
+    """What must be remembered of the sector before a block.
+
+    known_row, known_us: the last anchor that a sector gave itself.
+    """
+
+    position: int
+    sequence: int
+    session: int
+    row: int
+    rows: int
+    anchor_row: int
+    anchor_us: int
+    known_row: int
+    known_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Steps:
+    """Sectors by which the numbering went on, lost sectors, and new numberings; (p,) each."""
+
+    forward: NDArray[np.int64]
+    missing: NDArray[np.int64]
+    restarted: NDArray[np.bool_]
+
+
+def nominal_us(rows: NDArray[np.int64], rate: Fraction) -> NDArray[np.int64]:
+    """How long so many samples last at the nominal rate, rounded to whole microseconds."""
+    return (2 * MICROSECONDS * rate.denominator * rows + rate.numerator) // (2 * rate.numerator)
+
+
+class Linker:
+    """Takes blocks of good sectors in file order."""
+
+    def __init__(self, rate: Fraction, full_rows: int) -> None:
+        self._rate = rate
+        self._full_rows = full_rows
+        self._longest_gap = int(LONGEST_GAP_S * rate / full_rows) + 1
+        self._last: _Last | None = None
+
+    def link(self, block: SectorBlock) -> Links:
+        """Place a block (at least one sector) after the blocks before it."""
+        first = self._last is None
+        last = self._last or self._before(block)
+        steps = self._steps(block, last)
+        rows_before = _previous(last.rows, block.rows)
+        bridged = np.minimum(steps.forward, LONGEST_BRIDGE) - 1
+        row = last.row + np.cumsum(rows_before + bridged * self._full_rows)
+        anchor_row = row + block.anchors.row
+        anchor_us, source = self._filled(block, anchor_row, last)
+        lost = (steps.forward - 1 - bridged) * self._full_rows
+        passed = _steps(anchor_row, last.anchor_row) + lost
+        off = self._clock_jumps(passed, _steps(anchor_us, last.anchor_us))
+        session = _steps(block.session, last.session) != 0
+        fresh = (off != 0) | steps.restarted | session | (steps.forward > LONGEST_BRIDGE)
+        broken = fresh | (steps.forward > 1) | block.overflow
+        fresh[0] |= first
+        broken[0] &= not first
+        links = Links(
+            row,
+            block.rows,
+            anchor_row,
+            anchor_us,
+            fresh,
+            broken,
+            steps.missing,
+            steps.restarted,
+            session,
+            block.overflow,
+            ~block.anchors.known,
+            np.maximum(off, 0),
+            np.maximum(-off, 0),
+        )
+        self._last = _last_of(block, links, source)
+        return links
+
+    def _before(self, block: SectorBlock) -> _Last:
+        """A full sector that the recording's first one would continue; its first sample is number 0."""
+        anchor_row = int(block.anchors.row[0])
+        start = np.array([anchor_row, self._full_rows], np.int64)
+        since_1970, length = (int(us) for us in nominal_us(start, self._rate))
+        anchor_us = int(block.anchors.time_us[0]) if block.anchors.known[0] else since_1970
+        return _Last(
+            position=int(block.position[0]) - 1,
+            sequence=int(block.sequence[0]) - 1,
+            session=int(block.session[0]),
+            row=-self._full_rows,
+            rows=self._full_rows,
+            anchor_row=anchor_row - self._full_rows,
+            anchor_us=anchor_us - length,
+            known_row=anchor_row,
+            known_us=anchor_us,
+        )
+
+    def _steps(self, block: SectorBlock, last: _Last) -> _Steps:
+        rise = _steps(block.sequence, last.sequence)
+        if (rise == 1).all():
+            return _Steps(rise, np.zeros_like(rise), np.zeros(len(rise), np.bool_))
+        across = _steps(block.position, last.position)
+        restarted = (rise <= 0) | (rise > self._longest_gap)
+        missing = np.where(restarted, 0, np.maximum(rise - across, 0))
+        return _Steps(np.where(restarted, 1, rise), missing, restarted)
+
+    def _filled(
+        self, block: SectorBlock, anchor_row: NDArray[np.int64], last: _Last
+    ) -> tuple[NDArray[np.int64], tuple[int, int]]:
+        """Anchor times, by counting samples where a sector has none; and the last true anchor."""
+        known, time_us = block.anchors.known, block.anchors.time_us
+        if known.all():
+            return time_us, (int(anchor_row[-1]), int(time_us[-1]))
+        source = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1))
+        from_row = np.where(source < 0, last.known_row, anchor_row[source])
+        from_us = np.where(source < 0, last.known_us, time_us[source])
+        filled = from_us + nominal_us(anchor_row - from_row, self._rate)
+        return np.where(known, time_us, filled), (int(from_row[-1]), int(from_us[-1]))
+
+    def _clock_jumps(self, passed: NDArray[np.int64], passed_us: NDArray[np.int64]) -> NDArray[np.int64]:
+        """By how much the clock jumps before each sector [us], 0 where it goes on as it should."""
+        expected = passed * (MICROSECONDS * self._rate.denominator / self._rate.numerator)
+        off = passed_us - expected
+        jump = np.abs(off) > np.maximum(RATE_TOLERANCE * np.abs(expected), STAMP_TOLERANCE_US)
+        jump |= (passed <= 0) | (passed_us <= 0)
+        if not jump.any():
+            return np.zeros(len(jump), np.int64)
+        size = np.rint(off).astype(np.int64)
+        return np.where(jump, np.where(size == 0, -1, size), 0)
+
+
+def _last_of(block: SectorBlock, links: Links, known: tuple[int, int]) -> _Last:
+    return _Last(
+        position=int(block.position[-1]),
+        sequence=int(block.sequence[-1]),
+        session=int(block.session[-1]),
+        row=int(links.row[-1]),
+        rows=int(block.rows[-1]),
+        anchor_row=int(links.anchor_row[-1]),
+        anchor_us=int(links.anchor_us[-1]),
+        known_row=known[0],
+        known_us=known[1],
+    )
+
+
+def _steps(column: NDArray[np.int64], last: int) -> NDArray[np.int64]:
+    """From each sector to the next, the first from `last`."""
+    return column - _previous(last, column)
+
+
+def _previous(last: int, column: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.concatenate(([last], column[:-1]))
+
+
+END_ANCHORS = 32
+"""The rate at the end of a run is measured over this many anchors."""
+
+RUN_SHIFT = 42
+ROW_ORIGIN = 1 << 20
+"""Run number and sample number together make a key that ascends: rows stay below 2**41."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spans:
+    """When sectors begin and how long they last [us], (p,) int64 each."""
+
+    time_us: NDArray[np.int64]
+    span_us: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.time_us)
+
+
+NO_SPANS = Spans(np.empty(0, np.int64), np.empty(0, np.int64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Window:
+    """Sectors that are still needed; columns as in Links, (w,) each."""
+
+    row: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    anchor_row: NDArray[np.int64]
+    anchor_us: NDArray[np.int64]
+    fresh: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    def extended(self, links: Links) -> _Window:
+        return _Window(
+            np.concatenate((self.row, links.row)),
+            np.concatenate((self.rows, links.rows)),
+            np.concatenate((self.anchor_row, links.anchor_row)),
+            np.concatenate((self.anchor_us, links.anchor_us)),
+            np.concatenate((self.fresh, links.fresh)),
+        )
+
+    def cut(self, first: int) -> _Window:
+        return _Window(
+            self.row[first:],
+            self.rows[first:],
+            self.anchor_row[first:],
+            self.anchor_us[first:],
+            self.fresh[first:],
+        )
+
+
+class _Lines:
+    """Straight lines from each anchor of a window to the next, and on at both ends of each run."""
+
+    def __init__(self, window: _Window, rate: Fraction) -> None:
+        self._window = window
+        self._rate = rate
+        run = np.cumsum(window.fresh, dtype=np.int64)
+        self._run = run - run[0]
+        self._starts = np.append(0, np.flatnonzero(window.fresh[1:]) + 1)
+        self._key = (self._run << RUN_SHIFT) + (window.anchor_row + ROW_ORIGIN)
+        ends = np.append(self._starts[1:], len(window)) - 1
+        self._over_rows = np.append(window.anchor_row[1:] - window.anchor_row[:-1], 0)
+        self._over_us = np.append(window.anchor_us[1:] - window.anchor_us[:-1], 0)
+        back = np.maximum(self._starts, ends - END_ANCHORS + 1)
+        self._over_rows[ends], self._over_us[ends] = self._chord(back, ends)
+        self._head = self._chord(self._starts, np.minimum(self._starts + END_ANCHORS - 1, ends))
+
+    def _chord(self, first: NDArray[np.int64], second: NDArray[np.int64]) -> tuple[Any, Any]:
+        """Samples and time [us] between two anchors; as at the nominal rate where they are one."""
+        window, alone = self._window, first == second
+        over_rows = window.anchor_row[second] - window.anchor_row[first]
+        over_us = window.anchor_us[second] - window.anchor_us[first]
+        nominal = self._rate.numerator, MICROSECONDS * self._rate.denominator
+        return np.where(alone, nominal[0], over_rows), np.where(alone, nominal[1], over_us)
+
+    def at(self, sector: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of samples `row` of the runs to which the sectors belong, rounded half up."""
+        run = self._run[sector]
+        key = (run << RUN_SHIFT) + (row + ROW_ORIGIN)
+        found = np.searchsorted(self._key, key, side="right") - 1
+        anchor = np.maximum(found, self._starts[run])
+        over_rows, over_us = self._over_rows[anchor], self._over_us[anchor]
+        early = np.flatnonzero(found < anchor)
+        over_rows[early], over_us[early] = self._head[0][run[early]], self._head[1][run[early]]
+        into = (row - self._window.anchor_row[anchor]) * over_us
+        return np.asarray(self._window.anchor_us[anchor] + (2 * into + over_rows) // (2 * over_rows))
+
+
+class Timeline:
+    """Takes linked sectors in file order; gives times as soon as they are settled.
+
+    A sector is settled when an anchor behind its end is known, or its run has ended; those at the
+    beginning of a run wait for the anchors that tell its rate.
+    """
+
+    def __init__(self, rate: Fraction) -> None:
+        self._rate = rate
+        none = np.empty(0, np.int64)
+        self._window = _Window(none, none, none, none, none.astype(np.bool_))
+        self._done = 0
+
+    def feed(self, links: Links) -> Spans:
+        """Add sectors; gives the next settled ones."""
+        self._window = self._window.extended(links)
+        return self._release(self._settled())
+
+    def finish(self) -> Spans:
+        """All that remain; no sector follows."""
+        return self._release(len(self._window))
+
+    def _settled(self) -> int:
+        window = self._window
+        begun = self._last_run()
+        known_rate = not window.fresh[begun] or len(window) - begun >= END_ANCHORS
+        if not known_rate:
+            return begun
+        ends = window.row[begun:] + window.rows[begun:]
+        return max(self._done, begun + int(np.searchsorted(ends, window.anchor_row[-1], side="right")))
+
+    def _last_run(self) -> int:
+        """Where the last run begins in the window."""
+        begun = np.flatnonzero(self._window.fresh)
+        return int(begun[-1]) if len(begun) else 0
+
+    def _release(self, settled: int) -> Spans:
+        """Times of the sectors up to `settled`; one ends where the next begins, if that follows."""
+        if settled == self._done:
+            return NO_SPANS
+        window, lines = self._window, _Lines(self._window, self._rate)
+        ends = window.row + window.rows
+        apart = window.fresh[1:settled] | (ends[: settled - 1] != window.row[1:settled])
+        lonely = np.append(np.flatnonzero(apart[self._done :]) + self._done, settled - 1)
+        sector = np.append(np.arange(self._done, settled), lonely)
+        time_us = lines.at(sector, np.append(window.row[self._done : settled], ends[lonely]))
+        begin, end = time_us[: settled - self._done], time_us[1 : settled - self._done + 1].copy()
+        end[lonely - self._done] = time_us[settled - self._done :]
+        self._forget(settled)
+        return Spans(begin, end - begin)
+
+    def _forget(self, settled: int) -> None:
+        """Keep what is unsettled, the anchor before it, and enough anchors for the end's rate."""
+        window, begun = self._window, self._last_run()
+        reached = window.row[settled - 1] + window.rows[settled - 1]
+        before = begun + int(np.searchsorted(window.anchor_row[begun:], reached, side="right")) - 1
+        first = max(begun, min(settled, before, len(window) - END_ANCHORS))
+        self._window, self._done = window.cut(first), settled - first

@@ -1,0 +1,206 @@
+"""Writes Axivity AX3 recordings: sectors of 80 unpacked samples with checksums.
+
+Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it, `ax3-technical.md`
+and `ax3-auxiliary.md` (github.com/openmovementproject/openmovement). Each sector is stamped at that of its
+samples whose time lies nearest to a tick of the device's clock, 1/32768 s. A sector ends where it
+is full and where the recording has a break; the first one after a break says that samples were lost.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote_plus
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.formats import Encoder, Sampling
+from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.formats._writing import (
+    OTHER_FORMAT,
+    Rows,
+    check_bits,
+    known_rate,
+    known_scale,
+    new_file,
+    number_of,
+    page_runs,
+    remark,
+    start_us,
+)
+
+SAMPLES = 80
+SECTOR = np.dtype(
+    [
+        ("magic", "S2"),
+        ("length", "<u2"),
+        ("fraction", "<u2"),
+        ("session", "<u4"),
+        ("sequence", "<u4"),
+        ("stamp", "<u4"),
+        ("light", "<u2"),
+        ("temperature", "<u2"),
+        ("events", "u1"),
+        ("battery", "u1"),
+        ("rate", "u1"),
+        ("axes", "u1"),
+        ("offset", "<i2"),
+        ("count", "<u2"),
+        ("xyz", "<i2", (SAMPLES, 3)),
+        ("checksum", "<u2"),
+    ]
+)
+SECTOR_LENGTH = 508
+HEADER = struct.Struct("<2sHBHIHIIIBB8sBBIBh20s448s512s")
+HEADER_LENGTH = 1020
+HARDWARE, FIRMWARE = 0x17, 47
+SESSION = 1
+FULL_BATTERY = 205
+AXES = 0x32
+"""Three axes, 16 bits each."""
+
+HAS_FRACTION = 0x8000
+SAMPLES_LOST = 0x20
+TICKS_PER_S = 1 << 15
+RATE_CODES = {3200 / (1 << (15 - code)): code for code in range(6, 16)}
+RANGE_CODES = {16.0: 0x00, 8.0: 0x40, 4.0: 0x80, 2.0: 0xC0}
+LSB_PER_G = 256.0
+NOT_MEASURED = 0
+WARMEST = 0x3FE
+ALWAYS, NEVER = 0, 0xFFFF_FFFF
+UNSET = b"\xff"
+
+
+def sampling(recording: Recording) -> Sampling:
+    """Any number of samples; of a rate, scale and range that an AX3 can be set to.
+
+    Raises:
+        UsageError: there is no such setting.
+    """
+    rate_hz = known_rate(recording, RATE_CODES, "an Axivity AX3")
+    known_scale(recording, [(LSB_PER_G, range_g) for range_g in RANGE_CODES], "an Axivity AX3")
+    return Sampling(rate_hz)
+
+
+def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
+    """Write all chunks to `path`.
+
+    Raises:
+        UsageError: an AX3 has no such rate, scale or range.
+        OutputError: a count or a time does not fit, or the file cannot be written.
+    """
+    sampling(recording)
+    with new_file(path) as file:
+        file.write(header(path, recording))
+        sequence = 0
+        for rows in page_runs(chunks, SAMPLES):
+            sectors = data_sectors(path, rows, recording)
+            sectors["sequence"] = sequence + np.arange(len(sectors))
+            file.write(with_checksums(sectors).data)
+            sequence += len(sectors)
+
+
+def header(path: Path, recording: Recording) -> bytes:
+    """The first 1024 bytes."""
+    number = number_of(recording.device)
+    second = np.array([start_us(path, recording) // 1_000_000])
+    return HEADER.pack(
+        b"MD",
+        HEADER_LENGTH,
+        HARDWARE,
+        number & 0xFFFF,
+        SESSION,
+        number >> 16,
+        ALWAYS,
+        NEVER,
+        0,
+        0xFF,
+        0,
+        UNSET * 8,
+        0,
+        rate_code(recording),
+        int(packed_times(path, second)[0]),
+        FIRMWARE,
+        -1,
+        UNSET * 20,
+        f"_n={quote_plus(remark(recording.device))}".encode()[:448].ljust(448),
+        UNSET * 512,
+    )
+
+
+def rate_code(recording: Recording) -> int:
+    """The byte that tells rate and range."""
+    return RATE_CODES[recording.rate_hz] | RANGE_CODES[recording.range_g or 0.0]
+
+
+def data_sectors(path: Path, rows: Rows, recording: Recording) -> NDArray[np.void]:
+    """Full sectors, or a single one that is not full; without number and checksum."""
+    check_bits(path, rows, 16)
+    width = min(SAMPLES, len(rows))
+    sectors = np.zeros(len(rows) // width, SECTOR)
+    sectors["magic"], sectors["length"] = b"AX", SECTOR_LENGTH
+    sectors["session"] = SESSION
+    sectors["temperature"] = temperature_words(rows, len(sectors))
+    sectors["events"][0] = SAMPLES_LOST * rows.fresh
+    sectors["battery"] = FULL_BATTERY
+    sectors["rate"], sectors["axes"] = rate_code(recording), AXES
+    sectors["count"] = width
+    sectors["xyz"][:, :width] = rows.counts.reshape(-1, width, 3)
+    stamp(path, sectors, rows.time_us.reshape(-1, width), int(recording.rate_hz))
+    return sectors
+
+
+def stamp(path: Path, sectors: Any, time_us: NDArray[np.int64], rate_hz: int) -> None:
+    """Fill in when one sample of each sector was taken, by the times (p, samples) of all.
+
+    The device notes the sample's number less those that its rate, in whole Hz, counts in the
+    fraction of the second, so that software which knows of whole seconds only is right too.
+    """
+    inside = time_us % 1_000_000 * TICKS_PER_S % 1_000_000
+    sample = np.minimum(inside, 1_000_000 - inside).argmin(axis=1)
+    second, rest_us = np.divmod(time_us[np.arange(len(sample)), sample], 1_000_000)
+    ticks = (rest_us * TICKS_PER_S + 500_000) // 1_000_000
+    second, ticks = second + ticks // TICKS_PER_S, ticks % TICKS_PER_S
+    sectors["stamp"] = packed_times(path, second)
+    sectors["fraction"] = HAS_FRACTION | ticks
+    sectors["offset"] = sample - ticks * rate_hz // TICKS_PER_S
+
+
+def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Seconds since 1970 as packed times: from the top 6 bits of years since 2000, then month, day, ...
+
+    Raises:
+        OutputError: a time lies outside 2000 to 2063.
+    """
+    moment = second.astype("M8[s]")
+    month = moment.astype("M8[M]")
+    day = moment.astype("M8[D]")
+    months = month.astype(np.int64) - 30 * 12
+    if len(months) and (months.min() < 0 or months.max() >= 64 * 12):
+        raise OutputError("a time lies before 2000 or after 2063", path=path, hint=OTHER_FORMAT)
+    of_month = (day - month.astype("M8[D]")).astype(np.int64) + 1
+    of_day = second % 86_400
+    date = (months // 12 << 9 | months % 12 + 1 << 5 | of_month) << 17
+    return np.asarray(date | of_day // 3600 << 12 | of_day // 60 % 60 << 6 | of_day % 60)
+
+
+def temperature_words(rows: Rows, sectors: int) -> NDArray[np.int64]:
+    """Mean temperature of each sector in units of the sensor of hardware 1.7: C = raw * 0.15 - 20.5."""
+    means_mc = rows.mean_mc(SAMPLES)
+    if means_mc is None:
+        return np.full(sectors, NOT_MEASURED)
+    return np.clip(np.rint((means_mc + 20_500) / 150), 1, WARMEST).astype(np.int64)
+
+
+def with_checksums(sectors: NDArray[np.void]) -> NDArray[np.void]:
+    """The sectors, each with a last word that makes the sum of its 16-bit words zero."""
+    words = sectors.view("<u2").reshape(len(sectors), -1)
+    words[:, -1] = 0 - words[:, :-1].sum(axis=1, dtype=np.uint16)
+    return sectors
+
+
+ENCODER = Encoder("cwa", ".cwa", write, sampling=sampling)

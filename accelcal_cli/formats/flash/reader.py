@@ -1,0 +1,320 @@
+"""The data pages of the flash page format: see docs/flash-format.md.
+
+The header page of the flash page format: see docs/flash-format.md.
+
+An open dump of flash pages: what is known of the recording, and its rows.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from contextlib import closing
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.recording import Device, Problem, Reader, Recording
+from accelcal_cli.formats._bytes import ByteSource, crc32_pages
+from accelcal_cli.formats._pages.pages import (
+    CHECKSUM,
+    ERASED,
+    FOREIGN,
+    GOOD,
+    NO_TEMPERATURE,
+    NONSENSE,
+    Decoded,
+    PageBlock,
+    PagedFile,
+    RawBlock,
+    bad_runs,
+    erased_pages,
+    paged_file,
+)
+from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
+from accelcal_cli.formats._pages.timeline import ExactTimeline, Spacing
+from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC
+
+SAMPLES = 80
+NOT_MEASURED = -32768
+FLAG_FRESH = 1
+CRC_AT = PAGE_BYTES - 4
+
+PAGE = np.dtype(
+    [
+        ("magic", "S4"),
+        ("recording_id", "<u4"),
+        ("sequence", "<u4"),
+        ("seconds", "<u4"),
+        ("microseconds", "<u4"),
+        ("temperature", "<i2"),
+        ("samples", "<u2"),
+        ("flags", "<u4"),
+        ("xyz", "<i2", (SAMPLES, 3)),
+        ("crc", "<u4"),
+    ]
+)
+
+
+class FlashDecoder:
+    """Decodes blocks of data pages.
+
+    Args:
+        recording_id: pages with another number are left out.
+    """
+
+    def __init__(self, recording_id: int, has_temperature: bool) -> None:
+        self._recording_id = recording_id
+        self._has_temperature = has_temperature
+
+    def __call__(self, raw: RawBlock) -> Decoded:
+        """The valid pages of a block; an incomplete page at its end is left over."""
+        status = page_status(raw.pages, self._recording_id)
+        pages = raw.pages if not status.any() else raw.pages[status == GOOD]
+        position = raw.first_position + np.flatnonzero(status == GOOD)
+        block = as_block(pages.view(PAGE)[:, 0], position, self._has_temperature)
+        return Decoded(block, bad_runs(status, raw.first_position), raw.tail)
+
+
+def page_status(pages: NDArray[np.uint8], recording_id: int) -> NDArray[np.uint8]:
+    """GOOD or a key of BAD_KINDS for each page, (p,)."""
+    fields = pages.view(PAGE)[:, 0]
+    status = np.full(len(pages), GOOD, np.uint8)
+    status[fields["recording_id"] != recording_id] = FOREIGN
+    status[~sensible(fields)] = NONSENSE
+    status[crc32_pages(pages, 0, CRC_AT) != fields["crc"]] = CHECKSUM
+    status[erased_pages(pages)] = ERASED
+    return status
+
+
+def sensible(fields: NDArray[np.void]) -> NDArray[np.bool_]:
+    """Which pages are data pages with possible values, (p,)."""
+    counted = (fields["samples"] >= 1) & (fields["samples"] <= SAMPLES)
+    return np.asarray((fields["magic"] == PAGE_MAGIC) & counted & (fields["microseconds"] < MICROSECONDS))
+
+
+def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperature: bool) -> PageBlock:
+    """Columns of valid pages."""
+    rows = fields["samples"].astype(np.int64)
+    slots = fields["xyz"].astype(np.int16)
+    full = bool((rows == SAMPLES).all())
+    return PageBlock(
+        position=position,
+        rows=rows,
+        counts=slots.reshape(-1, 3) if full else slots[np.arange(SAMPLES) < rows[:, None]],
+        sequence=fields["sequence"].astype(np.int64),
+        time_us=fields["seconds"].astype(np.int64) * MICROSECONDS + fields["microseconds"],
+        fresh=(fields["flags"] & FLAG_FRESH) != 0,
+        temperature_mc=temperature_mc(fields, rows) if has_temperature else None,
+    )
+
+
+def temperature_mc(fields: NDArray[np.void], rows: NDArray[np.int64]) -> NDArray[np.int32]:
+    """Each sample's temperature, that of its page [thousandths of a degree C], (n,)."""
+    raw = fields["temperature"].astype(np.int32)
+    milli = np.where(raw == NOT_MEASURED, np.int32(NO_TEMPERATURE), (raw * 1000 + 64) >> 7)
+    return np.repeat(milli.astype(np.int32), rows)
+
+
+def first_recording_id(pages: NDArray[np.uint8]) -> int | None:
+    """Recording number of the first page whose checksum is right; None without one."""
+    fields = pages.view(PAGE)[:, 0]
+    good = sensible(fields)
+    good[good] = crc32_pages(pages[good], 0, CRC_AT) == fields["crc"][good]
+    return int(fields["recording_id"][good][0]) if good.any() else None
+
+
+def recording_id_in(data: bytes) -> int | None:
+    """Recording number of the first valid data page among whole pages."""
+    whole = len(data) // PAGE_BYTES
+    pages = np.frombuffer(data, np.uint8, whole * PAGE_BYTES).reshape(whole, PAGE_BYTES)
+    return first_recording_id(pages) if whole else None
+
+
+VERSION = 1
+FLAG_TEMPERATURE = 1
+FLAG_CLOCK_NEVER_SET = 2
+ZONE_UNKNOWN = -32768
+LONGEST_ZONE_MINUTES = 18 * 60
+RATES_HZ = (Fraction(1, 1000), Fraction(100_000))
+
+LAYOUT = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
+
+
+@dataclass(frozen=True, slots=True)
+class FlashHeader:
+    """What page 0 says.
+
+    Attributes:
+        recording_id: the same number stands in every data page of the recording.
+        timezone: `UTC` or an offset such as `+01:00`; None where unknown.
+        clock_set: False where the times count from power-on.
+    """
+
+    recording_id: int
+    rate: Fraction
+    lsb_per_g: Fraction
+    range_g: float | None
+    has_temperature: bool
+    clock_set: bool
+    timezone: str | None
+    device: Device
+
+
+class HeaderDamageError(Exception):
+    """Why a page is not a usable header, in plain words."""
+
+
+def parse_header(page: bytes) -> FlashHeader:
+    """Decode page 0.
+
+    Args:
+        page: its 512 bytes, or fewer at the end of a short file.
+
+    Raises:
+        HeaderDamageError: it is cut off, fails its checksum, or says something impossible.
+    """
+    if len(page) < PAGE_BYTES:
+        raise HeaderDamageError(f"it is cut off after {len(page)} of {PAGE_BYTES} bytes")
+    fields = LAYOUT.unpack_from(page)
+    if fields[0] != HEADER_MAGIC:
+        raise HeaderDamageError("it does not begin with the format's signature")
+    if zlib.crc32(page[:-4]) != int.from_bytes(page[-4:], "little"):
+        raise HeaderDamageError("its checksum is wrong")
+    if fields[1:3] != (VERSION, PAGE_BYTES):
+        raise HeaderDamageError(
+            f"format version {fields[1]} with pages of {fields[2]} bytes is not supported"
+        )
+    rate, lsb_per_g = positive(fields[4:6], "sampling rate"), positive(fields[6:8], "number of counts per g")
+    if not RATES_HZ[0] <= rate <= RATES_HZ[1]:
+        raise HeaderDamageError(f"a sampling rate of {float(rate):g} Hz is impossible")
+    return FlashHeader(
+        recording_id=fields[3],
+        rate=rate,
+        lsb_per_g=lsb_per_g,
+        range_g=fields[8] / 1000 or None,
+        has_temperature=bool(fields[9] & FLAG_TEMPERATURE),
+        clock_set=not fields[9] & FLAG_CLOCK_NEVER_SET,
+        timezone=zone_name(fields[10]),
+        device=Device(*(text_field(field) for field in (fields[13], fields[12], fields[14]))),
+    )
+
+
+def positive(pair: tuple[int, int], what: str) -> Fraction:
+    """An exact fraction from numerator and denominator, both above 0."""
+    if 0 in pair:
+        raise HeaderDamageError(f"the {what} is {pair[0]}/{pair[1]}")
+    return Fraction(*pair)
+
+
+def text_field(data: bytes) -> str | None:
+    """ASCII text up to the first zero byte; None where empty."""
+    return data.split(b"\0")[0].decode("ascii", "replace").strip() or None
+
+
+def zone_name(minutes: int) -> str | None:
+    """The zone of an offset east of UTC."""
+    if abs(minutes) > LONGEST_ZONE_MINUTES:
+        return None
+    hours, rest = divmod(abs(minutes), 60)
+    return f"{'-' if minutes < 0 else '+'}{hours:02d}:{rest:02d}" if minutes else "UTC"
+
+
+SEARCHED_PAGES = 512
+COPY_AGAIN = "copy it again from the device"
+NO_START = "the device's clock was never set: times count from its start"
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a dump.
+
+    Raises:
+        UnreadableError: the header is damaged and rate or counts per g are not given, or no data
+            page is valid.
+        UsageError: the rates contradict each other.
+    """
+    with ByteSource(path) as stream:
+        page = stream.read_exact(PAGE_BYTES)
+    file = paged_file(path, PAGE_BYTES, PAGE_BYTES)
+    try:
+        header, problems = parse_header(page), []
+    except HeaderDamageError as error:
+        header = substitute(file, options, error)
+        problems = [Problem("damaged_header", f"the header page is not usable: {error}", 0, 0)]
+    header = overridden(header, options, path)
+    scheme = page_scheme(file, header)
+    opening = look_inside(scheme)
+    if opening is None:
+        raise UnreadableError("has no valid data page", path=path, byte_offset=PAGE_BYTES, hint=COPY_AGAIN)
+    if not header.clock_set:
+        problems.append(Problem("no_start_time", NO_START, 0, 0))
+    return PagedReader(recording(scheme, header, opening), scheme, opening, tuple(problems))
+
+
+def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) -> FlashHeader:
+    """A header from what the user said, where the file's own is damaged."""
+    if options.rate_hz is None or options.lsb_per_g is None:
+        raise UnreadableError(
+            f"the header page is not usable: {error}",
+            path=file.path,
+            byte_offset=0,
+            hint="give --rate and --lsb-per-g to read the data without it",
+        )
+    with closing(file.blocks(SEARCHED_PAGES)) as blocks:
+        found = (first_recording_id(raw.pages) for raw in blocks)
+        number = next((number for number in found if number is not None), 0)
+    return FlashHeader(
+        recording_id=number,
+        rate=rate_fraction(options.rate_hz),
+        lsb_per_g=Fraction(options.lsb_per_g),
+        range_g=None,
+        has_temperature=True,
+        clock_set=True,
+        timezone=None,
+        device=Device(),
+    )
+
+
+def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHeader:
+    """What the user says goes before what the file says.
+
+    Raises:
+        UsageError: the rates contradict each other.
+    """
+    if options.rate_hz is not None:
+        header = replace(header, rate=rate_fraction(agreed_rate(options, float(header.rate), path)))
+    if options.lsb_per_g is not None:
+        header = replace(header, lsb_per_g=Fraction(options.lsb_per_g))
+    return replace(header, timezone=options.timezone or header.timezone)
+
+
+def page_scheme(file: PagedFile, header: FlashHeader) -> PageScheme:
+    """How this file's pages are read."""
+    spacing = Spacing(header.rate, SAMPLES)
+    decoder = FlashDecoder(header.recording_id, header.has_temperature)
+    return PageScheme(file, spacing, decoder, lambda: ExactTimeline(spacing))
+
+
+def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Recording:
+    """The file's description."""
+    length = extent(scheme, opening)
+    return Recording(
+        path=scheme.file.path,
+        format="flash",
+        rate_hz=float(header.rate),
+        lsb_per_g=float(header.lsb_per_g),
+        total_bytes=scheme.file.size,
+        device=header.device,
+        range_g=header.range_g,
+        start_us=opening.start_us if header.clock_set else None,
+        timezone=header.timezone,
+        samples=length.samples,
+        duration_s=length.duration_s,
+        has_temperature=opening.temperature_mc != NO_TEMPERATURE,
+    )

@@ -1,0 +1,185 @@
+"""Pages that a file holds twice.
+
+From the text of pages to samples, many pages at a time.
+"""
+
+from __future__ import annotations
+
+from binascii import Error, unhexlify
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.recording import Counts
+from accelcal_cli.formats._pages.pages import (
+    DIGITS,
+    FOREIGN,
+    GOOD,
+    PER_PAGE,
+    PER_ROW,
+    RATE,
+    REPEATED,
+    TEXT,
+    Decoded,
+    PageBlock,
+    bad_runs,
+)
+from accelcal_cli.formats.geneactiv.header import Scale
+from accelcal_cli.formats.geneactiv.scan import (
+    NO_STAMP,
+    SAMPLE_DIGITS,
+    Found,
+    number,
+    stamps_us,
+    temperature_mc,
+)
+
+REMEMBERED_PAGES = 1 << 15
+MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
+"""Odd numbers without a pattern."""
+
+
+class Repeats:
+    """Knows a page again by its number, its time and its first and last sample; so many pages back."""
+
+    def __init__(self) -> None:
+        self._marks = np.empty(0, np.uint64)
+        self._highest = -1
+
+    def among(self, block: PageBlock) -> NDArray[np.bool_]:
+        """Which pages of the next block were there before, (p,)."""
+        again = np.zeros(len(block), np.bool_)
+        if not len(block) or block.sequence is None:
+            return again
+        highest = np.maximum.accumulate(np.append(self._highest, block.sequence))
+        known = np.append(self._marks, page_marks(block))
+        for page in np.flatnonzero(block.sequence <= highest[:-1]).tolist():
+            now = len(self._marks) + page
+            again[page] = bool((known[max(0, now - REMEMBERED_PAGES) : now] == known[now]).any())
+        self._highest, self._marks = int(highest[-1]), known[-REMEMBERED_PAGES:]
+        return again
+
+
+def page_marks(block: PageBlock) -> NDArray[np.uint64]:
+    """A number for each page, (p,), that different pages hardly ever share."""
+    assert block.sequence is not None and block.time_us is not None
+    ends = np.cumsum(block.rows)
+    shape = np.concatenate((block.counts[ends - block.rows], block.counts[ends - 1]), axis=1)
+    marks = block.sequence.astype(np.uint64) * MIXERS[0] + block.time_us.astype(np.uint64)
+    for axis in range(shape.shape[1]):
+        marks = marks * MIXERS[1] + shape[:, axis].astype(np.int64).astype(np.uint64)
+    return np.asarray(marks)
+
+
+def chosen(block: PageBlock, pages: NDArray[np.bool_]) -> PageBlock:
+    """The pages marked in (p,)."""
+    if pages.all():
+        return block
+    keep = dict.fromkeys(PER_PAGE, pages) | dict.fromkeys(PER_ROW, np.repeat(pages, block.rows))
+    columns: dict[str, Any] = {name: picked(block, name, rows) for name, rows in keep.items()}
+    return PageBlock(**columns)
+
+
+def picked(block: PageBlock, name: str, rows: NDArray[np.bool_]) -> NDArray[np.generic] | None:
+    """Part of one column."""
+    column = getattr(block, name)
+    return None if column is None else column[rows]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What all pages of a recording have in common.
+
+    Attributes:
+        serial: as it stands in the pages.
+        rate: samples per second, as the pages tell it.
+    """
+
+    serial: bytes
+    rate: Fraction
+    scale: Scale
+
+
+class Decoder:
+    """Decodes the pages of a file in their order."""
+
+    def __init__(self, settings: Settings) -> None:
+        self._settings = settings
+        self._repeats = Repeats()
+
+    def __call__(self, found: Found, first_position: int) -> Decoded:
+        """The pages that are right, and the others.
+
+        Args:
+            first_position: number of the first place within the file.
+        """
+        status = np.array(found.status, np.uint8)
+        places = np.flatnonzero(status == GOOD)
+        samples = unhexed(found.bodies)
+        time_us = stamps_us([head[2] for head in found.heads])
+        verdict = self._verdict(found, time_us, all_digits=samples is not None)
+        keep = np.flatnonzero(verdict == GOOD)
+        if samples is None or len(keep) < len(verdict):
+            samples = unhexlify(b"".join(found.bodies[page] for page in keep.tolist()))
+        block = replace(
+            self._block(found, keep, samples, first_position + places[keep]), time_us=time_us[keep]
+        )
+        again = self._repeats.among(block)
+        verdict[keep[again]] = REPEATED
+        status[places] = verdict
+        return Decoded(chosen(block, ~again), bad_runs(status, first_position), b"")
+
+    def _verdict(self, found: Found, time_us: NDArray[np.int64], *, all_digits: bool) -> NDArray[np.uint8]:
+        """What each page is, (p,)."""
+        verdict = np.full(len(time_us), GOOD, np.uint8)
+        rates = {head[4] for head in found.heads}
+        other = {text for text in rates if number(text) != self._settings.rate}
+        if other:
+            verdict[[head[4] in other for head in found.heads]] = RATE
+        verdict[[head[0] != self._settings.serial for head in found.heads]] = FOREIGN
+        verdict[time_us == NO_STAMP] = TEXT
+        if not all_digits:
+            verdict[[unhexed([body]) is None for body in found.bodies]] = DIGITS
+        return verdict
+
+    def _block(
+        self, found: Found, pages: NDArray[np.int64], samples: bytes, position: NDArray[np.int64]
+    ) -> PageBlock:
+        """Columns of these pages, but for their times."""
+        heads = [found.heads[page] for page in pages.tolist()]
+        rows = np.array([len(found.bodies[page]) // SAMPLE_DIGITS for page in pages.tolist()], np.int64)
+        return PageBlock(
+            position=position,
+            rows=rows,
+            counts=counts(samples, self._settings.scale),
+            sequence=np.array([int(head[1]) for head in heads], np.int64),
+            temperature_mc=np.repeat(np.array([temperature_mc(head[3]) for head in heads], np.int32), rows),
+        )
+
+
+def unhexed(bodies: Sequence[bytes]) -> bytes | None:
+    """What the hexadecimal digits of all bodies stand for; None where a character is no digit."""
+    try:
+        return unhexlify(b"".join(bodies))
+    except Error:
+        return None
+
+
+def counts(samples: bytes, scale: Scale) -> Counts:
+    """Counts (n, 3) of n samples of 6 bytes.
+
+    A sample is, from the top, 12 bits each of x, y and z, 10 of light, the button and a spare bit.
+    """
+    high, middle, low = np.frombuffer(samples, ">u2").reshape(-1, 3).T.astype(np.uint16, order="C")
+    bits = (high >> 4, (high << 8 & 0xF00) | middle >> 8, (middle << 4 & 0xFF0) | low >> 12)
+    found = np.empty((len(high), 3), scale.table.dtype)
+    for axis, pattern in enumerate(bits):
+        if scale.plain:
+            found[:, axis] = (pattern << 4).view(np.int16) >> 4
+        else:
+            found[:, axis] = scale.table[axis].take(pattern.astype(np.intp), mode="clip")
+    return found

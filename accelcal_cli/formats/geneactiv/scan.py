@@ -1,0 +1,315 @@
+"""The text of a page: nine lines of `key:value`, then 300 samples as one line of 3600 hexadecimal digits.
+
+Source: Activinsights, GENEActiv instructions, "Understanding .bin files". Numbers have as many
+digits as they need, lines end in LF or CR LF, and the decimal sign may be a comma (as computers
+of some countries wrote it), so that pages differ in length.
+
+Finding the pages in the text of a file, damaged or not, a stretch of it at a time.
+
+A file as text with pages in it, read a part at a time.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, field
+from fractions import Fraction
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._pages.pages import GOOD, LENGTH, NO_PAGE, NO_TEMPERATURE, TEXT
+from accelcal_cli.formats.geneactiv import MARK
+
+SAMPLES = 300
+SAMPLE_DIGITS = 12
+BODY_DIGITS = SAMPLES * SAMPLE_DIGITS
+USUAL_BYTES = 3840
+"""About how long a page is."""
+
+LONGEST_BYTES = 4608
+"""A page is never longer than this, by the limits of the pattern below."""
+
+SHORTEST_BYTES = BODY_DIGITS + 150
+
+_END = rb"[ \t]{0,32}\r?\n"
+_ANY = rb"[^\r\n]{0,64}\r?\n"
+HEAD = re.compile(
+    MARK
+    + _END
+    + rb"Device Unique Serial Code:([^\r\n]{0,64})\r?\n"
+    + rb"Sequence Number:(\d{1,10})"
+    + _END
+    + rb"Page Time:(20\d\d-\d\d?-\d\d? \d\d?:\d\d?:\d\d?:\d{3})"
+    + _END
+    + rb"Unassigned:"
+    + _ANY
+    + rb"Temperature:([^\r\n]{0,64})\r?\n"
+    + rb"Battery voltage:"
+    + _ANY
+    + rb"Device Status:"
+    + _ANY
+    + rb"Measurement Frequency:([^\r\n]{0,64})\r?\n"
+)
+"""A page's text; the groups are serial number, sequence number, time, temperature and rate."""
+
+_NUMBER = re.compile(rb"(-?\d{1,6}(?:[.,]\d{1,6})?)(?: Hz)?")
+STAMP_BYTES = 23
+NO_STAMP = int(np.iinfo(np.int64).min)
+"""Marks a time that is none, such as the 31st of February."""
+
+
+def number(text: bytes) -> Fraction | None:
+    """A decimal number, with a point or a comma; None where the text is none."""
+    found = _NUMBER.fullmatch(text.strip())
+    return Fraction(found[1].replace(b",", b".").decode("ascii")) if found else None
+
+
+@lru_cache(maxsize=4096)
+def temperature_mc(text: bytes) -> int:
+    """Thousandths of a degree C of a page's temperature; NO_TEMPERATURE where it tells none."""
+    value = number(text)
+    return NO_TEMPERATURE if value is None else round(value * 1000)
+
+
+def stamps_us(texts: Sequence[bytes]) -> NDArray[np.int64]:
+    """Microseconds since 1970 of page times that HEAD accepts, (p,); NO_STAMP for those that are none."""
+    even = b"".join(text if len(text) == STAMP_BYTES else _padded(text) for text in texts)
+    digits = np.frombuffer(even, np.uint8).reshape(-1, STAMP_BYTES).astype(np.int64) - ord("0")
+    year = digits[:, :4] @ np.array([1000, 100, 10, 1])
+    month, day, hour, minute, second = (digits[:, at] * 10 + digits[:, at + 1] for at in (5, 8, 11, 14, 17))
+    milli = digits[:, 20:23] @ np.array([100, 10, 1])
+    known = (month >= 1) & (month <= 12) & (day >= 1) & (hour < 24) & (minute < 60) & (second < 60)
+    begun = ((year - 1970) * 12 + month - 1).astype("M8[M]")
+    known &= begun.astype("M8[D]") + (day - 1) < (begun + 1).astype("M8[D]")
+    days = begun.astype("M8[D]").astype(np.int64) + day - 1
+    time_us = (((days * 24 + hour) * 60 + minute) * 60 + second) * 1_000_000 + milli * 1000
+    return np.where(known, time_us, NO_STAMP)
+
+
+def _padded(text: bytes) -> bytes:
+    """A page time with all its leading zeros."""
+    year, *numbers, milli = re.split(rb"[- :]", text)
+    month, day, hour, minute, second = (part.zfill(2) for part in numbers)
+    return b"%s-%s-%s %s:%s:%s:%s" % (year, month, day, hour, minute, second, milli)
+
+
+_BLANK = re.compile(rb"\s+")
+CARRIAGE_RETURN = 13
+Head = tuple[bytes, ...]
+"""Serial number, sequence number, time, temperature and rate of a page, as they stand there."""
+
+
+@dataclass(slots=True)
+class Found:
+    """Places of a stretch of the file in their order.
+
+    Attributes:
+        status: what each place is: GOOD, a page whose text and length are right, or a key of BAD_KINDS.
+        offset: where each begins, bytes from the start of the (uncompressed) file.
+        length: bytes of each, up to the next page.
+        heads, bodies: of the GOOD ones. A body has 3600 characters, fewer only in a page that the
+            end of the file cuts off, whose whole samples these are.
+        cut: where a page begins that the end of the file cuts off, None without one.
+        cut_samples: whole samples of that page.
+    """
+
+    status: list[int] = field(default_factory=list)
+    offset: list[int] = field(default_factory=list)
+    length: list[int] = field(default_factory=list)
+    heads: list[Head] = field(default_factory=list)
+    bodies: list[bytes] = field(default_factory=list)
+    cut: int | None = None
+    cut_samples: int = 0
+
+    def place(self, status: int, offset: int, end: int) -> None:
+        """Add one of any kind, up to byte `end`."""
+        self.status.append(status)
+        self.offset.append(offset)
+        self.length.append(end - offset)
+
+    def page(self, offset: int, end: int, head: Head, body: bytes) -> None:
+        """Add a GOOD one."""
+        self.place(GOOD, offset, end)
+        self.heads.append(head)
+        self.bodies.append(body)
+
+
+class Scanner:
+    """Takes a file's text in stretches of any length; what is found does not depend on them.
+
+    Every page begins with a line of its own, at which the search goes on after damage.
+
+    Args:
+        offset: where in the file the text begins.
+        inside: it may begin within a page; what comes before the first one is passed over.
+    """
+
+    def __init__(self, offset: int, *, inside: bool = False) -> None:
+        self._offset = offset
+        self._rest = b""
+        self._searching = inside
+        self._bad: tuple[int, int] | None = None
+
+    def feed(self, data: bytes, *, last: bool, stop: int | None = None) -> Found:
+        """The places that begin in the text so far and can be seen whole.
+
+        Args:
+            last: nothing follows.
+            stop: leave out places that begin so many bytes after the start of the text, or later.
+        """
+        text, found = self._rest + data, Found()
+        end = len(text) if last else len(text) - LONGEST_BYTES + 1
+        end = end if stop is None else min(end, stop)
+        match, at = HEAD.match, 0
+        while at < end:
+            if self._searching:
+                at = self._search(text, at, last=last)
+                if not self._searching:
+                    self._close(at, found)
+                continue
+            head = match(text, at)
+            begin = len(text) if head is None else head.end()
+            close = text.find(b"\n", begin, begin + BODY_DIGITS + 2)
+            if head is None or not _is_whole(text, begin, close):
+                at = self._last(text, at, head, found) if last else self._other(text, at, head)
+                continue
+            digits = text[begin : begin + BODY_DIGITS]
+            found.page(self._offset + at, self._offset + close + 1, head.groups(), digits)
+            at = close + 1
+        if last:
+            self._close(at, found)
+        self._rest, self._offset = text[at:], self._offset + at
+        return found
+
+    def _close(self, at: int, found: Found) -> None:
+        """What was no page reaches up to here."""
+        if self._bad is not None:
+            found.place(*self._bad, self._offset + at)
+        self._bad = None
+
+    def _search(self, text: bytes, at: int, *, last: bool) -> int:
+        """Where the next page begins, or up to where none does."""
+        place = text.find(MARK, at)
+        self._searching = place < 0
+        begun = 0 if last else len(MARK) - 1
+        return max(at, len(text) - begun) if self._searching else place
+
+    def _last(self, text: bytes, at: int, head: re.Match[bytes] | None, found: Found) -> int:
+        """Take in what is no whole page near the end of the file, which may have cut a page off."""
+        if head is not None:
+            digits = text[head.end() : head.end() + BODY_DIGITS + 2].removesuffix(b"\r")
+            cut = len(digits) <= BODY_DIGITS and b"\n" not in digits
+        else:
+            begun = text.startswith(MARK, at) or MARK.startswith(text[at : at + len(MARK)])
+            cut = begun and len(text) - at < SHORTEST_BYTES and text.find(MARK, at + 1) < 0
+            digits = b""
+        if not cut:
+            return self._other(text, at, head)
+        samples = len(digits) // SAMPLE_DIGITS
+        if samples < SAMPLES:
+            found.cut, found.cut_samples = self._offset + at, samples
+        if head is not None and samples:
+            begin, end = self._offset + at, self._offset + len(text)
+            found.page(begin, end, head.groups(), digits[: samples * SAMPLE_DIGITS])
+        return len(text)
+
+    def _other(self, text: bytes, at: int, head: re.Match[bytes] | None) -> int:
+        """Begin with what is no page; gives where to go on."""
+        blank = _BLANK.match(text, at)
+        if blank:
+            return blank.end()
+        begun = text.startswith(MARK, at)
+        self._bad = (NO_PAGE if not begun else TEXT if head is None else LENGTH), self._offset + at
+        self._searching = True
+        return at + len(MARK) if begun else at
+
+
+def _is_whole(text: bytes, begin: int, close: int) -> bool:
+    """Whether the line that begins and closes here has the digits of a page."""
+    over = close - begin - BODY_DIGITS
+    return over == 0 or (over == 1 and text[close - 1] == CARRIAGE_RETURN)
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Consecutive places of a file; also what a PageJoiner asks of them.
+
+    Attributes:
+        first_position: number of the first place.
+        end: how far the part reaches in the (uncompressed) file, bytes.
+        end_byte: and on disk, for progress.
+        last: nothing follows.
+        broke_off: the compressed data broke off rather than ended.
+        tail, broken, undecoded: none, for the joiner; a page that is cut off stands in `found`.
+    """
+
+    first_position: int
+    found: Found
+    end: int
+    end_byte: int
+    last: bool
+    broke_off: bool = False
+    tail: bytes = b""
+    broken: bool = False
+    undecoded: int = 0
+
+    @property
+    def next_position(self) -> int:
+        """Number of the place after these."""
+        return self.first_position + len(self.found.status)
+
+    def offset(self, position: int) -> int:
+        """Where a place of this part begins, bytes from the start of the (uncompressed) file."""
+        return self.found.offset[position - self.first_position]
+
+    def length(self, position: int, pages: int) -> int:
+        """Bytes of so many places of this part."""
+        first = position - self.first_position
+        return sum(self.found.length[first : first + pages])
+
+
+@dataclass(frozen=True, slots=True)
+class TextFile:
+    """Where the pages lie.
+
+    Attributes:
+        start: where the first one begins, or the search for it, bytes.
+        size: bytes on disk.
+    """
+
+    path: Path
+    start: int
+    size: int
+    compressed: bool
+
+    def parts(self, pages: int) -> Generator[Part]:
+        """All places of the file, those of about `pages` pages at a time; a part may be empty.
+
+        Raises:
+            UnreadableError: the disk fails, or a gzip file is damaged within.
+        """
+        with ByteSource(self.path) as source:
+            source.read_exact(self.start)
+            scanner = Scanner(self.start)
+            position, end, last = 0, self.start, False
+            while not last:
+                data = source.read_exact(pages * USUAL_BYTES)
+                source.refuse_untrue()
+                last, end = len(data) < pages * USUAL_BYTES, end + len(data)
+                found = scanner.feed(data, last=last)
+                yield Part(position, found, end, source.disk_position(), last, source.broken)
+                position += len(found.status)
+
+    def piece(self, offset: int, length: int) -> Part:
+        """The places that begin within `length` bytes from `offset` on, in an uncompressed file."""
+        with ByteSource(self.path) as source:
+            source.seek(offset)
+            data = source.read_exact(length + LONGEST_BYTES)
+        end = offset + len(data)
+        found = Scanner(offset, inside=True).feed(data, last=True, stop=length)
+        return Part(0, found, end, end, True)

@@ -1,0 +1,319 @@
+"""Where the parts of a .gt3x file, which is a zip file, lie; also in one whose directory is lost.
+
+Source: PKWARE's APPNOTE.TXT 6.3, 4.3.7 (local headers) and 4.5.3 (sizes of 64 bits).
+
+The uncompressed bytes of one part of the zip file, as a stream that survives damage.
+"""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+from types import TracebackType
+from typing import Any, BinaryIO, Self
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Problem
+from accelcal_cli.formats.gt3x import ACTIVITY, INFO, LOG, MAGIC, NAMED, holds_samples
+
+WANTED = (INFO, LOG, ACTIVITY)
+STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
+ENCRYPTED = 99
+"""Stands for any encryption; the method that zip files name for it."""
+
+_LOCAL = struct.Struct("<4s5HIIIHH")
+_LONGEST_MATCH = _LOCAL.size + len(ACTIVITY)
+_END = b"PK\x05\x06"
+_LONGEST_END = 22 + 0xFFFF
+_SCAN_BYTES = 1 << 20
+_IN_EXTRA = 0xFFFFFFFF
+_SIZES_FOLLOW = 0x08
+_BROKEN = (
+    zipfile.BadZipFile,
+    NotImplementedError,
+    ValueError,
+    OverflowError,
+    EOFError,
+    struct.error,
+    OSError,
+)
+"""What zipfile raises over a damaged directory; OSError where it seeks to impossible places."""
+
+LOST_DIRECTORY = "the zip file's directory is damaged or missing: its parts were found by their own headers"
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """One part of the zip file.
+
+    Attributes:
+        method: how it is compressed, as zip files number it.
+        start_byte: where its (compressed) bytes begin in the file.
+        packed_bytes, unpacked_bytes, crc: None where the file does not say.
+    """
+
+    name: str
+    method: int
+    start_byte: int
+    packed_bytes: int | None = None
+    unpacked_bytes: int | None = None
+    crc: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Archive:
+    """The parts that matter, by name, and what was wrong with the zip file around them.
+
+    Attributes:
+        ends: the end of the zip file is there: it was not cut short.
+    """
+
+    path: Path
+    size: int
+    members: dict[str, Member]
+    ends: bool = True
+    problems: tuple[Problem, ...] = ()
+
+
+def open_archive(path: Path) -> Archive:
+    """Find the parts by the directory at the end of the file, else by the header before each.
+
+    Raises:
+        UnreadableError: the file cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            size = path.stat().st_size
+            listed, whole = by_directory(file)
+            if whole:
+                return Archive(path, size, listed)
+            members, ends = listed | by_headers(file), has_end(file, size)
+    except OSError as error:
+        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
+    return Archive(path, size, members, ends, (Problem("damaged_archive", LOST_DIRECTORY, None, 0),))
+
+
+def has_end(file: BinaryIO, size: int) -> bool:
+    """Whether the record that ends a zip file, perhaps before a comment, is there."""
+    file.seek(max(0, size - _LONGEST_END))
+    return _END in file.read(_LONGEST_END)
+
+
+def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool]:
+    """The parts that the directory lists, and whether it is sound: it lists samples, each where it says."""
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = [entry for entry in archive.infolist() if entry.filename in WANTED]
+        placed = {entry.filename: _placed(file, entry) for entry in entries}
+    except _BROKEN:
+        return {}, False
+    sound = all(true for _, true in placed.values()) and holds_samples(set(placed))
+    return {name: member for name, (member, _) in placed.items()}, sound
+
+
+def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
+    """A part listed in the directory, and whether its own header lies where it should."""
+    name = entry.filename.encode()
+    file.seek(entry.header_offset)
+    header = file.read(_LOCAL.size + len(name)).ljust(_LOCAL.size, b"\0")
+    extra_bytes = _LOCAL.unpack_from(header)[-1]
+    member = Member(
+        entry.filename,
+        ENCRYPTED if entry.flag_bits & 1 else entry.compress_type,
+        entry.header_offset + _LOCAL.size + len(name) + extra_bytes,
+        entry.compress_size,
+        entry.file_size,
+        entry.CRC,
+    )
+    return member, header.startswith(MAGIC) and header.endswith(name)
+
+
+def by_headers(file: BinaryIO) -> dict[str, Member]:
+    """The parts whose own headers are found anywhere in the file; the first of each name."""
+    found: dict[str, Member] = {}
+    base, data = 0, b""
+    file.seek(0)
+    while block := file.read(_SCAN_BYTES):
+        base, data = base + max(0, len(data) - _LONGEST_MATCH), data[-_LONGEST_MATCH:] + block
+        for match in NAMED.finditer(data):
+            name = match[2].decode()
+            if int.from_bytes(match[1], "little") == len(name) and name not in found:
+                found[name] = _by_header(file, base + match.start(), name)
+                file.seek(base + len(data))
+    return found
+
+
+def _by_header(file: BinaryIO, at: int, name: str) -> Member:
+    file.seek(at)
+    fields = _LOCAL.unpack(file.read(_LOCAL.size))
+    _, _, flags, method, _, _, crc, packed, unpacked, name_bytes, extra_bytes = fields
+    file.seek(at + _LOCAL.size + name_bytes)
+    if _IN_EXTRA in (packed, unpacked):
+        unpacked, packed = _long_sizes(file.read(extra_bytes))
+    start = at + _LOCAL.size + name_bytes + extra_bytes
+    method = ENCRYPTED if flags & 1 else method
+    if flags & _SIZES_FOLLOW and not packed:
+        return Member(name, method, start)
+    return Member(name, method, start, packed, unpacked, crc)
+
+
+def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
+    """Sizes of 64 bits, unpacked and packed, from a header's extra field."""
+    at = 0
+    while at + 4 <= len(extra):
+        kind, length = struct.unpack_from("<HH", extra, at)
+        if kind == 1 and length >= 16 and at + 20 <= len(extra):
+            unpacked, packed = struct.unpack_from("<QQ", extra, at + 4)
+            return unpacked, packed
+        at += 4 + length
+    return None, None
+
+
+STEP_BYTES = 1 << 14
+MOST_BYTES = 1 << 19
+"""Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
+
+UNKNOWN_SIZE = 1 << 62
+
+
+class Fault(Enum):
+    """Why a part is not as it was packed."""
+
+    CUT_OFF = "the file is cut short"
+    DAMAGED = "it is damaged within"
+    WRONG_CHECKSUM = "its checksum does not fit"
+
+
+class MemberStream:
+    """Reads a part from its beginning.
+
+    The file is taken in equal steps, so that what is salvaged from a damaged one does not depend
+    on how much is asked for at a time.
+
+    Attributes:
+        size: uncompressed bytes so far.
+        fault: known after the last byte.
+    """
+
+    def __init__(self, archive: Archive, member: Member) -> None:
+        """Open a part.
+
+        Raises:
+            UnreadableError: it is encrypted or compressed in an unusual way, or cannot be opened.
+        """
+        self.member = member
+        self.size = 0
+        self.fault: Fault | None = None
+        self._path, self._ends = archive.path, archive.ends
+        self._refuse_unknown()
+        self._left = UNKNOWN_SIZE if member.packed_bytes is None else member.packed_bytes
+        self._inflate: Any = zlib.decompressobj(-zlib.MAX_WBITS) if member.method == DEFLATED else None
+        self._ended = self._more = False
+        self._crc = 0
+        self._ahead = b""
+        try:
+            self._file = archive.path.open("rb")
+            self._file.seek(min(member.start_byte, archive.size))
+        except OSError as error:
+            raise self._unreadable(error) from error
+
+    def read(self, count: int) -> bytes:
+        """`count` bytes, fewer only at the end.
+
+        Raises:
+            UnreadableError: the disk fails.
+        """
+        parts, have = [self._ahead], len(self._ahead)
+        while have < count and not self._ended:
+            parts.append(self._step())
+            have += len(parts[-1])
+        data = b"".join(parts)
+        self._ahead = data[count:]
+        return data[:count]
+
+    @property
+    def disk_position(self) -> int:
+        """How far the file on the disk has been read."""
+        return self._file.tell()
+
+    def close(self) -> None:
+        """Release the file."""
+        self._file.close()
+
+    def _step(self) -> bytes:
+        fresh = not self._more
+        packed = self._taken() if fresh else self._inflate.unconsumed_tail
+        data = packed if self._inflate is None else self._inflated(packed)
+        self._more = self._inflate is not None and len(data) == MOST_BYTES
+        self._crc = zlib.crc32(data, self._crc)
+        self.size += len(data)
+        if self.fault or self._complete() or (fresh and not packed):
+            self._end()
+        return data
+
+    def _taken(self) -> bytes:
+        try:
+            packed = self._file.read(min(STEP_BYTES, self._left))
+        except OSError as error:
+            raise self._unreadable(error) from error
+        self._left -= len(packed)
+        return packed
+
+    def _inflated(self, packed: bytes) -> bytes:
+        before = self._inflate.copy()
+        try:
+            return bytes(self._inflate.decompress(packed, MOST_BYTES))
+        except zlib.error:
+            self.fault = Fault.DAMAGED
+            return salvaged(before, packed)
+
+    def _complete(self) -> bool:
+        return self._left == 0 if self._inflate is None else bool(self._inflate.eof)
+
+    def _end(self) -> None:
+        self._ended = True
+        if self.fault is None and not self._complete():
+            self.fault = Fault.DAMAGED if self._ends else Fault.CUT_OFF
+        elif self.fault is None and self.member.unpacked_bytes not in (None, self.size):
+            self.fault = Fault.DAMAGED
+        elif self.fault is None and self.member.crc not in (None, self._crc):
+            self.fault = Fault.WRONG_CHECKSUM
+
+    def _refuse_unknown(self) -> None:
+        if self.member.method not in (STORED, DEFLATED):
+            encrypted = self.member.method == ENCRYPTED
+            how = "is encrypted" if encrypted else f"is compressed in an unusual way ({self.member.method})"
+            raise UnreadableError(
+                f"{self.member.name} in it {how}",
+                path=self._path,
+                hint="unpack it and pack it again as a plain zip file",
+            )
+
+    def _unreadable(self, error: OSError) -> UnreadableError:
+        return UnreadableError(f"cannot be read ({error.strerror or error})", path=self._path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def salvaged(inflate: Any, packed: bytes) -> bytes:
+    """What a decompressor still gives of bytes that are damaged somewhere."""
+    parts: list[bytes] = []
+    try:
+        for at in range(len(packed)):
+            parts.append(inflate.decompress(packed[at : at + 1]))
+    except zlib.error:
+        pass
+    return b"".join(parts)

@@ -1,0 +1,313 @@
+"""info.txt: what the device's software wrote about a recording, one "key: value" a line.
+
+Source: github.com/actigraph/GT3X-File-Format and NHANES-GT3X-File-Format, info.txt.md. Times are
+.NET ticks, 100 ns since the year 1, on the device's clock.
+
+What is known of a recording before its samples are read: info.txt, and the beginning of log.bin.
+
+Scale, range and rate of a sensor: from info.txt, else from the parameters, else by the model.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Device, Problem
+from accelcal_cli.formats.gt3x import INFO, LOG
+from accelcal_cli.formats.gt3x.archive import Archive, MemberStream
+from accelcal_cli.formats.gt3x.log import batches
+from accelcal_cli.formats.gt3x.records import (
+    ACCEL_SCALE,
+    ANY_TIME,
+    IMU_TEMPERATURE_OFFSET,
+    SAMPLE_RATE,
+    SENSOR_CONFIGURATION,
+    SENSOR_DATA,
+    SENSOR_SCHEMA,
+    START_TIME,
+    Batch,
+    Key,
+    Span,
+    in_utc,
+    number_of,
+    parameters_in,
+    payloads,
+)
+from accelcal_cli.formats.gt3x.sensors import (
+    ACCELEROMETER,
+    DOCKED_BYTES,
+    GYROSCOPE,
+    KINDS,
+    TEMPERATURE,
+    Imu,
+    Primary,
+    Schema,
+    Sensor,
+    parse_schema,
+    samples_in,
+)
+
+TICKS_PER_US = 10
+YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
+LATEST_US = (1 << 32) * 1_000_000
+HIGHEST_RATE_HZ = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """What info.txt says; None where it does not.
+
+    Attributes:
+        start_us, last_us: first and last sample, or planned start and stop, local time.
+        scale: counts in one g.
+        zone: offset of the local time from UTC, such as -05:00.
+    """
+
+    device: Device = field(default_factory=Device)
+    rate_hz: int | None = None
+    start_us: int | None = None
+    last_us: int | None = None
+    scale: float | None = None
+    range_g: float | None = None
+    zone: str | None = None
+
+
+def parse_info(data: bytes) -> Info:
+    """Read the bytes of info.txt; unusable values are taken for missing."""
+    text = data.decode("utf-8-sig", "replace")
+    pairs = [line.partition(":") for line in text.splitlines()]
+    values = {key.strip(): value.strip() for key, _, value in pairs if value.strip()}
+    low, high = _number(values.get("Acceleration Min")), _number(values.get("Acceleration Max"))
+    rate = _number(values.get("Sample Rate"))
+    return Info(
+        Device(values.get("Device Type"), values.get("Serial Number"), values.get("Firmware")),
+        int(rate) if rate and rate == int(rate) and 0 < rate <= HIGHEST_RATE_HZ else None,
+        _time_us(values.get("Start Date")),
+        _time_us(values.get("Last Sample Time")) or _time_us(values.get("Stop Date")),
+        _positive(_number(values.get("Acceleration Scale"))),
+        None if low is None or high is None else _positive(min(-low, high)),
+        _zone(values.get("TimeZone")),
+    )
+
+
+def _number(text: str | None) -> float | None:
+    """A number, with a decimal comma in some countries."""
+    try:
+        value = float((text or "").replace(",", "."))
+    except ValueError:
+        return None
+    return value if isfinite(value) else None
+
+
+def _positive(value: float | None) -> float | None:
+    return value if value is not None and value > 0 else None
+
+
+def _time_us(text: str | None) -> int | None:
+    """Microseconds since 1970 of ticks; None where it is no time of our days."""
+    if text is None or not text.isascii() or not text.isdigit():
+        return None
+    time_us = int(text[:30]) // TICKS_PER_US - YEAR_1_TO_1970_US
+    return time_us if 0 < time_us < LATEST_US else None
+
+
+def _zone(text: str | None) -> str | None:
+    """-05:00:00 as -05:00, 02:00:00 as +02:00."""
+    parts = (text or "").lstrip("+-").split(":")
+    if len(parts) != 3 or not all(part.isdigit() and len(part) == 2 for part in parts):
+        return None
+    return f"{'-' if text and text.startswith('-') else '+'}{parts[0]}:{parts[1]}"
+
+
+INFO_BYTES = 1 << 20
+DAY_S = 86_400
+LONGEST_S = 366 * DAY_S
+NO_INFO = "info.txt is missing from the zip file"
+BAD_INFO = "info.txt in the zip file is damaged and was not used"
+
+
+def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
+    """info.txt, and what is wrong with it; a damaged one is not used at all."""
+    member = archive.members.get(INFO)
+    if member is None:
+        return Info(), (Problem("damaged_header", NO_INFO, None, 0),)
+    try:
+        with MemberStream(archive, member) as stream:
+            data = stream.read(INFO_BYTES)
+            damaged = stream.fault is not None
+    except UnreadableError:
+        damaged = True
+    return (Info(), (Problem("damaged_header", BAD_INFO, None, 0),)) if damaged else (parse_info(data), ())
+
+
+@dataclass(slots=True)
+class Beginning:
+    """What the first records of log.bin say, up to the first samples.
+
+    Attributes:
+        rate: samples that most records of the first piece with any hold; None without any.
+        first_s: second of the first samples.
+        imu: the device's second sensor recorded too.
+    """
+
+    parameters: dict[Key, int] = field(default_factory=dict)
+    utc: bool = False
+    schema: Schema | None = None
+    rate: int | None = None
+    first_s: int | None = None
+    imu: bool = False
+
+    def take(self, batch: Batch) -> None:
+        """Look at the next records."""
+        self.parameters = parameters_in(batch) | self.parameters
+        self.utc |= in_utc(batch)
+        self.imu |= bool((batch.records.kind == SENSOR_DATA).any())
+        if self.schema is None:
+            schemas = [parse_schema(data) for data in payloads(batch, SENSOR_SCHEMA)]
+            usable = [schema for schema in schemas if schema and schema.axes(ACCELEROMETER)]
+            self.schema = usable[0] if usable else None
+        self._take_samples(batch)
+
+    def _take_samples(self, batch: Batch) -> None:
+        records = batch.records
+        held = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
+        rows = samples_in(held)
+        if self.rate is None and rows.any():
+            self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
+            self.first_s = int(held.second[rows > 0][0])
+
+
+def look_inside(archive: Archive, *, imu: bool) -> Beginning:
+    """Read log.bin until there are samples, of the second sensor with its schema if that is wanted.
+
+    Raises:
+        UnreadableError: the disk fails, or log.bin is packed in an unusual way.
+    """
+    beginning = Beginning()
+    with MemberStream(archive, archive.members[LOG]) as stream:
+        for batch in batches(stream, ANY_TIME):
+            beginning.take(batch)
+            if beginning.imu and beginning.schema if imu else beginning.rate:
+                break
+    return beginning
+
+
+def span_of(info: Info, beginning: Beginning) -> Span:
+    """Between which times records are expected."""
+    start_us = info.start_us
+    start_s = beginning.parameters.get(START_TIME) if start_us is None else start_us // 1_000_000
+    first_s = beginning.first_s if start_s is None else start_s
+    return ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
+
+
+LEAST_SCALE = 10.0
+"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is told elsewhere."""
+
+IMU_ZERO_C = 21.0
+WARMEST_C = 1000.0
+IMU_FULL_SCALE = 32_768
+COPY_AGAIN = "copy it again from the device"
+NO_IMU = "no second sensor (IMU) recorded in it"
+TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
+HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Counts in one g, and the range in g, None where unknown."""
+
+    lsb_per_g: float
+    range_g: float | None
+
+
+SIX_G, EIGHT_G = Scale(341.0, 6.0), Scale(256.0, 8.0)
+"""Of the models (LogRecords/Activity.md; info.txt of a device of each)."""
+
+BY_SERIAL = {"NEO": SIX_G, "CLE": SIX_G, "MRA": SIX_G, "MOS": EIGHT_G, "TAS": EIGHT_G}
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A sensor that is understood.
+
+    Attributes:
+        gyro_dps_per_lsb: degrees per second in one count of each axis, None without a gyroscope.
+    """
+
+    sensor: Sensor
+    scale: Scale
+    notes: tuple[str, ...] = ()
+    has_temperature: bool = False
+    gyro_dps_per_lsb: tuple[float, float, float] | None = None
+
+
+def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Path) -> Known:
+    """The main accelerometer.
+
+    Raises:
+        UnreadableError: it recorded nothing, or nothing says its scale.
+    """
+    if beginning.rate is None:
+        hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
+        raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
+    told = number_of(beginning.parameters, ACCEL_SCALE)
+    scale = scale_of(info, told, options, path)
+    turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
+    notes = [TURNED] if turned else []
+    notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(SENSOR_CONFIGURATION) else []
+    named = info.rate_hz or beginning.parameters.get(SAMPLE_RATE)
+    if named not in (None, beginning.rate):
+        notes.append(f"the header says {named} Hz, the records hold {beginning.rate} samples a second")
+    return Known(Primary(beginning.rate, turned), scale, tuple(notes))
+
+
+def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Path) -> Scale:
+    """The main accelerometer's scale.
+
+    Raises:
+        UnreadableError: nothing says it.
+    """
+    told = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
+    model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
+    known = told[0] if told else model.lsb_per_g if model else options.lsb_per_g
+    if known is None:
+        raise UnreadableError(
+            "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"
+        )
+    usual = {scale.lsb_per_g: scale.range_g for scale in (SIX_G, EIGHT_G)}
+    return Scale(options.lsb_per_g or known, info.range_g or usual.get(known))
+
+
+def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
+    """The second sensor of a device that has one; its 16 bits are its range.
+
+    Raises:
+        UsageError: it recorded nothing.
+    """
+    if beginning.schema is None or not beginning.imu:
+        raise UsageError(NO_IMU, path=path, hint="leave --sensor out")
+    told_c = number_of(beginning.parameters, IMU_TEMPERATURE_OFFSET)
+    zero_c = told_c if told_c is not None and abs(told_c) <= WARMEST_C else IMU_ZERO_C
+    schema = beginning.schema
+    per_g = schema.axes(ACCELEROMETER)[0].scale
+    turns = [1 / column.scale for column in schema.axes(GYROSCOPE)]
+    return Known(
+        Imu(schema, zero_c),
+        Scale(options.lsb_per_g or per_g, IMU_FULL_SCALE / per_g),
+        has_temperature=TEMPERATURE in schema.columns,
+        gyro_dps_per_lsb=(turns[0], turns[1], turns[2]) if turns else None,
+    )
+
+
+def old_scale(info: Info) -> Scale:
+    """Of the older kind; all devices of it are of one model."""
+    if info.scale is None or info.scale < LEAST_SCALE:
+        return SIX_G
+    return Scale(info.scale, info.range_g)

@@ -1,0 +1,168 @@
+"""An open .gt3x file of either kind: what is known of the recording, and its rows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.formats.gt3x import ACTIVITY, LOG
+from accelcal_cli.formats.gt3x.activity import OldFile, has_samples
+from accelcal_cli.formats.gt3x.archive import Archive, open_archive
+from accelcal_cli.formats.gt3x.header import (
+    COPY_AGAIN,
+    NO_IMU,
+    Info,
+    imu_of,
+    look_inside,
+    old_scale,
+    primary_of,
+    read_info,
+    span_of,
+)
+from accelcal_cli.formats.gt3x.log import LogFile
+
+IMU = "imu"
+SENSORS = ("accelerometer", IMU)
+START_SAMPLES = 1
+UNPACK = "unpack the .gz; a .gt3x is a zip file already"
+NO_START = "info.txt does not tell when the recording began: times count from its start"
+
+
+class Gt3xReader(Reader):
+    """Streams a recording; each call of `chunks` reads the zip file from its beginning."""
+
+    def __init__(self, recording: Recording, file: LogFile | OldFile) -> None:
+        self.recording = recording
+        self._file = file
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order."""
+        return self._file.stream(chunk_samples)
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a recording.
+
+    Raises:
+        UnreadableError: it is not of this format, or holds no samples.
+        UsageError: the rates contradict each other, or there is no such sensor.
+    """
+    if options.sensor not in (None, *SENSORS):
+        known = ", ".join(SENSORS)
+        raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=f"one of {known}")
+    if probe_file(path, options).compressed:
+        raise UnreadableError("is packed twice", path=path, hint=UNPACK)
+    archive = open_archive(path)
+    info, problems = read_info(archive)
+    if LOG in archive.members:
+        return open_log(archive, info, options, archive.problems + problems)
+    if ACTIVITY in archive.members:
+        return open_old(archive, info, options, archive.problems + problems)
+    raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
+
+
+def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
+    """Open the newer kind.
+
+    Raises:
+        UnreadableError: it holds no samples, or nothing says their scale.
+        UsageError: the rates contradict each other, or the wanted sensor did not record.
+    """
+    beginning = look_inside(archive, imu=options.sensor == IMU)
+    if options.sensor == IMU:
+        known = imu_of(beginning, options, archive.path)
+    else:
+        known = primary_of(info, beginning, options, archive.path)
+    file = LogFile(archive, archive.members[LOG], known.sensor, span_of(info, beginning), problems)
+    start_us = first_time(file)
+    recording = Recording(
+        path=archive.path,
+        format="gt3x",
+        rate_hz=agreed_rate(options, float(known.sensor.rate), archive.path),
+        lsb_per_g=known.scale.lsb_per_g,
+        total_bytes=archive.size,
+        device=info.device,
+        range_g=known.scale.range_g,
+        start_us=start_us,
+        timezone=options.timezone or ("UTC" if beginning.utc else None),
+        duration_s=lasted_s(info, start_us),
+        has_temperature=known.has_temperature,
+        gyro_dps_per_lsb=known.gyro_dps_per_lsb,
+        notes=known.notes + (() if beginning.utc else zone_note(info, options)),
+    )
+    return Gt3xReader(recording, file)
+
+
+def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
+    """Open the older kind.
+
+    Raises:
+        UnreadableError: it holds no sample, or nothing says the rate.
+        UsageError: the rates contradict each other, or the wanted sensor is not in such devices.
+    """
+    if options.sensor == IMU:
+        raise UsageError(NO_IMU, path=archive.path, hint="leave --sensor out")
+    rate = old_rate(info, options, archive.path)
+    if info.start_us is None:
+        problems += (Problem("no_start_time", NO_START, None, 0),)
+    file = OldFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
+    if not has_samples(file):
+        raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
+    scale = old_scale(info)
+    recording = Recording(
+        path=archive.path,
+        format="gt3x",
+        rate_hz=agreed_rate(options, float(rate), archive.path),
+        lsb_per_g=options.lsb_per_g or scale.lsb_per_g,
+        total_bytes=archive.size,
+        device=info.device,
+        range_g=scale.range_g,
+        start_us=info.start_us,
+        timezone=options.timezone,
+        samples=file.samples,
+        duration_s=None if file.samples is None else file.samples / rate,
+        notes=zone_note(info, options),
+    )
+    return Gt3xReader(recording, file)
+
+
+def old_rate(info: Info, options: ReadOptions, path: Path) -> int:
+    """Samples in a second of the older kind, which only info.txt tells."""
+    rate = info.rate_hz or options.rate_hz
+    if rate is None or rate != int(rate):
+        raise UnreadableError(
+            "does not say its rate: info.txt is missing or damaged", path=path, hint="give --rate, such as 30"
+        )
+    return int(rate)
+
+
+def first_time(file: LogFile) -> int:
+    """Time of the first sample [us], as `chunks` gives it.
+
+    Raises:
+        UnreadableError: there is no sample.
+    """
+    with closing(file.stream(START_SAMPLES)) as chunks:
+        for chunk in chunks:
+            if len(chunk):
+                return int(chunk.clock.times(0, 1)[0])
+    raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=COPY_AGAIN)
+
+
+def lasted_s(info: Info, start_us: int) -> float | None:
+    """Length by the time of the last sample in info.txt, None where it makes no sense."""
+    if info.last_us is None or info.last_us <= start_us:
+        return None
+    return (info.last_us - start_us) / MICROSECONDS
+
+
+def zone_note(info: Info, options: ReadOptions) -> tuple[str, ...]:
+    """How to make the local times those of a zone."""
+    if info.zone is None or options.timezone is not None:
+        return ()
+    return (f"the clock shows local time, {info.zone} from UTC at the start (--timezone {info.zone})",)

@@ -1,0 +1,412 @@
+"""What a record of log.bin looks like.
+
+Eight bytes of header (separator 0x1E, kind, seconds since 1970, size of the payload, little-endian),
+the payload, and one byte that makes the exclusive or over the whole record 0xFF. Source:
+github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in
+the vendor's pygt3x.
+
+A piece of log.bin: records one after the other, and where one can be believed after damage.
+
+Cutting log.bin into records, and going on after damage.
+
+Records of log.bin that describe the recording: parameters, metadata.
+
+Sources: github.com/actigraph/GT3X-File-Format, LogRecords/Parameters.md (pairs of key and value,
+floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Initialized in UTC").
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+SEPARATOR = 0x1E
+HEADER_BYTES = 8
+FRAME_BYTES = HEADER_BYTES + 1
+"""Header and checksum: the shortest record."""
+
+LONGEST_BYTES = FRAME_BYTES + 0xFFFF
+SOUND = 0xFF
+
+ACTIVITY, BATTERY, EVENT, METADATA = 0, 2, 3, 6
+PARAMETERS, SENSOR_SCHEMA, SENSOR_DATA = 21, 24, 25
+ACTIVITY2, ACTIVITY3 = 26, 27
+
+_FIXED = {
+    ACTIVITY: (1, 1152),
+    BATTERY: (2, 2),
+    EVENT: (1, 16),
+    4: (1, 1),
+    5: (2, 2),
+    7: (15, 15),
+    13: (6, 6),
+    ACTIVITY2: (1, 1536),
+    ACTIVITY3: (1, 1152),
+}
+"""Sizes of payloads that tell a record from other bytes: samples up to 256 Hz, and fixed ones."""
+
+_LOOSE = {METADATA: 4096, 17: 4096, 18: 4096, 20: 4096, PARAMETERS: 4096, 22: 4096, 23: 4096} | {
+    SENSOR_SCHEMA: 4096,
+    SENSOR_DATA: 4096,
+}
+_KINDS = 31
+_SHORT = 255
+LONGEST_BELIEVED = FRAME_BYTES + 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Records:
+    """Records of a buffer in file order, (k,) each.
+
+    Attributes:
+        start: int64, where each begins in the buffer.
+        kind: uint8.
+        second: int64, seconds since 1970 on the device's clock.
+        size: int64, bytes of payload.
+    """
+
+    start: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+    second: NDArray[np.int64]
+    size: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Records:
+        """Some of them, by a mask or by numbers."""
+        return Records(self.start[which], self.kind[which], self.second[which], self.size[which])
+
+    def framed_bytes(self) -> int:
+        """Bytes of all of them."""
+        return int(self.size.sum()) + FRAME_BYTES * len(self)
+
+
+def records_at(buffer: NDArray[np.uint8], start: NDArray[np.int64]) -> Records:
+    """Headers of records that begin at `start` (k,); their eight bytes must lie in the buffer."""
+    header = buffer[start[:, None] + np.arange(HEADER_BYTES)]
+    second = np.ascontiguousarray(header[:, 2:6]).view("<u4")[:, 0].astype(np.int64)
+    size = np.ascontiguousarray(header[:, 6:8]).view("<u2")[:, 0].astype(np.int64)
+    return Records(start, header[:, 1], second, size)
+
+
+def _limits() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+    low, high = np.zeros(256, np.int64), np.full(256, -1, np.int64)
+    high[:_KINDS] = _SHORT
+    fixed = np.zeros(256, np.bool_)
+    for kind, longest in _LOOSE.items():
+        high[kind] = longest
+    for kind, (shortest, longest) in _FIXED.items():
+        low[kind], high[kind], fixed[kind] = shortest, longest, True
+    return low, high, fixed
+
+
+_LOW, _HIGH, _IS_FIXED = _limits()
+
+
+def fits(records: Records) -> NDArray[np.bool_]:
+    """Whether kind and size go together, (k,)."""
+    return np.asarray((records.size >= _LOW[records.kind]) & (records.size <= _HIGH[records.kind]))
+
+
+def telling(records: Records) -> NDArray[np.bool_]:
+    """Whether the kind is one whose size tells it from other bytes, (k,)."""
+    return _IS_FIXED[records.kind]
+
+
+SEPARATOR_BYTE = bytes([SEPARATOR])
+PADDING_BYTES = FRAME_BYTES - 1
+"""So many zeros between records are padding, as the format's document allows; more hide a record."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Seconds since 1970 between which a recording's records are expected."""
+
+    first_s: int
+    last_s: int
+
+
+ANY_TIME = Span(0, 1 << 32)
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """A piece of log.bin.
+
+    Attributes:
+        base: where it begins.
+        last: nothing follows.
+    """
+
+    data: bytes
+    base: int
+    last: bool
+    span: Span
+
+    @cached_property
+    def buffer(self) -> NDArray[np.uint8]:
+        """The bytes, (n,)."""
+        return np.frombuffer(self.data, np.uint8)
+
+    @cached_property
+    def believable(self) -> NDArray[np.int64]:
+        """Where records begin that can be believed without knowing what comes before them.
+
+        Their checksum is right, kind and size go together, and either the next such record
+        follows or both time and size are those of a recording.
+        """
+        records = self._candidates()
+        end = records.start + records.size + FRAME_BYTES
+        so_far = np.bitwise_xor.accumulate(self.buffer)
+        before = np.where(records.start > 0, so_far[records.start - 1], 0)
+        sound = (so_far[end - 1] ^ before) == SOUND
+        records, end = records.select(sound), end[sound]
+        near = (records.second >= self.span.first_s) & (records.second <= self.span.last_s)
+        followed = np.isin(end, records.start) | (self.last & (end == len(self.data)))
+        return np.asarray(records.start[followed | (near & telling(records))])
+
+    def _candidates(self) -> Records:
+        room = max(0, len(self.data) - FRAME_BYTES + 1)
+        records = records_at(self.buffer, np.flatnonzero(self.buffer[:room] == SEPARATOR))
+        inside = records.start + records.size + FRAME_BYTES <= len(self.data)
+        return records.select(inside & fits(records))
+
+    def incomplete(self, at: int) -> bool:
+        """Whether what is at `at` could be a record that goes on beyond the piece."""
+        left = len(self.data) - at
+        return left < FRAME_BYTES or (self.data[at] == SEPARATOR and left < self.length(at))
+
+    def length(self, at: int) -> int:
+        """Bytes of the record at `at`, by its header."""
+        return FRAME_BYTES + (self.data[at + 6] | self.data[at + 7] << 8)
+
+    def after_padding(self, at: int) -> int:
+        """Where a record or the end of the data follows after a few zeros; `at` where that is not so."""
+        ahead = self.data[at : at + FRAME_BYTES]
+        zeros = len(ahead) - len(ahead.lstrip(b"\0"))
+        ends = self.last and at + zeros == len(self.data) and zeros <= PADDING_BYTES
+        return at + zeros if ends or ahead[zeros : zeros + 1] == SEPARATOR_BYTE else at
+
+    def follow(self, at: int, most: int) -> tuple[list[int], int]:
+        """Sound records one after the other from `at` on, up to `most`; where the next should be."""
+        starts, end = walk(self.data, at, most)
+        if not starts:
+            return starts, at
+        start = np.array(starts, np.int64)
+        sound = np.bitwise_xor.reduceat(self.buffer[:end], start) == SOUND
+        goes_on = end == len(self.data) or self.data[end] == SEPARATOR
+        sound[-1] &= goes_on or bool(fits(records_at(self.buffer, start[-1:]))[0])
+        good = len(starts) if sound.all() else int(np.argmin(sound))
+        return starts[:good], end if good == len(starts) else starts[good]
+
+
+def walk(data: bytes, at: int, most: int) -> tuple[list[int], int]:
+    """Where complete records begin, by their sizes alone, and where the last of them ends."""
+    starts: list[int] = []
+    room = len(data) - FRAME_BYTES
+    while at <= room and data[at] == SEPARATOR and len(starts) < most:
+        after = at + FRAME_BYTES + (data[at + 6] | data[at + 7] << 8)
+        if after > len(data):
+            break
+        starts.append(at)
+        at = after
+    return starts, at
+
+
+def spoiled_records(data: bytes) -> int:
+    """How many records the bytes are by their sizes, the first of which may lack its separator; or 0."""
+    starts, reached = walk(SEPARATOR_BYTE + data[1:], 0, len(data))
+    return len(starts) if reached == len(data) and any(data) else 0
+
+
+FIRST_WALK, LONGEST_WALK = 64, 1 << 20
+LOOK_AHEAD = 2 * LONGEST_BELIEVED
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """Bytes that gave no record.
+
+    Attributes:
+        start_byte: where they begin in log.bin.
+        size: how many.
+        records: how many records with a wrong checksum they are; 0 where they are something else.
+        before: how many sound records of the batch lie before them.
+        cut_off: they are the beginning of a record at the end of the data.
+    """
+
+    start_byte: int
+    size: int
+    records: int
+    before: int
+    cut_off: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Batch:
+    """Sound records of a piece of log.bin, and what lies between them.
+
+    Attributes:
+        doubtful: (k,) bool, what follows the record is no record: a length that is damaged may pass
+            for sound by chance.
+    """
+
+    page: Page
+    records: Records
+    doubtful: NDArray[np.bool_]
+    damage: tuple[Damage, ...]
+
+
+@dataclass(slots=True)
+class _Found:
+    starts: list[int] = field(default_factory=list)
+    doubtful: list[int] = field(default_factory=list)
+    damage: list[Damage] = field(default_factory=list)
+
+    def batch(self, page: Page) -> Batch:
+        doubtful = np.zeros(len(self.starts), np.bool_)
+        doubtful[self.doubtful] = True
+        records = records_at(page.buffer, np.array(self.starts, np.int64))
+        return Batch(page, records, doubtful, tuple(self.damage))
+
+
+class Framer:
+    """Takes log.bin piece by piece, in equal pieces; the records depend on nothing else."""
+
+    def __init__(self, span: Span) -> None:
+        self._span = span
+        self._rest = b""
+        self._base = 0
+        self._lost: int | None = None
+        self._most = FIRST_WALK
+
+    def feed(self, data: bytes, *, last: bool) -> Batch:
+        """Records of which it is clear what follows them."""
+        page = Page(self._rest + data, self._base, last, self._span)
+        found, at = _Found(), 0
+        while at < len(page.data) and (more := self._step(page, at, found)) is not None:
+            at = more
+        at = self._kept(page, at, found)
+        self._rest, self._base = page.data[at:], page.base + at
+        return found.batch(page)
+
+    def _step(self, page: Page, at: int, found: _Found) -> int | None:
+        """Go on from `at`; gives where to, or None where more bytes are needed."""
+        if self._lost is not None:
+            return self._search(page, at, found)
+        starts, end = page.follow(at, self._most)
+        found.starts += starts
+        if len(starts) == self._most:
+            self._most = min(2 * self._most, LONGEST_WALK)
+            return end
+        if (after := page.after_padding(end)) > end:
+            return after
+        if end < len(page.data) and (page.last or not page.incomplete(end)):
+            self._lose(page, end, found)
+            return end
+        return end if starts else None
+
+    def _lose(self, page: Page, at: int, found: _Found) -> None:
+        """What should begin at `at` is no sound record."""
+        self._lost, self._most = page.base + at, FIRST_WALK
+        if found.starts and page.data[at] != SEPARATOR:
+            found.doubtful.append(len(found.starts) - 1)
+
+    def _search(self, page: Page, at: int, found: _Found) -> int | None:
+        """Find the next record after damage."""
+        assert self._lost is not None
+        place = np.searchsorted(page.believable, max(at, self._lost - page.base + 1))
+        if place == len(page.believable) and not page.last:
+            return None
+        end = int(page.believable[place]) if place < len(page.believable) else len(page.data)
+        damage = self._damage(page, end, len(found.starts))
+        if damage.records:
+            found.doubtful = [record for record in found.doubtful if record != damage.before - 1]
+        found.damage.append(damage)
+        self._lost = None
+        return end
+
+    def _damage(self, page: Page, end: int, before: int) -> Damage:
+        """What lies between the last record and `end`: records if their sizes lead there."""
+        assert self._lost is not None
+        lost = self._lost - page.base
+        size = end - lost
+        if lost < 0:
+            return Damage(self._lost, size, 0, before)
+        cut_off = page.last and end == len(page.data) and page.incomplete(lost)
+        return Damage(self._lost, size, spoiled_records(page.data[lost:end]), before, cut_off)
+
+    def _kept(self, page: Page, at: int, found: _Found) -> int:
+        """From where on bytes are still needed: the last record, or while lost as many as two may take."""
+        if page.last:
+            return len(page.data)
+        if self._lost is not None:
+            return max(at, len(page.data) - LOOK_AHEAD)
+        return found.starts.pop() if found.starts else at
+
+
+Key = tuple[int, int]
+"""Address space and number of a parameter."""
+
+IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
+ACCEL_SCALE = (0, 55)
+SAMPLE_RATE = (1, 10)
+START_TIME = (1, 12)
+SENSOR_CONFIGURATION = (1, 44)
+
+_PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
+
+
+def payload(batch: Batch, number: int) -> bytes:
+    """Bytes of a record's payload."""
+    start = int(batch.records.start[number]) + HEADER_BYTES
+    return batch.page.data[start : start + int(batch.records.size[number])]
+
+
+def payloads(batch: Batch, kind: int) -> list[bytes]:
+    """Payloads of all records of a kind."""
+    return [payload(batch, number) for number in np.flatnonzero(batch.records.kind == kind).tolist()]
+
+
+def parameters_in(batch: Batch) -> dict[Key, int]:
+    """Parameters as 32-bit words; the last word of each counts."""
+    found: dict[Key, int] = {}
+    for data in payloads(batch, PARAMETERS):
+        pairs = np.frombuffer(data, _PAIR, len(data) // _PAIR.itemsize).tolist()
+        found |= {(space, number): value for space, number, value in pairs}
+    return found
+
+
+def number_of(parameters: Mapping[Key, int], key: Key) -> float | None:
+    """A parameter that is a float; None where it is missing or 0."""
+    word = parameters.get(key)
+    return float_of(word) if word else None
+
+
+def float_of(word: int) -> float:
+    """A float of the Simple Serial Protocol: fraction / 2^23 * 2^exponent, both signed."""
+    fraction, exponent = word & 0xFFFFFF, word >> 24
+    fraction -= (fraction & 0x800000) << 1
+    exponent -= (exponent & 0x80) << 1
+    return float(fraction / (1 << 23) * 2.0**exponent)
+
+
+def in_utc(batch: Batch) -> bool:
+    """Whether a metadata record says that the device's clock was set to UTC."""
+    return any(_says_utc(data) for data in payloads(batch, METADATA))
+
+
+def _says_utc(data: bytes) -> bool:
+    try:
+        said = json.loads(data)
+    except (ValueError, RecursionError):
+        return False
+    return (
+        isinstance(said, dict) and said.get("MetadataType") == "LocalTimeLog" and said.get("UsedUtc") is True
+    )

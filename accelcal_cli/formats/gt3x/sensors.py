@@ -1,0 +1,335 @@
+"""What a sensor of the device is to the rest of the reader: which records hold its samples, and how.
+
+The second sensor of the GT9X: accelerometer, gyroscope and temperature in one record.
+
+A schema record lists the columns of the sensor records. Source: github.com/actigraph/GT3X-File-
+Format, LogRecords/SensorSchema.md and SensorData.md. Records hold 100 or 101 samples for a second.
+
+Samples of three values of twelve bits, two samples in nine bytes.
+
+Source: github.com/actigraph/GT3X-File-Format, LogRecords/Activity.md; the same in NHANES-GT3X-File-
+Format, fileformats/activity.bin.md.
+
+The main accelerometer: records of one second of samples, packed or of 16 bits.
+
+Source: github.com/actigraph/GT3X-File-Format, LogRecords/Activity.md and Activity2.md. Kind 27 is
+packed in the order x, y, z (the vendor's pygt3x).
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.formats.gt3x.records import (
+    ACTIVITY,
+    ACTIVITY2,
+    ACTIVITY3,
+    HEADER_BYTES,
+    SENSOR_DATA,
+    Records,
+    float_of,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Samples of k records, n in all, in file order.
+
+    Attributes:
+        rows: (k,) int64, samples of each record.
+        counts: (n, 3) int16.
+        temperature_mc: (n,) int32, thousandths of a degree C, or None.
+        gyro: (n, 3) int16, or None.
+    """
+
+    rows: NDArray[np.int64]
+    counts: NDArray[np.int16]
+    temperature_mc: NDArray[np.int32] | None = None
+    gyro: NDArray[np.int16] | None = None
+
+
+class Sensor(Protocol):
+    """One of the device's sensors."""
+
+    @property
+    def rate(self) -> int:
+        """Samples in a second."""
+        ...
+
+    @property
+    def fills(self) -> bool:
+        """Whether the device repeats its last sample while it sleeps."""
+        ...
+
+    def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
+        """Which records hold its samples, (m,)."""
+        ...
+
+    def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
+        """Samples of records that `holds` named."""
+        ...
+
+    def whole(self, records: Records) -> NDArray[np.bool_]:
+        """Which of these records are one second of samples and nothing else, (k,)."""
+        ...
+
+
+def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
+    """Payloads of records of one size that begin at `start` (k,), (k, size)."""
+    if not size:
+        return np.empty((len(start), 0), np.uint8)
+    every = np.lib.stride_tricks.sliding_window_view(buffer, size)
+    return np.ascontiguousarray(every[start + HEADER_BYTES])
+
+
+def first_rows(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Where each record's samples begin, (k,)."""
+    return np.cumsum(rows) - rows
+
+
+USUAL_RATE = 100
+"""What a schema that says 0 samples means, as in the vendor's example code."""
+
+ID_BYTES = 2
+UNEVEN = 0.1
+"""The IMU's own clock is off by so much at most, as a part of its rate."""
+
+LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
+"""Counts in one g, degree or degree per second that make sense."""
+
+_HEAD = struct.Struct("<HHH")
+_COLUMN = struct.Struct("<BBBI16s")
+_BIG_ENDIAN, _SIGNED = 1, 2
+_AXES = " X", " Y", " Z"
+ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperature"
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A 16-bit value of each sample: where it lies, and how many counts are one unit."""
+
+    offset: int
+    order: str
+    scale: float
+
+
+@dataclass(frozen=True, slots=True)
+class Schema:
+    """What sensor records hold.
+
+    Attributes:
+        number: they begin with it.
+        rate: samples in a second.
+        row_bytes: bytes of a sample.
+        columns: by label; only those of signed 16 bits.
+    """
+
+    number: int
+    rate: int
+    row_bytes: int
+    columns: dict[str, Column]
+
+    def axes(self, label: str) -> tuple[Column, ...]:
+        """The columns of a sensor's three axes; none where one is missing."""
+        found = [self.columns.get(label + axis) for axis in _AXES]
+        return tuple(column for column in found if column) if all(found) else ()
+
+
+def parse_schema(data: bytes) -> Schema | None:
+    """A schema record's payload; None where it makes no sense."""
+    if len(data) < _HEAD.size:
+        return None
+    number, columns, samples = _HEAD.unpack_from(data)
+    if columns * _COLUMN.size != len(data) - _HEAD.size:
+        return None
+    found: dict[str, Column] = {}
+    row_bytes = 0
+    for flags, offset, bits, scale, label in _COLUMN.iter_unpack(data[_HEAD.size :]):
+        row_bytes += bits // 8
+        per_unit = float_of(scale)
+        plain = bits == 16 and flags & _SIGNED and offset % 8 == 0
+        if plain and LEAST_SCALE <= per_unit <= LARGEST_SCALE:
+            order = ">i2" if flags & _BIG_ENDIAN else "<i2"
+            found[label.decode("ascii", "replace").strip()] = Column(offset // 8, order, per_unit)
+    fitting = {name: column for name, column in found.items() if column.offset + 2 <= row_bytes}
+    return Schema(number, samples or USUAL_RATE, row_bytes, fitting) if row_bytes else None
+
+
+@dataclass(frozen=True, slots=True)
+class Imu:
+    """The second sensor as the schema describes it.
+
+    Attributes:
+        zero_c: temperature at 0 counts.
+    """
+
+    schema: Schema
+    zero_c: float
+    fills: bool = False
+
+    @property
+    def rate(self) -> int:
+        """Samples in a second, nominally."""
+        return self.schema.rate
+
+    def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
+        """Which records hold samples by this schema, (m,)."""
+        data = (records.kind == SENSOR_DATA) & (records.size >= ID_BYTES + self.schema.row_bytes)
+        number = payloads_of(buffer, records.start[data], ID_BYTES).view("<u2")[:, 0]
+        data[data] = number == self.schema.number
+        return np.asarray(data)
+
+    def whole(self, records: Records) -> NDArray[np.bool_]:
+        """Which records hold about as many samples as the rate says, without further bytes, (k,)."""
+        rows = self._rows(records)
+        exact = records.size == ID_BYTES + rows * self.schema.row_bytes
+        return np.asarray(exact & (np.abs(rows - self.rate) <= UNEVEN * self.rate))
+
+    def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
+        """Samples of records, those of one size at once."""
+        rows = self._rows(records)
+        table = np.empty((int(rows.sum()), self.schema.row_bytes), np.uint8)
+        first = first_rows(rows)
+        for size in np.unique(records.size).tolist():
+            chosen = records.size == size
+            data = payloads_of(buffer, records.start[chosen], size)[:, ID_BYTES:]
+            whole = data[:, : data.shape[1] // self.schema.row_bytes * self.schema.row_bytes]
+            values = whole.reshape(len(data), -1, self.schema.row_bytes)
+            table[first[chosen, None] + np.arange(values.shape[1])] = values
+        gyro = self.schema.axes(GYROSCOPE)
+        return Samples(
+            rows,
+            vectors(table, self.schema.axes(ACCELEROMETER)),
+            self._temperature(table),
+            vectors(table, gyro) if gyro else None,
+        )
+
+    def _rows(self, records: Records) -> NDArray[np.int64]:
+        return (records.size - ID_BYTES) // self.schema.row_bytes
+
+    def _temperature(self, table: NDArray[np.uint8]) -> NDArray[np.int32] | None:
+        column = self.schema.columns.get(TEMPERATURE)
+        if column is None:
+            return None
+        celsius = value_of(table, column) / column.scale + self.zero_c
+        return np.rint(1000 * celsius).astype(np.int32)
+
+
+def vectors(table: NDArray[np.uint8], columns: tuple[Column, ...]) -> NDArray[np.int16]:
+    """Three columns of samples (n, bytes) as (n, 3)."""
+    return np.stack([value_of(table, column) for column in columns], axis=1)
+
+
+def value_of(table: NDArray[np.uint8], column: Column) -> NDArray[np.int16]:
+    """A column of samples (n, bytes), (n,)."""
+    data = np.ascontiguousarray(table[:, column.offset : column.offset + 2])
+    return data.view(column.order)[:, 0].astype(np.int16)
+
+
+PAIR_BYTES = 9
+YXZ, XYZ = (1, 0, 2), (0, 1, 2)
+"""Columns of the result in which the values of a sample are, in the order of the file."""
+
+
+def packed_samples(size: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many whole samples so many bytes hold, (k,)."""
+    return 2 * size // PAIR_BYTES
+
+
+def packed_bytes(samples: NDArray[np.int64]) -> NDArray[np.int64]:
+    """How many bytes so many samples take, the last half byte unused where they are odd, (k,)."""
+    return (samples * PAIR_BYTES + 1) // 2
+
+
+def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, int]) -> NDArray[np.int16]:
+    """Samples of k payloads, (k, samples, 3).
+
+    Args:
+        payload: (k, bytes), rows contiguous.
+    """
+    pairs = -(-samples // 2)
+    missing = pairs * PAIR_BYTES - payload.shape[1]
+    padded = np.pad(payload, ((0, 0), (0, missing))) if missing > 0 else payload[:, : pairs * PAIR_BYTES]
+    triples = padded.reshape(len(payload), pairs, 3, 3).astype(np.int16)
+    values = np.empty((len(payload), pairs, 2, 3), np.int16)
+    first, second, third = (triples[:, :, :, column] for column in range(3))
+    even, odd = (first << 8 | second) >> 4, (second << 12 | third << 4) >> 4
+    for place, value in enumerate(_in_turn(even, odd)):
+        values[:, :, place // 3, order[place % 3]] = value
+    return values.reshape(len(payload), 2 * pairs, 3)[:, :samples]
+
+
+def _in_turn(even: NDArray[np.int16], odd: NDArray[np.int16]) -> list[NDArray[np.int16]]:
+    """The six values of each pair of samples: each three bytes hold an even one and an odd one."""
+    return [column for triple in range(3) for column in (even[:, :, triple], odd[:, :, triple])]
+
+
+KINDS = (ACTIVITY, ACTIVITY2, ACTIVITY3)
+SAMPLE_BYTES = 6
+KIND_BITS = 8
+DOCKED_BYTES = 1
+"""A record with so short a payload says that the device was connected to a computer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Primary:
+    """The main accelerometer.
+
+    Attributes:
+        turned: the firmware exchanged the axes of packed samples (version 1.6.0 of the wGT3X-BT:
+            the vendor's document says x = y of the file, y = -x of the file).
+    """
+
+    rate: int
+    turned: bool = False
+    fills: bool = True
+
+    def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
+        """Which records hold samples, (m,)."""
+        return np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES)
+
+    def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
+        """Samples of records, those of one kind and size at once."""
+        rows = samples_in(records)
+        like = records.size << KIND_BITS | records.kind
+        groups = [divmod(value, 1 << KIND_BITS) for value in set(like.tolist())]
+        if len(groups) == 1:
+            return Samples(rows, self._group(buffer, records, *groups[0]).reshape(-1, 3))
+        counts, first = np.empty((int(rows.sum()), 3), np.int16), first_rows(rows)
+        for size, kind in groups:
+            chosen = like == (size << KIND_BITS | kind)
+            values = self._group(buffer, records.select(chosen), size, kind)
+            counts[first[chosen, None] + np.arange(values.shape[1])] = values
+        return Samples(rows, counts)
+
+    def whole(self, records: Records) -> NDArray[np.bool_]:
+        """Which records hold as many samples as the rate says, without further bytes, (k,)."""
+        rows = samples_in(records)
+        bytes_of = np.where(records.kind == ACTIVITY2, SAMPLE_BYTES * rows, packed_bytes(rows))
+        return np.asarray((rows == self.rate) & (records.size == bytes_of))
+
+    def _group(self, buffer: NDArray[np.uint8], records: Records, size: int, kind: int) -> NDArray[np.int16]:
+        """Samples of records of one kind and size, (k, rows, 3)."""
+        data = payloads_of(buffer, records.start, size)
+        if kind == ACTIVITY2:
+            whole = data[:, : size // SAMPLE_BYTES * SAMPLE_BYTES]
+            values = np.ascontiguousarray(whole).view("<i2").astype(np.int16, copy=False)
+            return values.reshape(len(data), -1, 3)
+        samples = int(packed_samples(np.array(size)))
+        values = unpacked(data, samples, YXZ if kind == ACTIVITY else XYZ)
+        return upright(values) if self.turned and kind == ACTIVITY else values
+
+
+def samples_in(records: Records) -> NDArray[np.int64]:
+    """How many samples activity records hold, (k,)."""
+    return np.where(records.kind == ACTIVITY2, records.size // SAMPLE_BYTES, packed_samples(records.size))
+
+
+def upright(values: NDArray[np.int16]) -> NDArray[np.int16]:
+    """Samples (k, rows, 3) of 12 bits with the exchange of the axes undone."""
+    return np.stack((values[:, :, 1], -values[:, :, 0], values[:, :, 2]), axis=2)

@@ -1,0 +1,531 @@
+"""Stretches of rows as they come out of log.bin, and chunks made of them.
+
+Idle sleep: when the device says that it stopped sampling, and for which seconds that holds.
+
+An event record with payload 8 says that the device falls asleep, 9 that it wakes (github.com/actigraph/
+GT3X-File-Format, README.md, EVENT). Asleep, "the last sampled accelerometer value is written into
+memory at the device's preset sample rate" (ActiGraph, "Idle Sleep Mode Explained"); newer devices leave
+the writing to the reader.
+
+A batch of records prepared for the timeline: its samples, and what stands between them.
+
+What can be wrong with log.bin and between its records, as events for the problem log.
+
+From records to rows in the order of time: seconds that follow each other, gaps, idle sleep.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, PageClock
+from accelcal_cli.core.recording import Chunk, Problem, Validity
+from accelcal_cli.formats._problems import Event
+from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
+from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
+from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Piece:
+    """Consecutive rows, evenly spread from the beginning of a second on.
+
+    Attributes:
+        rows: how many.
+        second: since 1970, when the first one was taken.
+        per_second: rows in a second.
+        broken: the row before does not continue.
+        first: number of the first row among the samples of the batch; without meaning where filled.
+        validity: where the rows come from.
+        sample: (3,) what the device repeats, where it filled the rows.
+    """
+
+    rows: int
+    second: int
+    per_second: int
+    broken: bool
+    first: int = 0
+    validity: Validity = Validity.MEASURED
+    sample: NDArray[np.int16] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a chunk lies: number of its first row, how far the file has been read, bytes of its records."""
+
+    first_sample: int
+    end_byte: int
+    used_bytes: int = 0
+
+
+def groups(pieces: Sequence[Piece], most: int) -> Iterator[list[Piece]]:
+    """Pieces in order, together up to about `most` rows."""
+    group: list[Piece] = []
+    rows = 0
+    for piece in pieces:
+        if group and rows + piece.rows > most:
+            yield group
+            group, rows = [], 0
+        group.append(piece)
+        rows += piece.rows
+    if group:
+        yield group
+
+
+def chunk_of(
+    pieces: Sequence[Piece], samples: Samples, place: Place, problems: tuple[Problem, ...] = ()
+) -> Chunk:
+    """Rows of pieces in order."""
+    rows = np.array([piece.rows for piece in pieces], np.int64)
+    first_row = np.cumsum(rows) - rows
+    broken = np.array([piece.broken for piece in pieces], np.bool_)
+    return Chunk(
+        first_sample=place.first_sample,
+        counts=_column(samples.counts, pieces),
+        clock=_clock(pieces, first_row),
+        end_byte=place.end_byte,
+        breaks=first_row[broken],
+        temperature_mc=None if samples.temperature_mc is None else _column(samples.temperature_mc, pieces),
+        gyro_counts=None if samples.gyro is None else _column(samples.gyro, pieces),
+        validity=_validity(pieces, rows),
+        problems=problems,
+        used_bytes=place.used_bytes,
+    )
+
+
+def _clock(pieces: Sequence[Piece], first_row: NDArray[np.int64]) -> PageClock:
+    time_us = np.array([piece.second for piece in pieces], np.int64) * MICROSECONDS
+    span_rows = np.array([piece.per_second for piece in pieces], np.int64)
+    return PageClock(first_row, time_us, span_rows, np.full(len(pieces), MICROSECONDS, np.int64))
+
+
+def _column(values: NDArray[Any], pieces: Sequence[Piece]) -> NDArray[Any]:
+    """The pieces' rows of a column; a view where they are one stretch of it."""
+    if all(piece.sample is None for piece in pieces) and _adjoin(pieces):
+        begin = pieces[0].first if pieces else 0
+        return values[begin : begin + sum(piece.rows for piece in pieces)]
+    return np.concatenate([_rows_of(values, piece) for piece in pieces])
+
+
+def _adjoin(pieces: Sequence[Piece]) -> bool:
+    return all(after.first == before.first + before.rows for before, after in pairwise(pieces))
+
+
+def _rows_of(values: NDArray[Any], piece: Piece) -> NDArray[Any]:
+    if piece.sample is None:
+        return values[piece.first : piece.first + piece.rows]
+    return np.broadcast_to(piece.sample, (piece.rows, 3))
+
+
+def _validity(pieces: Sequence[Piece], rows: NDArray[np.int64]) -> NDArray[np.uint8] | None:
+    known = np.array([piece.validity for piece in pieces], np.uint8)
+    return np.repeat(known, rows) if known.any() else None
+
+
+def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
+    """A chunk in parts of at most so many rows; the problems go with the first."""
+    if len(chunk) <= most:
+        yield chunk
+        return
+    for start in range(0, len(chunk), most):
+        yield _part(chunk, start, min(start + most, len(chunk)))
+
+
+def _part(chunk: Chunk, start: int, stop: int) -> Chunk:
+    inside = (chunk.breaks >= start) & (chunk.breaks < stop)
+    return replace(
+        chunk,
+        first_sample=chunk.first_sample + start,
+        counts=chunk.counts[start:stop],
+        clock=_pages(chunk.clock, start, stop),
+        breaks=chunk.breaks[inside] - start,
+        temperature_mc=None if chunk.temperature_mc is None else chunk.temperature_mc[start:stop],
+        gyro_counts=None if chunk.gyro_counts is None else chunk.gyro_counts[start:stop],
+        validity=None if chunk.validity is None else chunk.validity[start:stop],
+        problems=() if start else chunk.problems,
+        used_bytes=0 if start else chunk.used_bytes,
+    )
+
+
+def _pages(clock: Any, start: int, stop: int) -> PageClock:
+    """The pages of a clock that rows start..stop-1 lie on."""
+    page = slice(
+        int(np.searchsorted(clock.first_row, start, side="right")) - 1,
+        int(np.searchsorted(clock.first_row, stop, side="left")),
+    )
+    return PageClock(
+        clock.first_row[page] - start, clock.time_us[page], clock.span_rows[page], clock.span_us[page]
+    )
+
+
+FELL_ASLEEP, WOKE = b"\x08", b"\x09"
+UNWRITTEN_S = 1
+"""The second in which a device falls asleep may be lost; the vendor's own export fills it as well."""
+
+LONGEST_SILENCE_S = 86_400
+"""Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
+
+
+JITTER_S = 2
+"""Records of other kinds may carry times a little before those of the records around them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asleep:
+    """Seconds first_s..end_s - 1, asleep by the records."""
+
+    first_s: int
+    end_s: int
+
+
+class IdleWatch:
+    """Follows the device's sleep record by record.
+
+    Args:
+        span: no sleep reaches beyond it.
+    """
+
+    def __init__(self, span: Span) -> None:
+        self._span = span
+        self._since: int | None = None
+        self._heard = 0
+
+    @property
+    def asleep(self) -> bool:
+        """Whether the last thing known is that it fell asleep."""
+        return self._since is not None
+
+    def fall_asleep(self, second: int) -> None:
+        """An event of falling asleep."""
+        self._since = self._heard = second
+
+    def hear(self, seconds: NDArray[np.int64]) -> None:
+        """Times of other records, in file order; the clock must go on evenly."""
+        if not self.asleep or not len(seconds):
+            return
+        steps = np.diff(seconds, prepend=self._heard)
+        if (steps < -JITTER_S).any() or (steps > LONGEST_SILENCE_S).any():
+            self._since = None
+        self._heard = int(seconds.max())
+
+    def wake(self, second: int, next_s: int) -> Asleep | None:
+        """The device woke.
+
+        Args:
+            next_s: the second after the last one that is known.
+
+        Returns:
+            what it slept through since then; None where the records do not say that.
+        """
+        self.hear(np.array([second]))
+        since, self._since = self._since, None
+        if since is None:
+            return None
+        first = max(next_s, since - UNWRITTEN_S)
+        end = min(second, self._span.last_s)
+        return Asleep(first, end) if first < end else None
+
+    def end(self, next_s: int) -> Asleep | None:
+        """The records end: it slept at least until the last of them."""
+        return self.wake(self._heard, next_s)
+
+    def forget(self) -> None:
+        """Something is not known: damage, or samples while asleep."""
+        self._since = None
+
+
+@dataclass(frozen=True, slots=True)
+class SleepEvent:
+    """The device falls asleep or wakes.
+
+    Attributes:
+        start_byte: where in log.bin it is recorded.
+    """
+
+    second: int
+    wakes: bool
+    start_byte: int
+
+
+Mark = Damage | SleepEvent
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """A batch and its k records with samples.
+
+    Attributes:
+        number: (k,) of each among all records of the batch.
+        whole: (k,) bool, one second of samples.
+        first: (k,) int64, first row of each.
+        doubtful: (k,) bool, what follows the record is no record.
+        joined: (k,) bool, goes on evenly from the record before it in the batch.
+    """
+
+    batch: Batch
+    records: Records
+    samples: Samples
+    number: NDArray[np.int64]
+    whole: NDArray[np.bool_]
+    first: NDArray[np.int64]
+    doubtful: NDArray[np.bool_]
+    joined: NDArray[np.bool_]
+
+    def payload(self, record: int) -> bytes:
+        """A record's bytes."""
+        return payload(self.batch, int(self.number[record]))
+
+    def start_byte(self, record: int) -> int:
+        """Where in log.bin a record begins."""
+        return self.batch.page.base + int(self.records.start[record])
+
+    def between(self, begin: int, end: int) -> tuple[int, int]:
+        """Which of the records with samples are among records begin..end-1 of the batch."""
+        low, high = np.searchsorted(self.number, (begin, end)).tolist()
+        return low, high
+
+    def runs(self, low: int, high: int) -> Iterator[tuple[int, int]]:
+        """Records low..high-1 with samples, in stretches that go on evenly."""
+        starts = low + np.flatnonzero(~self.joined[low + 1 : high]) + 1
+        bounds = [low, *starts.tolist(), high]
+        return pairwise(bounds)
+
+
+def prepared(batch: Batch, sensor: Sensor) -> Work:
+    """Decode a batch."""
+    buffer = batch.page.buffer
+    holds = sensor.holds(buffer, batch.records)
+    records = batch.records.select(holds)
+    samples, whole = sensor.decode(buffer, records), sensor.whole(records)
+    doubtful = batch.doubtful[holds]
+    even = whole & (samples.rows == sensor.rate) & ~doubtful
+    joined = even.copy()
+    joined[:1] = False
+    joined[1:] &= even[:-1] & (np.diff(records.second) == 1)
+    first = first_rows(samples.rows)
+    return Work(batch, records, samples, np.flatnonzero(holds), whole, first, doubtful, joined)
+
+
+def marks(batch: Batch) -> list[tuple[int, Mark]]:
+    """Damage and events of sleep in file order, each with the number of the record that it is or precedes."""
+    found: list[tuple[int, Mark]] = [(damage.before, damage) for damage in batch.damage]
+    records = batch.records
+    for number in np.flatnonzero((records.kind == EVENT) & (records.size == 1)).tolist():
+        if (data := payload(batch, number)) in (FELL_ASLEEP, WOKE):
+            byte = batch.page.base + int(records.start[number])
+            found.append((number, SleepEvent(int(records.second[number]), data == WOKE, byte)))
+    return sorted(found, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
+
+
+Kind = tuple[str, str]
+
+CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
+NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
+CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
+LENGTH: Kind = ("record_length", "activity records of more or less than one second")
+REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
+AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
+BACK: Kind = ("clock_back", "steps back in the times of activity records")
+RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
+
+
+def damage_event(damage: Damage, position: int, sample: int) -> Event:
+    """An event for bytes that gave no record."""
+    if damage.records:
+        kind, count = CHECKSUM, damage.records
+    else:
+        kind, count = CUT_OFF if damage.cut_off else NO_RECORD, damage.size
+    return Event(position, 1, *kind, damage.start_byte, sample, count, lost_bytes=damage.size)
+
+
+def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
+    """What is wrong with a part of the zip file as a whole, once it has been read."""
+    name = stream.member.name
+    if stream.fault is None:
+        return None
+    if stream.fault is Fault.WRONG_CHECKSUM:
+        text = f"the checksum of {name} in the zip file is wrong: some of its bytes are not what was written"
+        return Problem("archive_checksum", text, None, sample)
+    missing = (stream.member.unpacked_bytes or 0) - stream.size
+    lost_bytes = max(0, missing) if stream.fault is Fault.DAMAGED else 0
+    lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
+    text = f"{name} breaks off, as {stream.fault.value}: {lost}"
+    return Problem("truncated", text, stream.size, sample, max(1, missing), lost_bytes)
+
+
+FILL_S = 3600
+"""Filled rows come in pieces of at most so many seconds."""
+
+FOREVER_S = 1 << 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Last:
+    """The record of samples before: its second, bytes and last sample."""
+
+    second: int
+    data: bytes
+    sample: NDArray[np.int16]
+
+
+@dataclass(frozen=True, slots=True)
+class _Where:
+    """A record's number among all of the file, and where in log.bin it begins."""
+
+    position: int
+    start_byte: int
+
+
+class Timeline:
+    """Takes batches in file order and makes rows and events of them.
+
+    Attributes:
+        position: how many records, sound or not, have been seen.
+        rows: how many rows have been given.
+    """
+
+    def __init__(self, sensor: Sensor, span: Span) -> None:
+        self.position = 0
+        self._sensor = sensor
+        self._idle = IdleWatch(span)
+        self._slept: tuple[Asleep, _Where] | None = None
+        self._last: _Last | None = None
+        self._next_s = 0
+        self._apart = False
+        self._explained = False
+        self.rows = 0
+        self._pieces: list[Piece] = []
+        self._events: list[Event] = []
+
+    def feed(self, batch: Batch) -> tuple[list[Piece], Samples, list[Event]]:
+        """Rows of a batch, the samples that they name, and what is wrong.
+
+        Sleep is given when it is known what follows it.
+        """
+        self._pieces, self._events = [], []
+        work, begin = prepared(batch, self._sensor), 0
+        for number, mark in marks(batch):
+            self._pass(work, begin, number)
+            begin = number
+            self._meet(mark)
+        self._pass(work, begin, len(batch.records))
+        if batch.page.last:
+            self._finish(batch.page.base + len(batch.page.data))
+        return self._pieces, work.samples, self._events
+
+    def _pass(self, work: Work, begin: int, end: int) -> None:
+        """Records begin..end-1 of the batch, among which nothing is marked."""
+        low, high = work.between(begin, end)
+        if low == high:
+            self._idle.hear(work.batch.records.second[begin:end])
+        for first, stop in work.runs(low, high) if low < high else ():
+            position = self.position - begin + int(work.number[first])
+            self._run(work, first, stop, _Where(position, work.start_byte(first)))
+        self.position += end - begin
+
+    def _meet(self, mark: Mark) -> None:
+        where = _Where(self.position, mark.start_byte)
+        if isinstance(mark, Damage):
+            self._forget_sleep(where)
+            self._events.append(damage_event(mark, self.position, self.rows))
+            self._explained = True
+            self.position += max(1, mark.records)
+        else:
+            self._meet_sleep(mark, where)
+
+    def _meet_sleep(self, event: SleepEvent, where: _Where) -> None:
+        if not event.wakes:
+            self._sleep(FOREVER_S)
+            self._idle.fall_asleep(event.second)
+        elif (slept := self._idle.wake(event.second, self._next_s)) is not None:
+            self._slept = slept, where
+
+    def _finish(self, end_byte: int) -> None:
+        """Nothing follows; asleep, it slept at least until the last record."""
+        if (slept := self._idle.end(self._next_s)) is not None:
+            self._slept = slept, _Where(self.position, end_byte)
+        self._sleep(FOREVER_S)
+
+    def _run(self, work: Work, first: int, stop: int, where: _Where) -> None:
+        """Records that go on evenly, or a single one."""
+        self._forget_sleep(where)
+        self._sleep(int(work.records.second[first]))
+        if self._repeats(work, first):
+            self._note(REPEATED, where)
+            first += 1
+        if first < stop:
+            self._measure(work, first, stop, where)
+
+    def _repeats(self, work: Work, record: int) -> bool:
+        last = self._last
+        if last is None or last.second != work.records.second[record]:
+            return False
+        return last.data == work.payload(record)
+
+    def _measure(self, work: Work, first: int, stop: int, where: _Where) -> None:
+        whole, rows = bool(work.whole[first]), int(work.samples.rows[first])
+        if not whole:
+            self._note(LENGTH, where)
+        if not rows:
+            return
+        second, begin = int(work.records.second[first]), int(work.first[first])
+        end = int(work.first[stop - 1] + work.samples.rows[stop - 1])
+        broken = self._step_to(second, where)
+        per_second = rows if whole else max(rows, self._sensor.rate)
+        validity = Validity.RECOVERED if work.doubtful[first] else Validity.MEASURED
+        self._add(Piece(end - begin, second, per_second, broken, begin, validity))
+        self._next_s, self._apart = int(work.records.second[stop - 1]) + 1, not whole
+        sample = work.samples.counts[end - 1].copy()
+        self._last = _Last(self._next_s - 1, work.payload(stop - 1), sample)
+
+    def _step_to(self, second: int, where: _Where) -> bool:
+        """Whether rows from `second` on do not continue those before; notes a jump of the clock."""
+        ahead = second - self._next_s
+        if self._last is None:
+            return False
+        if ahead < 0 or (ahead and not self._explained):
+            self._note(AHEAD if ahead > 0 else BACK, where, abs(ahead))
+        self._explained = False
+        return self._apart or ahead != 0
+
+    def _sleep(self, end_s: int) -> None:
+        """Rows that the device filled while asleep, as far as nothing else begins at `end_s`."""
+        slept, self._slept = self._slept, None
+        if slept is None or self._last is None:
+            return
+        second, end = slept[0].first_s, min(slept[0].end_s, end_s)
+        if not self._sensor.fills:
+            self._explained = True
+        elif second < end:
+            broken = self._step_to(second, slept[1])
+            self._fill(second, end, self._last.sample, broken)
+
+    def _fill(self, second: int, end: int, sample: NDArray[np.int16], broken: bool) -> None:
+        rate = self._sensor.rate
+        for start in range(second, end, FILL_S):
+            rows = (min(end, start + FILL_S) - start) * rate
+            first = broken and start == second
+            self._add(Piece(rows, start, rate, first, validity=Validity.FILLED, sample=sample))
+        self._next_s, self._apart = end, False
+
+    def _forget_sleep(self, where: _Where) -> None:
+        """Asleep as far as known, but something is lost, or samples follow."""
+        if self._idle.asleep:
+            self._note(RESTLESS, where)
+        self._idle.forget()
+
+    def _add(self, piece: Piece) -> None:
+        self._pieces.append(piece)
+        self.rows += piece.rows
+
+    def _note(self, kind: Kind, where: _Where, seconds: int = 0) -> None:
+        amount_us = seconds * MICROSECONDS
+        self._events.append(
+            Event(where.position, 1, *kind, where.start_byte, self.rows, 1, amount_us=amount_us)
+        )

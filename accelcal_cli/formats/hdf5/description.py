@@ -1,0 +1,418 @@
+"""What readers of HDF5 files find out about chosen datasets before the rows stream.
+
+When a recording in an HDF5 file began and how fast it runs: from attributes and time datasets.
+
+Gyroscope and temperature datasets that lie beside the acceleration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Problem
+from accelcal_cli.formats.hdf5.datasets import (
+    Group,
+    Track,
+    find_gyro,
+    find_temperature,
+    find_time,
+    named_track,
+    split_time_name,
+)
+from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, h5py_guard
+from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
+from accelcal_cli.formats.hdf5.stream import Axes, Stamps, Temperature
+from accelcal_cli.formats.hdf5.units import (
+    EARLIEST_ABSOLUTE_US,
+    PER_SECOND,
+    Scale,
+    StampScale,
+    count_scale,
+    gyro_scale,
+    millicelsius,
+    nominal_rate,
+    parse_moment,
+    per_celsius,
+    per_dps,
+    time_unit,
+    typical_step,
+    unit_by_size,
+)
+
+SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A file being opened: all its datasets, where the acceleration is, what is said about it."""
+
+    file: Any
+    path: Path
+    options: ReadOptions
+    tracks: tuple[Track, ...]
+    group: Group
+    attributes: Attributes
+    damaged: int = 0
+
+    @property
+    def accel(self) -> Track:
+        """The dataset of acceleration, or of its x axis."""
+        return self.group[0]
+
+
+def good_rows(rows: TrackRows, start: int, stop: int) -> NDArray[Any]:
+    """Rows start..stop-1 without the lost ones, (n, width)."""
+    values, good = rows.read(start, stop)
+    return values[good]
+
+
+def head_rows(file: Any, track: Track, path: Path) -> NDArray[Any]:
+    """The first rows of a dataset, at most one block, without lost ones."""
+    return good_rows(TrackRows(file, track, path), 0, min(track.rows, BLOCK_ROWS))
+
+
+def spread_rows(file: Any, track: Track, path: Path, places: int = 5, each: int = 1024) -> NDArray[Any]:
+    """Some rows from the beginning, the end and between, without lost ones."""
+    rows = TrackRows(file, track, path)
+    last = max(0, track.rows - each)
+    starts = sorted({place * last // (places - 1) for place in range(places)})
+    return np.concatenate([good_rows(rows, start, min(start + each, track.rows)) for start in starts])
+
+
+def is_readable(file: Any, track: Track, path: Path) -> bool:
+    """Whether the rows of a dataset can be reached at all."""
+    try:
+        TrackRows(file, track, path)
+    except (UnreadableError, *H5PY_ERRORS):
+        return False
+    return True
+
+
+def first_temperature(file: Any, track: Track, factor: float, path: Path) -> Temperature | None:
+    """A temperature dataset with its first value; None where it has no value at all."""
+    rows = TrackRows(file, track, path)
+    for start in range(0, track.rows, BLOCK_ROWS):
+        degrees = millicelsius(*rows.read(start, min(start + BLOCK_ROWS, track.rows)), factor)
+        known = degrees[~np.isnan(degrees)]
+        if len(known):
+            return Temperature(track, factor, int(known[0]))
+    return None
+
+
+def measured_stamps(
+    file: Any, track: Track, scale: StampScale, path: Path
+) -> tuple[Stamps, int, int, float | None]:
+    """A time dataset, its first and last times [us] and the mean step between samples [us].
+
+    Raises:
+        UnreadableError: its first rows hold no time at all.
+    """
+    rows = TrackRows(file, track, path)
+    times = _believable(rows, scale, 0, min(track.rows, BLOCK_ROWS))
+    if not len(times):
+        raise UnreadableError(
+            f"dataset {track.path} holds no time that can be believed",
+            path=path,
+            hint="leave it aside with --time-column none and give --rate HZ",
+        )
+    final = _believable(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows)
+    last = int(final[-1]) if len(final) else int(times[-1])
+    step, coarse = typical_step(times) or (None, 0)
+    return Stamps(track, scale, coarse), int(times[0]), max(last, int(times[0])), step
+
+
+def _believable(rows: TrackRows, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
+    times, good = scale.times(good_rows(rows, start, stop)[:, 0])
+    return times[good]
+
+
+def whole_rows_known(*parts: Axes | Stamps | None) -> bool:
+    """Whether every row is usable, as far as the kinds of numbers tell: only whole counts."""
+    return all(isinstance(part, Axes) and part.scale.exact is not None for part in parts if part is not None)
+
+
+def checked_rate(rate_hz: float | None, path: Path) -> float:
+    """A sampling rate that can be worked with.
+
+    Raises:
+        UsageError: none is known.
+        UnreadableError: it is no rate of a recorder.
+    """
+    if rate_hz is None:
+        raise UnreadableError(
+            "the file does not tell the sampling rate", path=path, hint="give it with --rate HZ"
+        )
+    if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
+        raise UnreadableError(
+            f"a sampling rate of {rate_hz:g} Hz cannot be right", path=path, hint="give it with --rate HZ"
+        )
+    return rate_hz
+
+
+def known_zone(name: str | None) -> str | None:
+    """The name of a time zone if it is one, else None."""
+    if name is None or name.upper() in ("UTC", "Z"):
+        return name and "UTC"
+    try:
+        return ZoneInfo(name).key
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        return None
+
+
+def header_problems(attributes: Attributes, damaged: int = 0) -> tuple[Problem, ...]:
+    """One problem where attributes, datasets or groups could not be read."""
+    count = len(attributes.damaged) + damaged
+    if not count:
+        return ()
+    what = f"{count} attributes, datasets or groups cannot be read and count as absent"
+    return (Problem("damaged_header", what, None, 0, count),)
+
+
+RATE_NAMES = (
+    "sample_rate",
+    "sample_rate_hz",
+    "sampling_rate",
+    "sampling_rate_hz",
+    "samplerate",
+    "rate_hz",
+    "sampling_frequency",
+    "sampling_frequency_hz",
+    "sample_frequency",
+    "frequency_hz",
+    "sfreq",
+    "fs",
+    "fs_hz",
+    "hz",
+    "rate",
+    "frequency",
+)
+START_NAMES = (
+    "start_time",
+    "start",
+    "start_timestamp",
+    "start_datetime",
+    "recording_start",
+    "recording_start_time",
+    "start_time_utc",
+)
+NO_COLUMN = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """Start, rate and stamps; None where the file does not tell."""
+
+    rate_hz: float | None
+    start_us: int | None = None
+    is_utc: bool = False
+    stamps: Stamps | None = None
+    duration_s: float | None = None
+    problems: tuple[Problem, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def find_timeline(source: Source) -> Timeline:
+    """How the rows of the acceleration lie in time.
+
+    Raises:
+        UnreadableError: the time dataset makes no sense.
+        UsageError: the named time dataset is not there, or several fit.
+    """
+    attributes, options = source.attributes, source.options
+    rate = attributes.number(*RATE_NAMES) if options.rate_hz is None else options.rate_hz
+    told = attributes.value(*START_NAMES)
+    start = None if told is None else parse_moment(told)
+    track = _time_track(source)
+    if track is not None:
+        with h5py_guard(source.path, f"dataset of times {track.path}"):
+            return _stamped(source.file, track, rate, start, source.path)
+    if start is not None:
+        return Timeline(rate, start[0], start[1])
+    said = "the file does not tell when the recording began"
+    if told is not None:
+        said = f"the start time {told!r} is not a date and time"
+    problem = Problem("no_start_time", f"{said}; times count from 1970-01-01", None, 0)
+    return Timeline(rate, problems=(problem,))
+
+
+def _time_track(source: Source) -> Track | None:
+    name = source.options.time_column
+    if name is not None:
+        return None if name.lower() == NO_COLUMN else _named(source, name)
+    found = find_time(source.tracks, source.accel)
+    if len(found) > 1:
+        listed = ", ".join(group[0].path for group in found)
+        raise UnreadableError(
+            f"several datasets may hold the times: {listed}",
+            path=source.path,
+            hint=f"choose one with --time-column PATH, or `--time-column {NO_COLUMN}`",
+        )
+    return found[0][0] if found else None
+
+
+def _named(source: Source, name: str) -> Track:
+    track = named_track(source.tracks, name, source.path)
+    if track.width != 1 or track.rows != source.accel.rows:
+        raise UsageError(
+            f"{track.path} is not one column as long as the acceleration ({source.accel.rows} rows)",
+            path=source.path,
+        )
+    return track
+
+
+def _stamped(
+    file: Any, track: Track, rate: float | None, start: tuple[int, bool] | None, path: Path
+) -> Timeline:
+    """The timeline of a time dataset, absolute or counting from the start."""
+    scale, is_utc, known = _stamp_scale(file, track, rate, start, path)
+    stamps, first, last, step = measured_stamps(file, track, scale, path)
+    if rate is None and step is not None:
+        rate = nominal_rate(step)
+    period = 1 / rate if rate else 0.0
+    problem = Problem(
+        "no_start_time", f"{track.path} counts from an unknown start; times count from 1970-01-01", None, 0
+    )
+    return Timeline(
+        rate,
+        first if known else None,
+        is_utc,
+        stamps,
+        (last - first) / MICROSECONDS + period,
+        () if known else (problem,),
+    )
+
+
+def _stamp_scale(
+    file: Any, track: Track, rate: float | None, start: tuple[int, bool] | None, path: Path
+) -> tuple[StampScale, bool, bool]:
+    """Unit and base of a time dataset, whether it is UTC for certain, whether its start is known."""
+    told = Attributes([file[track.path]]).text("units", "unit")
+    unit = _told_unit(track, told, path)
+    head = head_rows(file, track, path)[:, 0]
+    head = head[head > 0]
+    unit = unit or (unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
+    if unit is None:
+        raise UnreadableError(
+            f"the unit of the times in {track.path} is not told",
+            path=path,
+            hint="give that dataset an attribute `units` (s, ms, us or ns), "
+            f"or leave it aside with `--time-column {NO_COLUMN}`",
+        )
+    since = parse_moment(told.split(" since ", 1)[1].strip()) if told and " since " in told else None
+    if since is not None and since[0]:
+        return StampScale(unit, since[0]), since[1], True
+    first = float(head[0]) / PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
+    if first >= EARLIEST_ABSOLUTE_US:
+        return StampScale(unit), False, True
+    return StampScale(unit, start[0] if start else 0), bool(start and start[1]), start is not None
+
+
+def _told_unit(track: Track, told: str | None, path: Path) -> str | None:
+    """The unit by attribute, or by a name such as `time_ms`."""
+    if told is None:
+        return split_time_name(track.name)[1]
+    unit = time_unit(told)
+    if unit is None:
+        raise UnreadableError(
+            f"the unit {told!r} of the times in {track.path} is not known",
+            path=path,
+            hint=f"leave that dataset aside with `--time-column {NO_COLUMN}`",
+        )
+    return unit
+
+
+def _unit_by_rate(head: Any, rate: float | None) -> str | None:
+    """The unit in which the steps between times fit the sampling rate within 5 %."""
+    for unit in PER_SECOND:
+        times, _ = StampScale(unit).times(head)
+        typical = typical_step(times) if len(head) > 1 else None
+        if rate and typical and abs(typical[0] * rate / MICROSECONDS - 1) < 0.05:
+            return unit
+    return None
+
+
+_LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
+_DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
+
+
+@dataclass(frozen=True, slots=True)
+class Extras:
+    """What lies beside the acceleration; `notes` say what is there but not used, and why."""
+
+    gyro: Axes | None = None
+    temperature: Temperature | None = None
+    notes: tuple[str, ...] = ()
+
+
+def find_extras(source: Source) -> Extras:
+    """Look for a gyroscope and a temperature of the same length as the acceleration."""
+    file, tracks, accel = source.file, source.tracks, source.accel
+    gyro, gyro_notes = _gyro(file, find_gyro(tracks, accel), source.path)
+    temperature, notes = _temperature(file, find_temperature(tracks, accel), source.path)
+    return Extras(gyro, temperature, gyro_notes + notes)
+
+
+def _gyro(file: Any, found: tuple[Group, ...], path: Path) -> tuple[Axes | None, tuple[str, ...]]:
+    if len(found) != 1:
+        return None, _several("gyroscope", found)
+    told = attributes_of(file, found[0][0].path)
+    scale = _gyro_scale(found[0], told)
+    if scale is None:
+        return None, (f"{found[0][0].path} is not used: its unit is not deg/s, rad/s or counts per deg/s",)
+    if not all(is_readable(file, track, path) for track in found[0]):
+        return None, (f"{found[0][0].path} is not used: it is damaged",)
+    return Axes(found[0], scale), ()
+
+
+def _gyro_scale(group: Group, told: Attributes) -> Scale | None:
+    """From `lsb_per_dps` or `dps_per_lsb` for counts, from the unit for decimal fractions."""
+    per_count, counts = told.number(*_DPS_PER_LSB), told.number(*_LSB_PER_DPS)
+    lsb = 1 / per_count if counts is None and per_count else counts
+    if lsb is not None and lsb > 0:
+        widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
+        return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
+    factor = per_dps(told.text("units", "unit") or "")
+    return None if factor is None else gyro_scale(factor)
+
+
+def _temperature(
+    file: Any, found: tuple[Group, ...], path: Path
+) -> tuple[Temperature | None, tuple[str, ...]]:
+    if len(found) != 1:
+        return None, _several("temperature", found)
+    track = found[0][0]
+    factor = _temperature_factor(file, track)
+    if factor is None:
+        return None, (f"{track.path} is not used: its unit is not degrees Celsius",)
+    try:
+        temperature = first_temperature(file, track, factor, path)
+    except (UnreadableError, *H5PY_ERRORS):
+        return None, (f"{track.path} is not used: it is damaged",)
+    if temperature is None:
+        return None, (f"{track.path} is not used: it holds no temperature",)
+    return temperature, ()
+
+
+def _temperature_factor(file: Any, track: Track) -> float | None:
+    """Units in one degree, as the dataset says; decimal fractions that say nothing are in Celsius."""
+    unit = Attributes([file[track.path]]).text("units", "unit")
+    if unit is not None:
+        return per_celsius(unit)
+    named = track.name.lower().endswith(("_c", "_degc"))
+    return 1.0 if named or track.dtype.kind == "f" else None
+
+
+def _several(what: str, found: tuple[Group, ...]) -> tuple[str, ...]:
+    if not found:
+        return ()
+    paths = ", ".join(group[0].path for group in found)
+    return (f"no {what} is used: several datasets fit ({paths})",)

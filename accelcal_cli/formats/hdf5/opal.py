@@ -1,0 +1,264 @@
+"""APDM Opal recordings: HDF5 files of the vendor's own layout, several sensors in one.
+
+Version 5 (Mobility Lab, Opal V2): groups `Sensors/<id>` with `Accelerometer` [m/s2], `Gyroscope`
+[rad/s], `Temperature` [C] and `Time` [us since 1970, UTC], settings as attributes of
+`Configuration`. Versions 2 to 4: one group a sensor, listed in the attributes `CaseIdList` and
+`MonitorLabelList`, with `Calibrated/Accelerometers`, `Calibrated/Gyroscopes` and `Time`.
+Source: APDM's published example scripts for these files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Device, Recording
+from accelcal_cli.formats.hdf5.datasets import Track, as_track
+from accelcal_cli.formats.hdf5.description import (
+    checked_rate,
+    first_temperature,
+    header_problems,
+    is_readable,
+    measured_stamps,
+)
+from accelcal_cli.formats.hdf5.file import (
+    H5PY_ERRORS,
+    Attributes,
+    attributes_of,
+    explaining,
+    h5py_guard,
+    members,
+    missing_bytes,
+    open_hdf5,
+    text_list,
+)
+from accelcal_cli.formats.hdf5.stream import Axes, Hdf5Reader, Plan, Temperature
+from accelcal_cli.formats.hdf5.units import (
+    PER_G,
+    Scale,
+    StampScale,
+    accel_unit,
+    gyro_scale,
+    nominal_rate,
+    per_celsius,
+    per_dps,
+    physical_scale,
+)
+
+VERSION_NAMES = ("FileFormatVersion", "File_Format_Version")
+OLDEST, OLD, NEW = 2, 4, 5
+TIME = "Time"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Where things are within the group of a sensor, and the attribute names of its settings."""
+
+    accel: str
+    gyro: str
+    temperature: str
+    settings: str
+
+
+LAYOUTS = {
+    OLD: Layout("Calibrated/Accelerometers", "Calibrated/Gyroscopes", "Calibrated/Temperature", ""),
+    NEW: Layout("Accelerometer", "Gyroscope", "Temperature", "Configuration"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One sensor of a file: its number, where it was worn, and the group that holds its data."""
+
+    serial: str
+    label: str
+    group: str
+
+    def __str__(self) -> str:
+        return f"{self.serial} ({self.label})" if self.label else self.serial
+
+
+def is_opal(path: Path) -> bool:
+    """Whether an HDF5 file has an Opal version and sensors."""
+    try:
+        with open_hdf5(path) as file:
+            return bool(_version(file)) and ("Sensors" in file or "CaseIdList" in file.attrs)
+    except (UnreadableError, *H5PY_ERRORS):
+        return False
+
+
+def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
+    """Open one sensor of an Opal file; `options.sensor` is its number or its label.
+
+    Raises:
+        UnreadableError: damaged, cut short, of an unsupported version, or without sensors.
+        UsageError: several sensors and none chosen, or the chosen one is not there.
+    """
+    with open_hdf5(path) as file:
+        missing = missing_bytes(file, path)
+        with explaining(path, missing), h5py_guard(path, "description of the recording"):
+            layout, sensors = _contents(file, path)
+            return Hdf5Reader(_plan(file, path, _choose(sensors, options.sensor, path), layout, options))
+
+
+def _contents(file: Any, path: Path) -> tuple[Layout, list[Sensor]]:
+    version = _version(file)
+    if version == NEW:
+        return LAYOUTS[NEW], _new_sensors(file)
+    if version is not None and OLDEST <= version <= OLD:
+        return LAYOUTS[OLD], _old_sensors(file)
+    said = "is not an APDM Opal file" if version is None else f"is an Opal file of version {version}"
+    raise UnreadableError(
+        f"{said}; versions {OLDEST} to {NEW} can be read",
+        path=path,
+        byte_offset=0,
+        hint="export it anew with the vendor's software, or try --format hdf5",
+    )
+
+
+def _version(file: Any) -> int | None:
+    number = Attributes([file]).number(*VERSION_NAMES)
+    return None if number is None else int(number)
+
+
+def _new_sensors(file: Any) -> list[Sensor]:
+    """The sensors of a version 5 file that have an accelerometer."""
+    sensors = []
+    for serial, group in members(file["Sensors"])[0]:
+        if LAYOUTS[NEW].accel in group:
+            path = f"Sensors/{serial}"
+            label = attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
+            sensors.append(Sensor(serial, label or "", path))
+    return sensors
+
+
+def _old_sensors(file: Any) -> list[Sensor]:
+    """The sensors of an older file that have an accelerometer."""
+    groups = text_list(file.attrs["CaseIdList"])
+    labels = text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
+    labels += [""] * (len(groups) - len(labels))
+    found = zip(groups, labels, strict=False)
+    return [Sensor(group, label, group) for group, label in found if f"{group}/{LAYOUTS[OLD].accel}" in file]
+
+
+def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
+    listed = ", ".join(str(item) for item in sensors)
+    if not sensors:
+        raise UnreadableError(
+            "holds no sensor with an accelerometer", path=path, hint="record with the accelerometer enabled"
+        )
+    if wanted is None and len(sensors) > 1:
+        raise UnreadableError(
+            f"holds {len(sensors)} sensors: {listed}", path=path, hint="choose one with --sensor"
+        )
+    name = (wanted or sensors[0].serial).strip().lower()
+    found = [item for item in sensors if name in (item.serial.lower(), item.label.lower())]
+    if len(found) != 1:
+        what = "no sensor" if not found else "several sensors"
+        raise UsageError(f"{what} named {wanted!r}", path=path, hint=f"the file holds {listed}")
+    return found[0]
+
+
+def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> Plan:
+    accel_track = _track(file, sensor, layout.accel, path)
+    stamps, start, last, step = measured_stamps(
+        file, _track(file, sensor, TIME, path, accel_track), StampScale("us"), path
+    )
+    told = attributes_of(file, f"{sensor.group}/{layout.settings}")
+    rate = options.rate_hz or told.number("Sample Rate", "SampleRate") or (step and nominal_rate(step))
+    accel = Axes((accel_track,), _scale(file, accel_track, options, path))
+    gyro = _gyro(file, sensor, layout, accel_track, path)
+    temperature = _temperature(file, sensor, layout, accel_track, path)
+    recording = Recording(
+        path=path,
+        format="opal",
+        rate_hz=checked_rate(rate or None, path),
+        lsb_per_g=accel.scale.lsb,
+        total_bytes=path.stat().st_size,
+        device=Device("Opal", sensor.serial, told.text("Firmware Version", "VersionString1")),
+        range_g=_range_g(file, accel_track),
+        start_us=start,
+        timezone=options.timezone or "UTC",
+        duration_s=(last - start + (step or 0)) / MICROSECONDS,
+        has_temperature=temperature is not None,
+        gyro_dps_per_lsb=None if gyro is None else gyro.dps_per_lsb,
+        notes=_notes(sensor, told),
+    )
+    problems = header_problems(told)
+    missing = missing_bytes(file, path)
+    return Plan(recording, accel_track.rows, accel, stamps, gyro, temperature, problems, missing)
+
+
+def _track(file: Any, sensor: Sensor, name: str, path: Path, beside: Track | None = None) -> Track:
+    """A dataset of the sensor, as long as another one.
+
+    Raises:
+        UnreadableError: it is absent or of another shape.
+    """
+    full = f"{sensor.group}/{name}"
+    node = file.get(full)
+    track = as_track(f"/{full}", node) if hasattr(node, "shape") else None
+    if track is None or (beside is not None and track.rows != beside.rows):
+        raise UnreadableError(
+            f"dataset {full} is missing or does not have one row for each sample",
+            path=path,
+            hint="export the recording anew with the vendor's software",
+        )
+    return track
+
+
+def _optional(file: Any, sensor: Sensor, name: str, path: Path, beside: Track) -> Track | None:
+    try:
+        return _track(file, sensor, name, path, beside)
+    except UnreadableError:
+        return None
+
+
+def _units(file: Any, track: Track, usual: str) -> str:
+    return Attributes([file[track.path]]).text("Units") or usual
+
+
+def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
+    unit = options.unit or accel_unit(_units(file, track, "m/s2"))
+    if unit not in PER_G:
+        raise UnreadableError(
+            f"the unit of {track.path} is not known or cannot be counts",
+            path=path,
+            hint=f"give --unit {'|'.join(PER_G)}",
+        )
+    return physical_scale(unit, track.dtype)
+
+
+def _gyro(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> Axes | None:
+    track = _optional(file, sensor, layout.gyro, path, accel)
+    factor = per_dps(_units(file, track, "rad/s")) if track is not None else None
+    if track is None or factor is None or track.width != 3 or not is_readable(file, track, path):
+        return None
+    return Axes((track,), gyro_scale(factor))
+
+
+def _temperature(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> Temperature | None:
+    track = _optional(file, sensor, layout.temperature, path, accel)
+    factor = per_celsius(_units(file, track, "deg C")) if track is not None else None
+    if track is None or factor is None or track.width != 1 or not is_readable(file, track, path):
+        return None
+    return first_temperature(file, track, factor, path)
+
+
+def _range_g(file: Any, track: Track) -> float | None:
+    """The smaller of the two limits that the vendor gives, in g."""
+    told = Attributes([file[track.path]])
+    limits = [told.number(name) for name in ("Upper Limit", "Lower Limit")]
+    unit = PER_G.get(accel_unit(_units(file, track, "m/s2")) or "")
+    found = [abs(limit) for limit in limits if limit]
+    return min(found) / unit if found and unit else None
+
+
+def _notes(sensor: Sensor, told: Attributes) -> tuple[str, ...]:
+    zone = told.text("Timezone")
+    place = (f"worn at: {sensor.label}",) if sensor.label else ()
+    return (*place, f"recorded in the time zone {zone}") if zone else place

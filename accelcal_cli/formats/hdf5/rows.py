@@ -1,0 +1,459 @@
+"""Gzip-packed HDF5 chunks, taken as they are stored and unpacked beside other threads' work.
+
+h5py lets nothing else run while it unpacks; zlib and numpy do. Whatever is not plain here (a chunk that
+is missing, damaged or packed in another way than its dataset says) is left to h5py.
+
+Gzip-packed HDF5 chunks that are too large to unpack at once, unpacked bit by bit.
+
+The bytes of an unpacked chunk fall into planes that run side by side: one for each byte of a
+number where the shuffle filter was used (all first bytes, then all second bytes, ...), and one
+for each axis where the rows run along the second dimension. One pass through the packed bytes
+keeps a copy of the unpacker at the beginning of each plane; then all planes advance together.
+
+Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats.hdf5.datasets import Track
+from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
+
+STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
+"""At most so much is unpacked together, about what is asked for; one chunk if that has more rows."""
+LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
+"""Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
+
+
+def unpackers(threads: int) -> AbstractContextManager[Executor | None]:
+    """A pool that unpacks ahead; none where only one thread may work."""
+    return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix="hdf5")
+
+
+def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:
+    """Of chunks that are nothing but gzip of all `width` columns of some rows: are their bytes shuffled?
+
+    None for any other dataset, and for numbers that are not stored as numpy knows them.
+    """
+    try:
+        settings = dataset.id.get_create_plist()
+        filters = [settings.get_filter(index) for index in range(settings.get_nfilters())]
+        plain = dataset.id.get_type().equal(h5py.h5t.py_create(dataset.dtype))
+        whole = dataset.ndim == 1 or dataset.chunks[1 - axis] == width
+    except H5PY_ERRORS:
+        return None
+    kinds = [item[0] for item in filters]
+    shuffled = kinds == [h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE]
+    if shuffled and filters[0][2] != (dataset.dtype.itemsize,):
+        return None
+    known = shuffled or kinds == [h5py.h5z.FILTER_DEFLATE]
+    return shuffled if known and plain and whole else None
+
+
+class StoredChunks:
+    """Rows of a dataset, along its axis `axis`, whose chunks `gzip_shuffled` knows.
+
+    Args:
+        pool: unpacks several chunks at a time, and those that come next; None: one by one.
+    """
+
+    def __init__(self, dataset: Any, axis: int, width: int, shuffled: bool, pool: Executor | None) -> None:
+        self._id = dataset.id
+        self._dtype = dataset.dtype
+        self._ndim = dataset.ndim
+        self._axis = axis
+        self._width = width
+        self._rows = int(dataset.chunks[axis])
+        self._bytes = self._rows * width * self._dtype.itemsize
+        self._bytes_apart = self._dtype.itemsize if shuffled else 1
+        self._pool = pool
+        self._begun: tuple[range, NDArray[Any], Iterator[bool]] | None = None
+
+    def begin(self, start: int, stop: int) -> None:
+        """Have the pool unpack rows that will be read next."""
+        if self._pool is not None:
+            self._begun = self._unpacking(range(start, stop))
+
+    def read(self, rows: range) -> NDArray[Any] | None:
+        """Rows (n, width), from the first one of a chunk; None where h5py has to read them.
+
+        Raises:
+            OSError: a chunk holds too little; h5py would make it up from what lies in memory.
+        """
+        begun, self._begun = self._begun, None
+        _, values, done = begun if begun is not None and begun[0] == rows else self._unpacking(rows)
+        return values if all(list(done)) else None
+
+    def _unpacking(self, rows: range) -> tuple[range, NDArray[Any], Iterator[bool]]:
+        """The rows' values, and what makes each chunk of them true when it is asked for."""
+        values = np.empty((len(rows), self._width), self._dtype)
+        places = range(0, len(rows), self._rows)
+        parts = [values[place : place + self._rows] for place in places]
+        each = map if self._pool is None else self._pool.map
+        return rows, values, each(self._unpack, rows[:: self._rows], parts)
+
+    def _unpack(self, row: int, into: NDArray[Any]) -> bool:
+        """Put the chunk that begins with a row in its place, without what lies beyond the dataset's end."""
+        raw = self._raw(row)
+        if raw is None or len(raw) > self._bytes:
+            return False
+        if len(raw) < self._bytes:
+            raise OSError("a chunk holds too little")
+        values = together(raw, self._bytes_apart).view(self._dtype)
+        rows = values.reshape(self._width, -1).T if self._axis else values.reshape(-1, self._width)
+        into[:] = rows[: len(into)]
+        return True
+
+    def _raw(self, row: int) -> bytes | None:
+        """A chunk by its first row, unpacked; None where it is absent, damaged or packed otherwise."""
+        place = [0] * self._ndim
+        place[self._axis] = row
+        try:
+            filters_left_out, packed = self._id.read_direct_chunk(tuple(place))
+            return None if filters_left_out else zlib.decompress(packed, bufsize=self._bytes)
+        except (zlib.error, *H5PY_ERRORS):
+            return None
+
+
+def together(raw: bytes, size: int) -> NDArray[Any]:
+    """Undo the shuffle filter: all first bytes of numbers of `size`, then all second ones, ...
+
+    Neighbours are put together two by two, so that each step works on whole numbers.
+    """
+    parts: NDArray[Any] = np.frombuffer(raw, np.uint8).reshape(size, -1)
+    while len(parts) > 1:
+        wide = parts[1::2].astype(f"<u{2 * parts.itemsize}")
+        wide <<= 8 * parts.itemsize
+        wide |= parts[::2]
+        parts = wide
+    return parts.reshape(-1)
+
+
+PIECE = 1 << 18
+
+
+class PackedStream:
+    """Unpacks a stretch of a file from its beginning; can be copied where it stands."""
+
+    def __init__(self, path: Path, offset: int, size: int) -> None:
+        self._path = path
+        self._offset = offset
+        self._end = offset + size
+        self._unpacker = zlib.decompressobj()
+        self._pending = b""
+
+    def copy(self) -> PackedStream:
+        """Another stream that goes on from the same place."""
+        twin = PackedStream(self._path, self._offset, self._end - self._offset)
+        twin._unpacker = self._unpacker.copy()
+        twin._pending = self._pending
+        return twin
+
+    def pieces(self, count: int) -> Iterator[bytes]:
+        """The next `count` bytes, in pieces; fewer where the packed bytes are damaged."""
+        while count:
+            if not self._pending:
+                self._pending = self._packed()
+            try:
+                piece = self._unpacker.decompress(self._pending, min(count, PIECE))
+            except zlib.error:
+                return
+            if not piece and (self._unpacker.eof or not self._pending):
+                return
+            self._pending = self._unpacker.unconsumed_tail
+            count -= len(piece)
+            yield piece
+
+    def _packed(self) -> bytes:
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            packed = file.read(min(PIECE, self._end - self._offset))
+        self._offset += len(packed)
+        return packed
+
+
+class DeflatedChunks:
+    """Rows of a dataset whose chunks are packed with gzip, in order."""
+
+    def __init__(self, dataset: Any, path: Path, axis: int, width: int, shuffled: bool) -> None:
+        self._dataset = dataset
+        self._path = path
+        self._axis = axis
+        self._width = width
+        self._chunk_rows = int(dataset.chunks[axis])
+        self._bytes = dataset.dtype.itemsize if shuffled else 1
+        self._axes = width if axis == 1 else 1
+        self._row_bytes = dataset.dtype.itemsize * width // (self._bytes * self._axes)
+        self._chunk = self._row = -1
+        self._planes: list[PackedStream] = []
+
+    def read(self, start: int, stop: int) -> NDArray[Any]:
+        """Rows start..stop-1 of one chunk, shape (n, width); fewer where it is damaged.
+
+        Raises:
+            OSError: the chunk is not there or cannot be read.
+        """
+        chunk = start // self._chunk_rows
+        if chunk != self._chunk or start < self._row:
+            self._enter(chunk)
+        for plane in self._planes:
+            self._skip(plane, (start - self._row) * self._row_bytes)
+        rows = self._take(stop - start)
+        self._row = stop
+        return rows
+
+    def _enter(self, chunk: int) -> None:
+        """Place one stream at the beginning of each plane of a chunk."""
+        self._chunk = self._row = -1
+        place = [0] * self._dataset.ndim
+        place[self._axis] = chunk * self._chunk_rows
+        info = self._dataset.id.get_chunk_info_by_coord(tuple(place))
+        if info.byte_offset is None or info.filter_mask:
+            raise OSError("the chunk is absent or packed in another way")
+        stream = PackedStream(self._path, info.byte_offset, info.size)
+        self._planes = []
+        for plane in range(self._bytes * self._axes):
+            if plane:
+                self._skip(stream, self._chunk_rows * self._row_bytes)
+            self._planes.append(stream.copy())
+        self._chunk, self._row = chunk, chunk * self._chunk_rows
+
+    @staticmethod
+    def _skip(stream: PackedStream, count: int) -> None:
+        for _ in stream.pieces(count):
+            pass
+
+    def _take(self, rows: int) -> NDArray[Any]:
+        """The next rows of all planes put together, as many as every plane still gives."""
+        parts = [b"".join(plane.pieces(rows * self._row_bytes)) for plane in self._planes]
+        rows = min(len(part) for part in parts) // self._row_bytes
+        raw = np.frombuffer(b"".join(part[: rows * self._row_bytes] for part in parts), np.uint8)
+        numbers = (self._axes, rows, self._width // self._axes)
+        if self._bytes > 1:
+            raw = np.moveaxis(raw.reshape(self._bytes, *numbers), 0, -1)
+        values = np.frombuffer(raw.tobytes(), self._dataset.dtype).reshape(numbers)
+        return values.transpose(1, 0, 2).reshape(rows, self._width)
+
+
+BLOCK_ROWS = 65_536
+STREAM_ABOVE_BYTES = 16 << 20
+REFUSE_ABOVE_BYTES = 256 << 20
+SMALLEST_LOSS_ROWS = 16
+HIGHEST_RATIO = 1100
+"""No filter in use packs rows more densely than deflate's 1032 bytes in one."""
+
+
+class TrackRows:
+    """Reads rows of a track in order; each HDF5 chunk is decompressed once.
+
+    A block that cannot be read is narrowed down to the HDF5 chunks concerned; their rows, and
+    those of chunks that were never written, are marked as lost.
+
+    Args:
+        pool: unpacks ahead where it can; None where one thread does all.
+
+    Raises:
+        UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
+    """
+
+    def __init__(self, file: Any, track: Track, path: Path, pool: Executor | None = None) -> None:
+        self._dataset = file[track.path]
+        self._track = track
+        self._path = path
+        self._pool = pool
+        self._start = self._stop = 0
+        self._values = np.empty((0, track.width), track.dtype)
+        self._good = np.empty(0, np.bool_)
+        self._chunk_rows, self._chunk_bytes = self._chunking()
+        self._refuse_unreadable()
+        self._shuffled = gzip_shuffled(self._dataset, track.axis, track.width)
+        self._stream = self._open_stream() if self._is_streamed() else None
+        self._stored = None if self._stream else self._open_stored()
+        self._has_holes = self._find_holes()
+
+    def _chunking(self) -> tuple[int, int]:
+        """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
+        chunks = self._dataset.chunks
+        if chunks is None:
+            return 1, 0
+        rows = int(chunks[self._track.axis])
+        wide = max(self._track.width, int(np.prod(chunks)) // max(rows, 1))
+        return rows, rows * wide * self._track.dtype.itemsize
+
+    def _has_filters(self) -> bool:
+        return bool(self._dataset.id.get_create_plist().get_nfilters())
+
+    def _is_streamed(self) -> bool:
+        return self._has_filters() and self._chunk_bytes > STREAM_ABOVE_BYTES
+
+    def _open_stored(self) -> StoredChunks | None:
+        track = self._track
+        if self._shuffled is None or not LEAST_BYTES <= self._chunk_bytes <= MOST_BYTES:
+            return None
+        return StoredChunks(self._dataset, track.axis, track.width, self._shuffled, self._pool)
+
+    def _open_stream(self) -> DeflatedChunks | None:
+        dataset, track, shuffled = self._dataset, self._track, self._shuffled
+        if shuffled is not None and dataset.file.userblock_size == 0:
+            return DeflatedChunks(dataset, self._path, track.axis, track.width, shuffled)
+        if self._chunk_bytes > REFUSE_ABOVE_BYTES:
+            raise self._refusal(
+                f"is packed in chunks of {self._chunk_bytes >> 20} MB, too large to unpack at once",
+                "repack it with `h5repack -l CHUNK=65536x3` (`CHUNK=65536` for one axis)",
+            )
+        return None
+
+    def _refuse_unreadable(self) -> None:
+        dataset, track = self._dataset, self._track
+        if dataset.external or dataset.is_virtual:
+            raise self._refusal("keeps its values in other files", "copy it into one file with h5repack")
+        if track.rows == 0 or self._is_unwritten():
+            raise self._refusal("is empty: its values were never written", "copy it again from its source")
+        size = self._path.stat().st_size
+        if track.rows > size * HIGHEST_RATIO:
+            raise self._refusal(
+                f"claims {track.rows} rows, more than the file can hold", "copy it again from its source"
+            )
+
+    def _is_unwritten(self) -> bool:
+        """Whether no value was ever written; a damaged index of chunks does not tell."""
+        try:
+            return bool(self._dataset.id.get_storage_size() == 0)
+        except H5PY_ERRORS:
+            return False
+
+    def _refusal(self, what: str, hint: str) -> UnreadableError:
+        return UnreadableError(f"dataset {self._track.path} {what}", path=self._path, hint=hint)
+
+    def _find_holes(self) -> bool:
+        chunks = self._dataset.chunks
+        if chunks is None:
+            return False
+        expected = 1
+        for length, step in zip(self._dataset.shape, chunks, strict=True):
+            expected *= -(-length // step)
+        try:
+            return bool(self._dataset.id.get_num_chunks() != expected)
+        except H5PY_ERRORS:
+            return True
+
+    @property
+    def path(self) -> str:
+        """The dataset's path in the file."""
+        return self._track.path
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row."""
+        return self._track.width * self._track.dtype.itemsize
+
+    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
+        values, good = [], []
+        row = start
+        while row < stop:
+            if not self._start <= row < self._stop:
+                self._load(*self._block(row))
+            here = slice(row - self._start, min(stop, self._stop) - self._start)
+            values.append(self._values[here])
+            good.append(self._good[here])
+            row = min(stop, self._stop)
+        if len(values) == 1:
+            return values[0], good[0]
+        return np.concatenate(values), np.concatenate(good)
+
+    def _block(self, row: int) -> tuple[int, int]:
+        """The rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
+        size = self._chunk_rows
+        most = BLOCK_ROWS if self._stored is None else min(STORED_ROWS, STORED_BYTES // self.row_bytes)
+        if size <= most:
+            step = size * (most // size)
+            start = row // step * step
+            return start, min(start + step, self._track.rows)
+        chunk = row // size * size
+        in_parts = self._stream is not None or not self._has_filters()
+        step = BLOCK_ROWS if in_parts else size
+        start = chunk + (row - chunk) // step * step
+        return start, min(start + step, chunk + size, self._track.rows)
+
+    def _load(self, start: int, stop: int) -> None:
+        self._values, self._good = self._read(start, stop)
+        self._start, self._stop = start, stop
+        if self._stored is not None and stop < self._track.rows:
+            self._stored.begin(*self._block(stop))
+
+    def _read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows, zero and marked where lost; what cannot be read is halved along chunk borders."""
+        try:
+            values = self._fetch(start, stop)
+            good = self._written(start, start + len(values))
+        except H5PY_ERRORS:
+            middle = self._middle(start, stop)
+            if middle is not None:
+                (values, good), (more, sound) = self._read(start, middle), self._read(middle, stop)
+                return np.concatenate((values, more)), np.concatenate((good, sound))
+            values, good = np.empty((0, self._track.width), self._track.dtype), np.empty(0, np.bool_)
+        lost = stop - start - len(values)
+        if lost:
+            values, good = np.pad(values, ((0, lost), (0, 0))), np.pad(good, (0, lost))
+        return values, good
+
+    def _middle(self, start: int, stop: int) -> int | None:
+        """A chunk border near the middle; None where the rows are lost together."""
+        step = self._chunk_rows * max(1, SMALLEST_LOSS_ROWS // self._chunk_rows)
+        half = start + max(1, (stop - start) // 2 // step) * step
+        return half if half < stop and self._stream is None else None
+
+    def _fetch(self, start: int, stop: int) -> NDArray[Any]:
+        if self._stream is not None:
+            return self._stream.read(start, stop)
+        if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
+            return values
+        part = self._dataset[start:stop] if self._track.axis == 0 else self._dataset[:, start:stop].T
+        # A copy, so that what stays lies apart from what HDF5 needed for a moment and can use again.
+        return np.array(part, order="C").reshape(-1, self._track.width)
+
+    def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
+        """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
+        good = np.ones(stop - start, np.bool_)
+        if self._has_holes:
+            first = start // self._chunk_rows * self._chunk_rows
+            for row in range(first, stop, self._chunk_rows):
+                if self.chunk_offset(row) is None:
+                    good[max(row - start, 0) : row - start + self._chunk_rows] = False
+        return good
+
+    def chunk_offset(self, row: int) -> int | None:
+        """Byte in the file of the HDF5 chunk that holds a row; None where there is none.
+
+        Where the row's columns are in several chunks: the first one's, None if any is missing.
+        """
+        if self._dataset.chunks is None:
+            return None
+        offsets = []
+        try:
+            for column in self._columns():
+                place = [0] * self._dataset.ndim
+                place[self._track.axis] = row // self._chunk_rows * self._chunk_rows
+                if column:
+                    place[1 - self._track.axis] = column
+                offsets.append(self._dataset.id.get_chunk_info_by_coord(tuple(place)).byte_offset)
+        except H5PY_ERRORS:
+            return None
+        return None if None in offsets else int(offsets[0])
+
+    def _columns(self) -> range:
+        if self._dataset.ndim == 1:
+            return range(1)
+        return range(0, self._track.width, int(self._dataset.chunks[1 - self._track.axis]))

@@ -1,0 +1,267 @@
+"""From the numbers of a dataset to raw counts, and which rows cannot be.
+
+Times in HDF5 files: start attributes and time datasets.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.gravity import STANDARD_GRAVITY
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts
+from accelcal_cli.formats.hdf5.file import normal
+
+LARGEST_G = 127.0
+GYRO_LSB_PER_DPS = 65_536.0
+"""Counts per deg/s given to rates of turn that arrive as decimal fractions."""
+LARGEST_DPS = 32_767.0
+COLDEST_C, HOTTEST_C = -273.15, 1000.0
+
+PER_G = {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}
+_ACCEL_UNITS = {
+    "g": "g gs gee grav gravity gravities gforce standardgravity",
+    "mg": "mg millig milligs milligee mgravity",
+    "m/s2": "ms2 mss ms² mpss mpers2 meterpersecondsquared meterspersecondsquared meterspersecond2 mps2",
+    "counts": "count counts lsb lsbs raw adc adccounts adu digit digits bits rawcounts",
+}
+_PER_DPS = {
+    1.0: "degs dps degsec degps degpersec degreespersecond degreess °s degs1 degpersecond",
+    math.pi / 180: "rads radsec rps radps radianspersecond radianss rads1 radpersec",
+}
+_PER_C = {
+    1.0: "c degc °c celsius degreescelsius degreesc degreec degreecelsius",
+    1000.0: "mc mdegc m°c millidegc millicelsius millidegreescelsius millidegreecelsius",
+}
+
+
+def accel_unit(text: str) -> str | None:
+    """One of g, mg, m/s2, counts for what a unit attribute says; None where unknown."""
+    name = normal(text.replace("m s-2", "m/s2").replace("s^-2", "s2").replace("s-2", "s2"))
+    for unit, names in _ACCEL_UNITS.items():
+        if name in names.split():
+            return unit
+    return None
+
+
+def per_dps(text: str) -> float | None:
+    """What one deg/s is in a unit of turning; None where unknown."""
+    return _factor(text, _PER_DPS)
+
+
+def per_celsius(text: str) -> float | None:
+    """What one degree Celsius is in a unit of temperature; None where unknown."""
+    return _factor(text, _PER_C)
+
+
+def _factor(text: str, table: dict[float, str]) -> float | None:
+    name = normal(text)
+    for factor, names in table.items():
+        if name in {normal(item) for item in names.split()}:
+            return factor
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How numbers become counts.
+
+    Attributes:
+        lsb: counts in one unit of the result (g or deg/s).
+        divisor: what one unit of the result is in the dataset; None where its numbers are counts.
+        limit: largest believable magnitude, in units of the result; of no use for counts.
+        exact: the type that holds all counts of the dataset, None where some may not fit.
+    """
+
+    lsb: float
+    divisor: float | None = None
+    limit: float = 0.0
+    exact: type[np.int16] | type[np.int32] | None = None
+
+    def counts(self, values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+        """Counts of rows (n, 3), and by problem code the rows (n,) that have none."""
+        if self.exact is np.int16:
+            return values.astype(np.int16), {}
+        if self.exact is np.int32:
+            return values.astype(np.int32), {}
+        if values.dtype.kind in "iu":
+            return _narrowed(values)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._rounded(values.astype(np.float64))
+
+    def _rounded(self, values: NDArray[np.float64]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+        missing: NDArray[np.bool_] = np.isnan(values)
+        if self.divisor is None:
+            whole, limit = values, float(2**31 - 1)
+            broken = ~missing & np.isfinite(values) & (values != np.rint(values))
+        else:
+            units = values / self.divisor
+            whole, limit = np.rint(units * self.lsb), self.limit * self.lsb
+            broken = np.zeros_like(missing)
+        beyond: NDArray[np.bool_] = np.abs(whole) > limit
+        bad = missing | broken | beyond
+        faults: dict[str, NDArray[np.bool_]] = {
+            "missing_value": _rows(missing),
+            "bad_row": _rows(broken),
+            "out_of_range": _rows(beyond),
+        }
+        return np.where(bad, 0, whole).astype(np.int32), faults
+
+
+def _rows(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows (n,) with any of three cells true."""
+    rows: NDArray[np.bool_] = cells[:, 0] | cells[:, 1] | cells[:, 2]
+    return rows
+
+
+def _narrowed(values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+    """Whole numbers as int32, and the rows that do not fit."""
+    beyond = values > 2**31 - 1
+    if values.dtype.kind == "i":
+        beyond |= values < -(2**31)
+    return np.where(beyond, 0, values).astype(np.int32), {"out_of_range": _rows(beyond)}
+
+
+def count_scale(lsb: float, dtype: np.dtype[Any]) -> Scale:
+    """Numbers that are counts already."""
+    if dtype.kind == "f" or not np.can_cast(dtype, np.int32):
+        return Scale(lsb)
+    return Scale(lsb, exact=np.int16 if np.can_cast(dtype, np.int16) else np.int32)
+
+
+def physical_scale(unit: str, dtype: np.dtype[Any]) -> Scale:
+    """Numbers in g, mg or m/s2: whole ones are counts of that unit, fractions go to a fine grid."""
+    if dtype.kind in "iu":
+        return count_scale(PER_G[unit], dtype)
+    return Scale(FLOAT_LSB_PER_G, PER_G[unit], LARGEST_G)
+
+
+def gyro_scale(per_unit: float) -> Scale:
+    """Decimal fractions in deg/s (1) or rad/s (pi / 180)."""
+    return Scale(GYRO_LSB_PER_DPS, per_unit, LARGEST_DPS)
+
+
+def millicelsius(values: NDArray[Any], good: NDArray[np.bool_], factor: float) -> NDArray[np.float64]:
+    """Thousandths of a degree Celsius (n,), NaN where there is no believable value."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        degrees = values[:, 0].astype(np.float64)
+        if factor != 1:
+            degrees /= factor
+        believable = good & (degrees >= COLDEST_C) & (degrees <= HOTTEST_C)
+        degrees *= 1000
+        np.rint(degrees, out=degrees)
+        if not believable.all():
+            degrees[~believable] = np.nan
+        return degrees
+
+
+LATEST_US = 4_102_444_800 * MICROSECONDS
+"""2100-01-01: a later time is damage."""
+EARLIEST_ABSOLUTE_US = 315_532_800 * MICROSECONDS
+"""1980-01-01: a smaller number counts from the start of the recording, not from 1970."""
+
+PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_UNIT_NAMES = {
+    "s": "s sec secs second seconds",
+    "ms": "ms msec millisecond milliseconds",
+    "us": "us usec microsecond microseconds µs μs",
+    "ns": "ns nsec nanosecond nanoseconds",
+}
+
+
+def time_unit(text: str) -> str | None:
+    """One of s, ms, us, ns for what an attribute says (`seconds since ...` too); None if unknown."""
+    first = text.lower().split()[:1]
+    for unit, names in _UNIT_NAMES.items():
+        if first and first[0] in names.split():
+            return unit
+    return None
+
+
+def unit_by_size(value: float) -> str | None:
+    """The unit in which a number is a moment of 1980..2100; at most one fits."""
+    for unit, per_second in PER_SECOND.items():
+        if EARLIEST_ABSOLUTE_US <= value / per_second * MICROSECONDS < LATEST_US:
+            return unit
+    return None
+
+
+def parse_moment(value: str | float) -> tuple[int, bool] | None:
+    """Microseconds since 1970 of a start attribute, and whether it is UTC for certain.
+
+    A number counts s, ms, us or ns since 1970, by its size. A text is an ISO date and time;
+    only one with `Z` or an offset is UTC for certain. None where it is neither.
+    """
+    if isinstance(value, float):
+        unit = unit_by_size(value)
+        return None if unit is None else (round(value / PER_SECOND[unit] * MICROSECONDS), False)
+    if re.fullmatch(r"\d+(\.\d*)?", value):
+        return parse_moment(float(value))
+    try:
+        moment = datetime.fromisoformat(value.replace(" UTC", "Z"))
+        known = moment.tzinfo is not None
+        since = moment.astimezone(UTC) if known else moment.replace(tzinfo=UTC)
+    except (ValueError, OverflowError):
+        return None
+    microseconds = (since - datetime(1970, 1, 1, tzinfo=UTC)) // datetime.resolution
+    return (microseconds, known) if 0 <= microseconds < LATEST_US else None
+
+
+@dataclass(frozen=True, slots=True)
+class StampScale:
+    """How the numbers of a time dataset become microseconds since 1970.
+
+    Attributes:
+        unit: s, ms, us or ns.
+        base_us: the moment from which they count.
+    """
+
+    unit: str
+    base_us: int = 0
+
+    def times(self, values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+        """Times (n,) [us], and which of them are believable."""
+        per_second = PER_SECOND[self.unit]
+        largest = LATEST_US // MICROSECONDS * per_second
+        with np.errstate(invalid="ignore"):
+            believable = (values >= 0) & (values <= largest)
+        kept = np.where(believable, values, 0)
+        if kept.dtype.kind == "f":
+            ticks = np.rint(kept.astype(np.float64) * (MICROSECONDS / per_second)).astype(np.int64)
+        elif per_second > MICROSECONDS:
+            ticks = (kept.astype(np.int64) + 500) // 1000
+        else:
+            ticks = kept.astype(np.int64) * (MICROSECONDS // per_second)
+        times = ticks + self.base_us
+        return times, believable & (times < LATEST_US)
+
+
+def typical_step(times: NDArray[np.int64]) -> tuple[float, int] | None:
+    """Mean step between samples [us] without gaps, and how coarse equal stamps are [us].
+
+    The second is 0 where stamps differ from each other. None where there is no step forward.
+    """
+    changes = np.flatnonzero(np.diff(times)) + 1
+    if len(changes) < 2:
+        changes = np.array([0, len(times) - 1])
+    steps, rows = np.diff(times[changes]), np.diff(changes)
+    if not (steps > 0).any():
+        return None
+    usual = float(np.median(steps[steps > 0]))
+    regular = (steps > 0) & (steps <= 3 * usual)
+    coarse = usual if len(changes) < len(times) * 3 // 4 else 0
+    return float(steps[regular].sum() / rows[regular].sum()), int(coarse)
+
+
+def nominal_rate(step_us: float) -> float:
+    """The rate that a mean step means: whole where it is within 0.1 % of a whole number of Hz."""
+    rate = MICROSECONDS / step_us
+    whole = round(rate)
+    return float(whole) if whole and abs(rate - whole) <= whole / 1000 else round(rate, 4)

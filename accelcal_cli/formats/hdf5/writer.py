@@ -1,0 +1,187 @@
+"""Writes HDF5 recordings: /accel with its attributes, and what else a recording has."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterable
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import h5py
+import numpy as np
+
+from accelcal_cli.core.clock import UniformClock, rate_fraction
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.formats import Encoder
+from accelcal_cli.core.recording import Chunk, Recording
+
+CHUNK_ROWS = 65_536
+FILE_VERSIONS = ("earliest", "v110")
+
+
+def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
+    """Write all chunks as datasets of gzip-packed HDF5 chunks.
+
+    `/accel` (n, 3) holds the raw counts; `/temperature` (n,) degrees Celsius; `/gyro` (n, 3) raw
+    counts; `/time` (n,) microseconds since 1970, only where times are not evenly spaced. The
+    same recording gives the same bytes.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    try:
+        with path.open("wb+") as plain:
+            target = _Target(plain)
+            with h5py.File(target, "w", libver=FILE_VERSIONS) as file:
+                writer = _Writer(file, recording)
+                for chunk in chunks:
+                    writer.append(chunk)
+                    target.raise_failure()
+            target.raise_failure()
+    except (OSError, RuntimeError) as error:
+        raise OutputError(
+            f"cannot be written ({' '.join(str(error).split())[:200]})",
+            path=path,
+            hint="check the free space and the permissions",
+        ) from error
+
+
+class _Target(io.RawIOBase):
+    """A file whose failed writes are kept until they are asked for: HDF5 would not survive them."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._failure: OSError | None = None
+
+    def raise_failure(self) -> None:
+        """Raise the first failed write, if there was one."""
+        if self._failure is not None:
+            raise self._failure
+
+    def readinto(self, buffer: Any) -> int:
+        """Read, for HDF5's own use."""
+        data = self._file.read(len(buffer))
+        buffer[: len(data)] = data
+        return len(data)
+
+    def write(self, data: Any) -> int:
+        """Write, or keep the failure."""
+        try:
+            self._file.write(data)
+            self._file.flush()
+        except OSError as error:
+            self._failure = self._failure or error
+        return len(data)
+
+    def seek(self, offset: int, whence: int = 0) -> int:
+        """Go to a byte."""
+        return self._file.seek(offset, whence)
+
+    def tell(self) -> int:
+        """The current byte."""
+        return self._file.tell()
+
+    def truncate(self, size: int | None = None) -> int:
+        """Set the file's size, or keep the failure."""
+        try:
+            return self._file.truncate(size)
+        except OSError as error:
+            self._failure = self._failure or error
+            return size or 0
+
+
+class _Writer:
+    """Appends chunks to growing datasets."""
+
+    def __init__(self, file: Any, recording: Recording) -> None:
+        self._file = file
+        self._recording = recording
+        self._rate = rate_fraction(recording.rate_hz)
+        self._rows = 0
+
+    def append(self, chunk: Chunk) -> None:
+        """Add one chunk to every dataset that it has values for."""
+        accel = self._dataset("accel", chunk.counts)
+        if not self._rows:
+            _describe(accel, self._recording)
+        self._add(accel, chunk.counts)
+        if chunk.temperature_mc is not None:
+            degrees = (chunk.temperature_mc / 1000).astype(np.float32)
+            self._add(self._dataset("temperature", degrees, units="C"), degrees)
+        if chunk.gyro_counts is not None:
+            steps = self._recording.gyro_dps_per_lsb or (1.0, 1.0, 1.0)
+            self._add(self._dataset("gyro", chunk.gyro_counts, dps_per_lsb=steps[0]), chunk.gyro_counts)
+        self._add_times(chunk)
+        self._rows += len(chunk)
+
+    def _dataset(self, name: str, values: Any, **attributes: Any) -> Any:
+        """The dataset of this name, made when its first values come."""
+        if name not in self._file:
+            dataset = self._file.create_dataset(
+                name,
+                shape=(0, *values.shape[1:]),
+                maxshape=(None, *values.shape[1:]),
+                dtype=values.dtype.newbyteorder("<"),
+                chunks=(CHUNK_ROWS, *values.shape[1:]),
+                compression="gzip",
+                compression_opts=1,
+                shuffle=True,
+                track_times=False,
+            )
+            _set(dataset, attributes)
+        return self._file[name]
+
+    def _add(self, dataset: Any, values: Any) -> None:
+        start = len(dataset)
+        dataset.resize(start + len(values), axis=0)
+        dataset[start:] = values
+
+    def _add_times(self, chunk: Chunk) -> None:
+        """Times are written from the beginning once they leave the even grid."""
+        times = chunk.clock.times(0, len(chunk))
+        if "time" not in self._file:
+            if np.array_equal(times, self._even(self._rows, self._rows + len(chunk))):
+                return
+            dataset = self._dataset("time", times, units="us")
+            for start in range(0, self._rows, CHUNK_ROWS):
+                self._add(dataset, self._even(start, min(start + CHUNK_ROWS, self._rows)))
+        self._add(self._file["time"], times)
+
+    def _even(self, start: int, stop: int) -> Any:
+        return UniformClock(self._recording.start_us or 0, 0, self._rate).times(start, stop)
+
+
+def _describe(accel: Any, recording: Recording) -> None:
+    """What the reader needs, and what is known of the device; unknown things are left away."""
+    start = (
+        None
+        if recording.start_us is None
+        else datetime(1970, 1, 1) + timedelta(microseconds=recording.start_us)
+    )
+    _set(
+        accel,
+        {
+            "sample_rate": float(recording.rate_hz),
+            "units": "counts",
+            "lsb_per_g": float(recording.lsb_per_g),
+            "range_g": recording.range_g,
+            "start_time": start and start.isoformat(),
+            "timezone": recording.timezone,
+            "serial": recording.device.serial,
+            "model": recording.device.model,
+            "firmware": recording.device.firmware,
+        },
+    )
+
+
+def _set(dataset: Any, attributes: dict[str, Any]) -> None:
+    for name, value in attributes.items():
+        if isinstance(value, str) and value:
+            raw = value.encode()
+            dataset.attrs.create(name, raw, dtype=h5py.string_dtype("utf-8", len(raw)))
+        elif value is not None and value != "":
+            dataset.attrs[name] = value
+
+
+ENCODER = Encoder(name="hdf5", suffix=".h5", write=write)

@@ -1,0 +1,494 @@
+"""What a layout file says, checked.
+
+Whether the sizes and offsets of a layout can be true together.
+
+Typed access to the tables of a layout file, with errors that name the key.
+
+The start time of a layout.
+
+Reading layout files: what the pages and frames of a raw dump hold. See docs/layout-files.md.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.errors import UsageError
+
+AXES = ("x", "y", "z")
+GYRO = ("gx", "gy", "gz")
+FIELD_NAMES = (*AXES, "temperature", *GYRO)
+FIELD_TYPES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int24": 3, "int32": 4, "float32": 4}
+SEQUENCE_TYPES = {"uint8": 1, "uint16": 2, "uint32": 4}
+TIME_TYPES = {"uint32": 4}
+CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
+
+STREAM_FRAMES = 256
+"""An unbroken stream is taken in pages of so many frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A value within a frame: `raw * scale + zero`, or for x, y, z `raw - zero` counts."""
+
+    offset: int
+    type: str
+    per_unit: float | None = None
+    zero: float = 0.0
+
+    @property
+    def end(self) -> int:
+        """Offset of the byte after it."""
+        return self.offset + FIELD_TYPES[self.type]
+
+    @property
+    def scale(self) -> float:
+        """Degrees C, or deg/s, in one raw unit."""
+        return 1.0 if self.per_unit is None else self.per_unit
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """The page's number, at `offset` within the page."""
+
+    offset: int
+    type: str
+
+    @property
+    def bits(self) -> int:
+        """Width, after which the numbers start from 0 again."""
+        return 8 * SEQUENCE_TYPES[self.type]
+
+
+@dataclass(frozen=True, slots=True)
+class Stamp:
+    """The time of the page's first sample: units of `per_unit` seconds since 1970."""
+
+    offset: int
+    type: str
+    per_unit: float
+
+
+@dataclass(frozen=True, slots=True)
+class Checksum:
+    """Checksum of the page's bytes start..stop-1."""
+
+    offset: int
+    type: str
+    start: int
+    stop: int
+
+
+@dataclass(frozen=True, slots=True)
+class StartTime:
+    """Time of the first sample [us since 1970]; `timezone` is UTC if the layout gave an offset."""
+
+    start_us: int
+    timezone: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """A raw dump's description; sizes in bytes. `page_bytes` 0 is an unbroken stream of frames."""
+
+    rate_hz: float
+    lsb_per_g: float
+    frame_bytes: int
+    fields: Mapping[str, Field]
+    range_g: float | None = None
+    start: StartTime | None = None
+    serial: str | None = None
+    model: str | None = None
+    firmware: str | None = None
+    endian: str = "little"
+    header_bytes: int = 0
+    page_bytes: int = 0
+    page_header_bytes: int = 0
+    page_trailer_bytes: int = 0
+    sequence: Sequence | None = None
+    stamp: Stamp | None = None
+    checksum: Checksum | None = None
+
+    @property
+    def page_frames(self) -> int:
+        """Samples in a full page."""
+        if not self.page_bytes:
+            return STREAM_FRAMES
+        return (self.page_bytes - self.page_header_bytes - self.page_trailer_bytes) // self.frame_bytes
+
+    @property
+    def block_bytes(self) -> int:
+        """Bytes of a page, or of what is taken for one in an unbroken stream."""
+        return self.page_bytes or STREAM_FRAMES * self.frame_bytes
+
+
+LARGEST_FRAME = 1 << 16
+LARGEST_PAGE = 1 << 24
+
+Span = tuple[int, int, str]
+
+
+def check_geometry(layout: Layout, path: Path, *, paged: bool) -> None:
+    """Refuse sizes that contradict each other.
+
+    Args:
+        paged: whether the layout gives page_bytes.
+
+    Raises:
+        UsageError: names the key, the file and what is wrong.
+    """
+    try:
+        check_frame(layout)
+        if paged:
+            check_page(layout)
+        else:
+            check_stream(layout)
+    except ImpossibleError as error:
+        raise UsageError(f"layout: {error}", path=path) from None
+
+
+class ImpossibleError(Exception):
+    """Which key cannot be true, and why."""
+
+
+def check_frame(layout: Layout) -> None:
+    """Fields lie within the frame, side by side."""
+    if layout.frame_bytes > LARGEST_FRAME:
+        raise ImpossibleError(f"dump.frame_bytes is {layout.frame_bytes}, more than {LARGEST_FRAME}")
+    spans = [(field.offset, field.end, f"fields.{name}") for name, field in layout.fields.items()]
+    for _, end, name in spans:
+        if end > layout.frame_bytes:
+            raise ImpossibleError(f"{name} ends at byte {end}, but dump.frame_bytes is {layout.frame_bytes}")
+    check_apart(spans)
+
+
+def check_stream(layout: Layout) -> None:
+    """Without pages nothing may be said of pages."""
+    if layout.page_header_bytes or layout.page_trailer_bytes:
+        raise ImpossibleError("dump.page_bytes is missing, but a page header or trailer is given")
+    if layout.sequence or layout.stamp or layout.checksum:
+        raise ImpossibleError("dump.page_bytes is missing, but [page] is given")
+
+
+def check_page(layout: Layout) -> None:
+    """A page holds its header, at least one frame and its trailer, and its keys lie outside the frames."""
+    outside = layout.page_header_bytes + layout.page_trailer_bytes
+    if layout.page_bytes > LARGEST_PAGE:
+        raise ImpossibleError(f"dump.page_bytes is {layout.page_bytes}, more than {LARGEST_PAGE}")
+    if outside + layout.frame_bytes > layout.page_bytes:
+        raise ImpossibleError(
+            f"dump.page_bytes is {layout.page_bytes}, but header, trailer and one frame take "
+            f"{outside + layout.frame_bytes} bytes"
+        )
+    spans = page_spans(layout)
+    for _, end, name in spans:
+        if end > layout.page_bytes:
+            raise ImpossibleError(f"{name} ends at byte {end}, but dump.page_bytes is {layout.page_bytes}")
+    frames = (layout.page_header_bytes, layout.page_header_bytes + layout.page_frames * layout.frame_bytes)
+    check_apart([*spans, (*frames, "the frames (dump.page_header_bytes and dump.page_trailer_bytes)")])
+    check_covers(layout)
+
+
+def page_spans(layout: Layout) -> list[Span]:
+    """First byte, byte after the last, and name of each key of [page]."""
+    spans = []
+    if layout.sequence:
+        at = layout.sequence.offset
+        spans.append((at, at + SEQUENCE_TYPES[layout.sequence.type], "page.sequence"))
+    if layout.stamp:
+        spans.append((layout.stamp.offset, layout.stamp.offset + TIME_TYPES[layout.stamp.type], "page.time"))
+    if layout.checksum:
+        at = layout.checksum.offset
+        spans.append((at, at + CHECKSUM_BYTES[layout.checksum.type], "page.crc"))
+    return spans
+
+
+def check_covers(layout: Layout) -> None:
+    """The checksum covers bytes of the page, not itself."""
+    crc = layout.checksum
+    if crc is None:
+        return
+    if crc.stop > layout.page_bytes:
+        raise ImpossibleError(
+            f"page.crc.covers ends at {crc.stop}, but dump.page_bytes is {layout.page_bytes}"
+        )
+    if crc.start < crc.offset + CHECKSUM_BYTES[crc.type] and crc.offset < crc.stop:
+        raise ImpossibleError("page.crc.covers includes the checksum itself")
+
+
+def check_apart(spans: list[Span]) -> None:
+    """No two spans share a byte."""
+    for (_, end, name), (start, _, other) in pairwise(sorted(spans)):
+        if start < end:
+            raise ImpossibleError(f"{name} and {other} overlap at byte {start}")
+
+
+LARGEST_BYTES = 1 << 40
+
+
+class Keys:
+    """One table of a layout. What was never asked for is unknown, and `finish` says so."""
+
+    def __init__(self, table: Mapping[str, Any], path: Path, name: str) -> None:
+        self._table = table
+        self._path = path
+        self._name = name
+        self._known: set[str] = set()
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._table
+
+    def error(self, key: str, message: str, hint: str | None = None) -> UsageError:
+        """An error about one key."""
+        place = f"{self._name}.{key}" if self._name else f"[{key}]"
+        return UsageError(f"layout: {place} {message}", path=self._path, hint=hint)
+
+    def raw(self, key: str) -> Any:
+        """The value as TOML gave it, None where absent."""
+        self._known.add(key)
+        return self._table.get(key)
+
+    def finish(self) -> None:
+        """Refuse keys that nothing asked for."""
+        for key in self._table:
+            if key not in self._known:
+                near = difflib.get_close_matches(key, self._known, 1)
+                known = (
+                    f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(self._known))}"
+                )
+                raise self.error(key, "is not a known key", known)
+
+    def table(self, key: str) -> Keys:
+        """A table that must be there."""
+        found = self.optional_table(key)
+        if found is None:
+            raise self.error(key, "is missing")
+        return found
+
+    def optional_table(self, key: str) -> Keys | None:
+        """A table, or None where absent."""
+        value = self.raw(key)
+        if value is None:
+            return None
+        if not isinstance(value, Mapping):
+            raise self.error(key, f"must be a table, not {value!r}")
+        return Keys(value, self._path, f"{self._name}.{key}" if self._name else key)
+
+    def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
+        """A number that must be there."""
+        value = self.optional_number(key, low, high)
+        if value is None:
+            raise self.error(key, "is missing")
+        return value
+
+    def optional_number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
+        """A finite number within low..high, or None where absent."""
+        value = self.raw(key)
+        if value is None:
+            return None
+        if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
+            raise self.error(key, f"must be a number, not {value!r}")
+        if not low <= value <= high:
+            raise self.error(key, f"is {value}, which is not within {low:g} to {high:g}")
+        return float(value)
+
+    def whole(self, key: str, default: int | None, low: int = 0) -> int:
+        """A whole number from `low` on; `default` None: it must be there."""
+        value = self.raw(key)
+        if value is None:
+            value = default
+        if value is None:
+            raise self.error(key, "is missing")
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.error(key, f"must be a whole number, not {value!r}")
+        if value is not default and not low <= value <= LARGEST_BYTES:
+            raise self.error(key, f"is {value}; it must be at least {low}, and a size that a file can have")
+        return value
+
+    def text(self, key: str) -> str | None:
+        """A text, or None where absent."""
+        value = self.raw(key)
+        if value is not None and not isinstance(value, str):
+            raise self.error(key, f"must be a text in quotes, not {value!r}")
+        return value
+
+    def choice(self, key: str, allowed: tuple[str, ...], default: str | None) -> str:
+        """One of a few words; `default` None: it must be there."""
+        value = self.text(key) or default
+        if value is None:
+            raise self.error(key, "is missing")
+        if value not in allowed:
+            raise self.error(key, f"is {value!r}", f"allowed: {', '.join(allowed)}")
+        return value
+
+    def pair(self, key: str) -> tuple[int, int]:
+        """Two whole numbers that must be there."""
+        value = self.raw(key)
+        if value is None:
+            raise self.error(key, "is missing")
+        whole = isinstance(value, list) and [type(item) for item in value] == [int, int]
+        if not whole or not 0 <= value[0] < value[1]:
+            raise self.error(key, f"must be two byte numbers [first, after the last], not {value!r}")
+        return value[0], value[1]
+
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
+
+
+def parse_start(dump: Keys) -> StartTime | None:
+    """`start_time` of [dump], as an ISO 8601 text or a TOML date and time."""
+    value = dump.raw("start_time")
+    if value is None:
+        return None
+    if isinstance(value, str):
+        try:
+            value = datetime.fromisoformat(value.strip())
+        except ValueError:
+            raise dump.error("start_time", f"is {value!r}, which is not a date and time", HINT) from None
+    if not isinstance(value, datetime):
+        raise dump.error("start_time", f"is {value}, which is not a date and time", HINT)
+    known = value.tzinfo is not None
+    moment = value if known else value.replace(tzinfo=UTC)
+    return StartTime((moment - EPOCH) // timedelta(microseconds=1), "UTC" if known else None)
+
+
+LARGEST_NUMBER = 1e12
+LARGEST_ZERO = 2**31
+SMALLEST_SCALE = 1e-9
+
+
+def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:
+    """An unbroken stream of x, y, z as little-endian int16."""
+    fields = {axis: Field(2 * number, "int16") for number, axis in enumerate(AXES)}
+    return Layout(rate_hz=rate_hz, lsb_per_g=lsb_per_g, frame_bytes=6, fields=fields)
+
+
+def load_layout(path: Path) -> Layout:
+    """Read and check a layout file.
+
+    Raises:
+        UsageError: it cannot be read, is not TOML, or a key is missing, unknown or impossible;
+            the message names the key.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+        document = tomllib.loads(text)
+    except OSError as error:
+        raise UsageError(f"the layout cannot be read ({error.strerror or error})", path=path) from error
+    except UnicodeDecodeError as error:
+        raise UsageError("the layout is not UTF-8 text", path=path, byte_offset=error.start) from error
+    except tomllib.TOMLDecodeError as error:
+        found = re.search(r"at line (\d+)", str(error))
+        line = int(found[1]) if found else None
+        raise UsageError(f"the layout is not valid TOML ({error})", path=path, line=line) from error
+    return parse_layout(document, path)
+
+
+def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
+    """Check a layout's keys and sizes.
+
+    Raises:
+        UsageError: see `load_layout`.
+    """
+    top = Keys(document, path, "")
+    dump, fields, page = top.table("dump"), top.table("fields"), top.optional_table("page")
+    top.finish()
+    found = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
+    fields.finish()
+    check_fields(found, fields)
+    layout = Layout(
+        rate_hz=dump.number("rate_hz", low=0.001, high=100_000),
+        lsb_per_g=dump.number("lsb_per_g", low=1e-6, high=1e12),
+        range_g=dump.optional_number("range_g", low=0.001, high=10_000),
+        start=parse_start(dump),
+        serial=dump.text("serial"),
+        model=dump.text("model"),
+        firmware=dump.text("firmware"),
+        endian=dump.choice("endian", ("little", "big"), "little"),
+        header_bytes=dump.whole("header_bytes", 0),
+        page_bytes=dump.whole("page_bytes", 0, low=1),
+        page_header_bytes=dump.whole("page_header_bytes", 0),
+        page_trailer_bytes=dump.whole("page_trailer_bytes", 0),
+        frame_bytes=dump.whole("frame_bytes", max(field.end for field in found.values()), low=1),
+        fields=found,
+        sequence=parse_sequence(page.optional_table("sequence")) if page else None,
+        stamp=parse_stamp(page.optional_table("time")) if page else None,
+        checksum=parse_checksum(page.optional_table("crc")) if page else None,
+    )
+    dump.finish()
+    if page:
+        page.finish()
+    check_geometry(layout, path, paged="page_bytes" in dump)
+    return layout
+
+
+def parse_field(keys: Keys) -> Field:
+    """One entry of [fields]."""
+    field = Field(
+        offset=keys.whole("offset", None),
+        type=keys.choice("type", tuple(FIELD_TYPES), None),
+        per_unit=keys.optional_number("per_unit", low=-LARGEST_NUMBER, high=LARGEST_NUMBER),
+        zero=keys.optional_number("zero", low=-LARGEST_NUMBER, high=LARGEST_NUMBER) or 0.0,
+    )
+    keys.finish()
+    return field
+
+
+def check_fields(found: Mapping[str, Field], fields: Keys) -> None:
+    """x, y and z must be there, the gyroscope whole, and scales where they mean something."""
+    for name in AXES:
+        if name not in found:
+            raise fields.error(name, "is missing")
+        if found[name].per_unit is not None:
+            raise fields.error(
+                f"{name}.per_unit", "is not for x, y and z; their scale is lsb_per_g in [dump]"
+            )
+        if found[name].zero % 1 or abs(found[name].zero) > LARGEST_ZERO:
+            raise fields.error(f"{name}.zero", "must be a whole number of counts")
+    present = [name for name in GYRO if name in found]
+    if 0 < len(present) < len(GYRO):
+        raise fields.error(present[0], f"needs all of {', '.join(GYRO)}")
+    for name in present:
+        if found[name].scale < SMALLEST_SCALE:
+            raise fields.error(f"{name}.per_unit", f"must be at least {SMALLEST_SCALE:g}")
+        if abs(found[name].zero / found[name].scale) > LARGEST_ZERO:
+            raise fields.error(f"{name}.zero", "is too large for its per_unit")
+
+
+def parse_sequence(keys: Keys | None) -> Sequence | None:
+    """`sequence` of [page]."""
+    if keys is None:
+        return None
+    sequence = Sequence(keys.whole("offset", None), keys.choice("type", tuple(SEQUENCE_TYPES), None))
+    keys.finish()
+    return sequence
+
+
+def parse_stamp(keys: Keys | None) -> Stamp | None:
+    """`time` of [page]."""
+    if keys is None:
+        return None
+    offset, kind = keys.whole("offset", None), keys.choice("type", tuple(TIME_TYPES), None)
+    per_unit = keys.optional_number("per_unit", low=1e-6, high=60)
+    keys.finish()
+    return Stamp(offset, kind, 1.0 if per_unit is None else per_unit)
+
+
+def parse_checksum(keys: Keys | None) -> Checksum | None:
+    """`crc` of [page]."""
+    if keys is None:
+        return None
+    offset, kind = keys.whole("offset", None), keys.choice("type", tuple(CHECKSUM_BYTES), None)
+    start, stop = keys.pair("covers")
+    keys.finish()
+    return Checksum(offset, kind, start, stop)

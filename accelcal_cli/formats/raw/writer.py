@@ -1,0 +1,122 @@
+"""Writes a raw dump, an unbroken stream of frames, and the layout file that describes it.
+
+A frame is x, y, z (int16, or int32 where the range needs it), then the temperature as int16 of
+1/128 C and the gyroscope as three int16, where the recording has them. A stream of frames has no
+place for a gap: a recording with a break is refused.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.formats import Companion, Encoder
+from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.formats._writing import new_file
+
+SUFFIX = ".raw"
+LAYOUT_SUFFIX = ".layout.toml"
+DEGREES_PER_UNIT = 1 / 128
+USUAL_RANGE_G = 16.0
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+OTHER_FORMAT = "choose another format, such as flash"
+
+
+def frame_type(recording: Recording) -> np.dtype[np.void]:
+    """A frame as a numpy record."""
+    largest = recording.lsb_per_g * (recording.range_g or USUAL_RANGE_G)
+    number = "<i2" if largest <= 1 << 15 else "<i4"
+    fields = [(axis, number) for axis in "xyz"]
+    if recording.has_temperature:
+        fields.append(("temperature", "<i2"))
+    if recording.gyro_dps_per_lsb is not None:
+        fields += [(f"g{axis}", "<i2") for axis in "xyz"]
+    return np.dtype(fields)
+
+
+def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
+    """Write all chunks to `path`.
+
+    Raises:
+        OutputError: the recording has a gap, a value does not fit, or the disk fails.
+    """
+    record = frame_type(recording)
+    with new_file(path) as file:
+        for chunk in chunks:
+            if len(chunk.breaks):
+                raise OutputError("the recording has a gap", path=path, hint=OTHER_FORMAT)
+            file.write(frames(path, chunk, record).data)
+
+
+def frames(path: Path, chunk: Chunk, record: np.dtype[np.void]) -> NDArray[np.void]:
+    """The chunk's rows as frames, (n,)."""
+    table = np.zeros(len(chunk), record)
+    for number, axis in enumerate("xyz"):
+        table[axis] = fitting(path, chunk.counts[:, number], record[axis])
+        if f"g{axis}" in (record.names or ()) and chunk.gyro_counts is not None:
+            table[f"g{axis}"] = fitting(path, chunk.gyro_counts[:, number], record[f"g{axis}"])
+    if "temperature" in (record.names or ()) and chunk.temperature_mc is not None:
+        heat = np.rint(chunk.temperature_mc / (1000 * DEGREES_PER_UNIT))
+        table["temperature"] = fitting(path, heat, record["temperature"])
+    return table
+
+
+def fitting(path: Path, values: NDArray[Any], kind: np.dtype[Any]) -> NDArray[Any]:
+    """The values, if all fit the frame's number type."""
+    limits = np.iinfo(kind.name)
+    if len(values) and (values.min() < limits.min or values.max() > limits.max):
+        raise OutputError("a value does not fit its field in the frame", path=path, hint=OTHER_FORMAT)
+    return values
+
+
+def layout_text(recording: Recording) -> str:
+    """The layout file's content."""
+    device = recording.device
+    known = {
+        "rate_hz": recording.rate_hz,
+        "lsb_per_g": recording.lsb_per_g,
+        "range_g": recording.range_g,
+        "start_time": start_text(recording),
+        "serial": device.serial,
+        "model": device.model,
+        "firmware": device.firmware,
+    }
+    lines = ["[dump]", *(f"{key} = {toml(value)}" for key, value in known.items() if value is not None)]
+    return "\n".join([*lines, "", "[fields]", *field_lines(recording), ""])
+
+
+def field_lines(recording: Recording) -> list[str]:
+    """One line a field of the frame."""
+    record = frame_type(recording)
+    scales = {"temperature": DEGREES_PER_UNIT}
+    if recording.gyro_dps_per_lsb is not None:
+        scales |= dict(zip(("gx", "gy", "gz"), recording.gyro_dps_per_lsb, strict=True))
+    lines, offset = [], 0
+    for name in record.names or ():
+        scale = f", per_unit = {toml(scales[name])}" if name in scales else ""
+        lines.append(f'{name} = {{ offset = {offset}, type = "{record[name].name}"{scale} }}')
+        offset += record[name].itemsize
+    return lines
+
+
+def start_text(recording: Recording) -> str | None:
+    """Time of the first sample; with an offset where the recording's times are UTC."""
+    if recording.start_us is None:
+        return None
+    moment = EPOCH + timedelta(microseconds=recording.start_us)
+    return (moment if recording.timezone == "UTC" else moment.replace(tzinfo=None)).isoformat()
+
+
+def toml(value: float | str) -> str:
+    """A TOML value; JSON text and TOML text in quotes are written alike."""
+    return json.dumps(value) if isinstance(value, str) else repr(float(value))
+
+
+ENCODER = Encoder("raw", SUFFIX, write, Companion(LAYOUT_SUFFIX, layout_text))

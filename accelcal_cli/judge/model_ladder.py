@@ -1,0 +1,269 @@
+"""Grouping points into postures, and postures into folds, exact in integers.
+
+Held-out error: what the calibration does to postures that it has not seen.
+
+The model ladder: which model do the held-out postures support?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import cos, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.fixed import FRACTION_BITS, ONE
+from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
+from accelcal_cli.core.results import Coverage, Holdout, Trial
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.errors import (
+    clustered_error,
+    deviations_mg,
+    interval95,
+    mean,
+    per_posture,
+    summary,
+    uncertainty,
+)
+
+_COARSE_BITS = 12
+
+
+def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:
+    """Posture number of each point, (n,), numbered from 0 by first point.
+
+    Points are taken by falling number of windows (then in their order); each joins the nearest
+    posture within so many degrees of its first point, or begins one.
+    """
+    limit = round(4096 * cos(radians(degrees)) ** 2)
+    coarse = points.xyz >> (FRACTION_BITS - _COARSE_BITS)
+    norms = np.maximum(1, (coarse * coarse).sum(axis=1))
+    label = np.full(len(points), -1, np.int64)
+    leaders: list[int] = []
+    for index in np.lexsort((np.arange(len(points)), -points.windows)).tolist():
+        label[index] = _nearest(coarse, norms, leaders, index, limit)
+        if label[index] < 0:
+            label[index] = len(leaders)
+            leaders.append(index)
+    return label
+
+
+def _nearest(
+    coarse: NDArray[np.int64], norms: NDArray[np.int64], leaders: list[int], index: int, limit: int
+) -> int:
+    """The leader with the smallest angle to a point if cos^2 reaches the limit / 4096, or -1."""
+    if not leaders:
+        return -1
+    dots = coarse[leaders] @ coarse[index]
+    near = (dots > 0) & (dots * dots // norms[leaders] * 4096 >= limit * norms[index])
+    if not near.any():
+        return -1
+    closeness = np.where(near, dots * dots // norms[leaders], -1)
+    return int(closeness.argmax())
+
+
+def temperature_blocks(points: PointSet, label: NDArray[np.int64], width_c: float) -> NDArray[np.int64]:
+    """Number of each point's block, (n,): its posture within `width_c` degrees C, posture by posture.
+
+    Without temperatures a block is a posture.
+    """
+    if points.tau is None or points.temperature is None:
+        return label
+    scale = points.temperature
+    milli = scale.reference_mc * ONE + points.tau * round(1000 * scale.span_c)
+    band = milli // (round(1000 * width_c) * ONE)
+    return np.unique(np.stack([label, band], axis=1), axis=0, return_inverse=True)[1].reshape(-1)
+
+
+def folds(label: NDArray[np.int64], number: int) -> NDArray[np.int64]:
+    """Fold of each point: postures are dealt out in turn, so that none is split."""
+    return label % number
+
+
+FitFunction = Callable[[PointSet, Model], Fit]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """Points that belong together.
+
+    Attributes:
+        label: (n,) posture number of each point.
+        block: (n,) number of its block, within one posture.
+    """
+
+    points: PointSet
+    label: NDArray[np.int64]
+    block: NDArray[np.int64]
+
+
+def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Holdout:
+    """Folds of whole postures; each is judged by a fit of the others.
+
+    A random hold-out would leave neighbours of every held-out point in the fit and hide failure.
+    """
+    points, label = sample.points, sample.label
+    fold = folds(label, number)
+    blocks: dict[int, float] = {}
+    before: dict[int, float] = {}
+    after: dict[int, float] = {}
+    for held in sorted(set(fold.tolist())):
+        seen, unseen = points.select(fold != held), points.select(fold == held)
+        where, weights, block = label[fold == held], unseen.weights, sample.block[fold == held]
+        found = fit(seen, model).parameters
+        before |= per_posture(deviations_mg(unseen, IDENTITY), weights, where)
+        left = deviations_mg(unseen, found)
+        after |= per_posture(left, weights, where)
+        blocks |= per_posture(left, weights, block)
+    pairs = tuple((before[key], after[key]) for key in sorted(before))
+    method = f"{number} folds of whole postures"
+    posture = dict(zip(sample.block.tolist(), label.tolist(), strict=True))
+    compared = tuple((posture[key], blocks[key]) for key in sorted(blocks))
+    return of_postures(method, len(points), pairs, compared)
+
+
+def control(points: PointSet, parameters: tuple[int, ...]) -> Holdout:
+    """F's second set of points, none of which was fitted (eq. 21); every point is a posture."""
+    before = deviations_mg(points, IDENTITY).tolist()
+    after = deviations_mg(points, parameters).tolist()
+    pairs = tuple(zip(before, after, strict=True))
+    return of_postures("control points (second set)", len(points), pairs, tuple(enumerate(after)))
+
+
+def of_postures(
+    method: str,
+    number: int,
+    pairs: tuple[tuple[float, float], ...],
+    blocks: tuple[tuple[int, float], ...] = (),
+) -> Holdout:
+    """The summary of (before, after) [mg] of each posture, of so many points."""
+    before, after = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
+    errors = (summary(before), summary(after), interval95(after))
+    return Holdout(method, number, len(pairs), *errors, pairs, blocks)
+
+
+LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
+"""By number of parameters; the simpler model comes first."""
+
+KINDS = ("scale", "misalignment", "offset", "temperature slopes")
+"""The twelve parameters, by threes."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What the ladder has to go by.
+
+    Attributes:
+        sample: the recording's points, their postures and blocks.
+        coverage: where they lie.
+        models: names of the models that the optimizer can fit.
+    """
+
+    sample: Sample
+    coverage: Coverage
+    models: tuple[str, ...] = LADDER
+
+
+def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
+    """Held-out error of every model that the points can hold, and why the others cannot."""
+    names = _wanted(settings, warm=evidence.sample.points.tau is not None)
+    return tuple(_trial(evidence, settings, fit, MODELS[name]) for name in names)
+
+
+def _wanted(settings: Settings, *, warm: bool) -> list[str]:
+    """Identity, and the models that the user allows; slopes only where there is temperature."""
+    names = [name for name in LADDER if settings.model in ("auto", name.removesuffix("T"))]
+    names = names if "0" in names else ["0", *names]
+    return names if warm else [name for name in names if not name.endswith("T")]
+
+
+def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Model) -> Trial:
+    reason = not_eligible(evidence, settings, model)
+    if reason is not None:
+        return Trial(model.name, None, reason)
+    try:
+        held = blocked(evidence.sample, model, fit, settings.folds)
+        doubt = _doubt(evidence.sample.points, model, fit, settings)
+    except DivergedError:
+        return Trial(model.name, None, "the fit diverges: the points do not determine it")
+    return Trial(model.name, held if doubt is None else None, doubt)
+
+
+def _doubt(points: PointSet, model: Model, fit: FitFunction, settings: Settings) -> str | None:
+    """Why a model that fits the held-out postures may still be wrong elsewhere on the sphere."""
+    if not model.free:
+        return None
+    known = uncertainty(points, fit(points, model).parameters, model)
+    if known is None:
+        return "the points do not determine it"
+    if settings.model == "auto" and known.worst_direction_mg >= settings.max_error_mg:
+        return f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
+    return None
+
+
+def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | None:
+    """Why a model cannot be fitted, or None if it can (or the user insists on it)."""
+    if model.name not in evidence.models:
+        return f"optimizer {settings.optimizer} fits no {_beyond(evidence.models, model)}"
+    range_c = temperature_range_c(evidence.sample.points)
+    if model.has_temperature and range_c < settings.min_temperature_range_c:
+        return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
+    if settings.model == "auto" and model.free:
+        missing = _uncovered(evidence.coverage, settings.coverage_g, model)
+        if missing:
+            return f"no stillness with {', '.join(missing)}"
+    return None
+
+
+def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:
+    """What a model needs and the points lack: scale both sides of every axis, an offset one of them."""
+    if any(index < 6 for index in model.free):
+        return one_sided_axes(coverage, reach_g)
+    sides = zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True)
+    return [f"{axis} beyond +-{reach_g:g} g" for axis, low, high in sides if max(-low, high) < reach_g]
+
+
+def _beyond(models: tuple[str, ...], model: Model) -> str:
+    """The first kind of parameter that a model has and the optimizer never fits."""
+    fitted = {index for name in models for index in MODELS[name].free}
+    new = [KINDS[index // 3] for index in model.free if index not in fitted]
+    return new[0] if new else f"model {model.name}"
+
+
+def one_sided_axes(coverage: Coverage, reach_g: float) -> list[str]:
+    """Sides of axes without points, such as `x below -0.3 g`."""
+    missing = []
+    for axis, low, high in zip("xyz", coverage.axis_min_g, coverage.axis_max_g, strict=True):
+        if low > -reach_g:
+            missing.append(f"{axis} below -{reach_g:g} g")
+        if high < reach_g:
+            missing.append(f"{axis} above {reach_g:g} g")
+    return missing
+
+
+def temperature_range_c(points: PointSet) -> float:
+    """Range of the points' temperatures [degrees C]; 0 without temperatures."""
+    if points.tau is None or points.temperature is None or not len(points):
+        return 0.0
+    return float(points.tau.max() - points.tau.min()) / ONE * points.temperature.span_c
+
+
+def choose(trials: tuple[Trial, ...]) -> Trial:
+    """The simplest model whose error is within one standard error of the best one's.
+
+    The errors are those of the blocks; the standard error is that of their differences, which
+    are alike within a posture.
+    """
+    scored = [trial for trial in trials if trial.holdout is not None]
+    best = min(scored, key=lambda trial: trial.holdout.compared_mg() if trial.holdout else float("inf"))
+    return next(trial for trial in scored if _ties(trial, best))
+
+
+def _ties(trial: Trial, best: Trial) -> bool:
+    assert trial.holdout is not None and best.holdout is not None
+    simple, full = trial.holdout.blocks, best.holdout.blocks
+    differences = [a - b for (_, a), (_, b) in zip(simple, full, strict=True)]
+    return mean(differences) <= clustered_error(differences, [posture for posture, _ in full])

@@ -1,0 +1,210 @@
+"""Files that appear complete or not at all.
+
+What a Parquet file of ours says of itself: whose it is, without pyarrow where there is no file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import json
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.system import host, lives
+
+LONG_NAME = 160
+"""Bytes; most disks take names of 255."""
+
+_LISTED: dict[Path, tuple[list[str], float]] = {}
+"""Folders with what was found in them, and until when that will do."""
+
+
+def output_error(error: OSError, path: Path) -> OutputError:
+    """A failed write in a user's words."""
+    hint = "check the folder and its permissions, or choose another with -d"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        hint = "free some space or choose another disk with -d"
+    if error.errno == errno.ENAMETOOLONG:
+        hint = "rename the recording"
+    return OutputError(f"cannot be written ({error.strerror or error})", path=path, hint=hint)
+
+
+@contextlib.contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A temporary path beside `path` that takes its place when the block ends without error.
+
+    The content is flushed to the disk before the rename. On any error, interruption included,
+    the temporary is removed and `path` stays as it was.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    _refuse_special(path)
+    temporary = _name_beside(path)
+    try:
+        _create(temporary)
+        yield temporary
+        _flush(temporary)
+        temporary.replace(path)
+        _flush_folder(path.parent)
+    except OSError as error:
+        raise output_error(error, path) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _refuse_special(path: Path) -> None:
+    """Raise OutputError for a device, a pipe or a folder: a rename would replace it."""
+    try:
+        special = path.exists() and not path.is_file()
+    except OSError as error:
+        raise output_error(error, path) from error
+    if special:
+        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
+
+
+def beside(path: Path) -> Path:
+    """An empty temporary file beside `path`, named by host and process; raises OutputError.
+
+    Those that killed processes of this host left for `path` are removed.
+    """
+    temporary = _name_beside(path)
+    try:
+        _create(temporary)
+    except OSError as error:
+        raise output_error(error, path) from error
+    return temporary
+
+
+def _name_beside(path: Path) -> Path:
+    """A name for it that no other file has; the file is not made yet."""
+    try:
+        sweep(path)
+    except OSError as error:
+        raise output_error(error, path) from error
+    return path.with_name(f"{_start(path, owner())}{os.urandom(6).hex()}.tmp")
+
+
+def owner() -> str:
+    """Whose the temporaries of this process are: `HOST.PROCESS`."""
+    return f"{host()}.{os.getpid()}"
+
+
+def _start(path: Path, whose: str) -> str:
+    """How someone's temporaries of a file begin; a long name would leave no room for the rest."""
+    name, encoded = path.name, os.fsencode(path.name)
+    short = name if len(encoded) <= LONG_NAME else hashlib.sha256(encoded).hexdigest()[:32]
+    return f".{short}.{whose}."
+
+
+def _create(path: Path) -> None:
+    os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+
+
+def sweep(path: Path) -> None:
+    """Remove temporaries of this file whose process on this machine was killed; raises OSError."""
+    if os.name != "posix":
+        return
+    start = _start(path, host())
+    for name in _temporaries(path.parent):
+        process = name.removeprefix(start).split(".")[0]
+        if name.startswith(start) and process.isdigit() and not lives(int(process)):
+            path.with_name(name).unlink(missing_ok=True)
+
+
+def sweep_of(path: Path, lost: str) -> None:
+    """Remove the temporaries of this file that an owner left, who is known to be gone; raises OSError."""
+    start = _start(path, lost)
+    for left in path.parent.iterdir():
+        if left.name.startswith(start) and left.suffix == ".tmp":
+            left.unlink(missing_ok=True)
+
+
+def _temporaries(folder: Path) -> list[str]:
+    """Names of what may be temporaries of ours.
+
+    A folder is not listed again before a hundred times as long as it took: in one with ten thousand
+    recordings that would be most of the work.
+    """
+    now = time.monotonic()
+    names, until = _LISTED.get(folder, ([], now))
+    if now >= until:
+        with os.scandir(folder) as found:
+            names = [one.name for one in found if one.name[0] == "." and one.name.endswith(".tmp")]
+        _LISTED[folder] = names, time.monotonic() + 100 * (time.monotonic() - now)
+    return names
+
+
+def _flush(path: Path) -> None:
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
+
+
+def _flush_folder(folder: Path) -> None:
+    """Make the rename itself durable, where folders can be opened."""
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a whole text file atomically (UTF-8).
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+METADATA_KEY = b"accelcal"
+
+
+def metadata_of(path: Path) -> dict[str, Any]:
+    """What a Parquet file of ours says of itself; empty for any other file, or none."""
+    try:
+        metadata = json.loads(_held(path)) if path.is_file() else {}
+    except (OSError, ValueError):
+        return {}
+    return metadata if isinstance(metadata, dict) else {}
+
+
+def _held(path: Path) -> bytes:
+    """The JSON of ours that a file carries. Loading pyarrow takes as long as all of accelcal."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with path.open("rb") as file:
+            held: bytes = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
+    except pa.ArrowException:
+        return b"{}"
+    return held
+
+
+def written_by_us(path: Path) -> bool:
+    """Whether a Parquet file carries our metadata."""
+    return bool(metadata_of(path))
+
+
+def refuse_foreign(path: Path) -> None:
+    """Raise OutputError if a Parquet file exists that accelcal did not write."""
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise output_error(error, path) from error
+    if there and not written_by_us(path):
+        raise OutputError(
+            "exists and was not written by accelcal",
+            path=path,
+            hint="move it away, or use --force to replace it",
+        )

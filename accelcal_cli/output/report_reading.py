@@ -1,0 +1,275 @@
+"""Reports as documents, read back from their files.
+
+The coefficients of a report, read back to apply them: exact, and checked one against another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+
+from accelcal_cli.core.errors import UnreadableError, printable
+from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT
+from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.points import (
+    IDENTITY,
+    MODELS,
+    PARAMETER_NAMES,
+    UPPER_NAMES,
+    Calibration,
+    TemperatureScale,
+)
+from accelcal_cli.core.recording import Device
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, fault, report_schema
+
+NAME_ONE = "name a report, STEM.calibration.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Document:
+    """A report as it lies in its file: `sha256` of the file, and what it says."""
+
+    path: Path
+    sha256: str
+    report: dict[str, Any]
+
+    @property
+    def content_sha256(self) -> str:
+        """SHA-256 of what it says but for `provenance`, as JSON with sorted keys."""
+        said = {name: value for name, value in self.report.items() if name != "provenance"}
+        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+
+
+def read_document(path: Path) -> Document:
+    """A report of this schema version; its sections are not looked at.
+
+    Raises:
+        UnreadableError: it cannot be read, is not JSON, or no report of ours that this version knows.
+    """
+    data = _bytes(path)
+    try:
+        report = json.loads(data.decode(), parse_constant=_refuse_constant)
+    except UnicodeDecodeError as error:
+        at = error.start
+        raise UnreadableError("is not UTF-8 text", path=path, byte_offset=at, hint=NAME_ONE) from error
+    except (ValueError, RecursionError) as error:
+        raise UnreadableError(f"is damaged JSON ({error})", path=path, hint=NAME_ONE) from error
+    if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
+        raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
+    version, made = report["schema_version"], report["accelcal_version"]
+    if version != SCHEMA_VERSION or isinstance(version, bool):
+        raise UnreadableError(
+            f"has schema version {version!r} (of accelcal {made!r}), this version reads {SCHEMA_VERSION}",
+            path=path,
+            hint="calibrate its recording again with this version, or use the version that wrote it",
+        )
+    return Document(path, hashlib.sha256(data).hexdigest(), report)
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            data = file.read(LARGEST_BYTES + 1)
+    except OSError as error:
+        raise UnreadableError(
+            f"cannot be read ({error.strerror or error})", path=path, hint="check the path and permissions"
+        ) from error
+    if len(data) > LARGEST_BYTES:
+        raise UnreadableError("is too long for a report", path=path, hint=NAME_ONE)
+    return data
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is no JSON number")
+
+
+def check_sections(document: Document, names: tuple[str, ...]) -> None:
+    """Raise UnreadableError where sections of a report are missing or not what they should be."""
+    schema = report_schema()
+    wrong = fault(
+        document.report,
+        {
+            "type": "object",
+            "properties": {name: schema["properties"][name] for name in names},
+            "required": [name for name in schema["required"] if name in names],
+        },
+    )
+    if wrong:
+        raise damaged(document, wrong)
+
+
+def damaged(document: Document, what: str) -> UnreadableError:
+    """The error of a report that was not written so."""
+    hint = "calibrate its recording again: the report was not written so"
+    return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
+
+
+STRETCH = (0.5, 2.0)
+"""Gains of a sensor that measures about 1 g at rest lie well within (raw means of 0.5 to 1.5 g)."""
+LARGEST_OFFSET_G = 1.0
+LARGEST_SLOPE_G_PER_C = 0.1
+ABSOLUTE_ZERO_MC = -273_150
+
+FULL_GAIN = "12"
+"""Nine entries of K and the offsets, of orientations that were known."""
+
+USED = ("calibration", "recording", "coefficients", "outcome", "message")
+"""Sections that applying a report's coefficients to any recording needs."""
+
+COPIED = ("holdout", "fit", "coverage", "models_tried")
+"""Sections that hold for the recording itself, whatever it is applied by."""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """The recording whose stillness coefficients were found from, and who found them."""
+
+    path: str
+    sha256: str
+    device: Device
+    accelcal_version: str
+
+
+@dataclass(frozen=True, slots=True)
+class Coefficients:
+    """Coefficients of a report.
+
+    Attributes:
+        calibration: made of the fixed-point integers.
+        origin: where they come from, by whatever number of reports of `apply`.
+        by_content: whether the report's provenance does not matter.
+    """
+
+    document: Document
+    calibration: Calibration
+    origin: Origin
+    by_content: bool = False
+
+    @property
+    def sha256(self) -> str:
+        """What the report is known by."""
+        return self.document.content_sha256 if self.by_content else self.document.sha256
+
+
+def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
+    """The coefficients of a report, exactly.
+
+    Args:
+        by_content: whether the report is known by what it says but for its provenance, or by its bytes.
+
+    Raises:
+        UnreadableError: see `read_document`; or a key is missing, wrong or contradicts another, or
+            the report's recording was refused.
+    """
+    document = read_document(path)
+    report = document.report
+    if "calibration" in report and report["calibration"] is None:
+        why = printable(str(report.get("message")))
+        raise UnreadableError(f"holds no coefficients: the recording was refused ({why})", path=path)
+    check_sections(document, USED)
+    if report.get("outcome") == Outcome.REFUSED:
+        raise damaged(document, "its recording was refused, but it holds coefficients")
+    try:
+        calibration = calibration_of(report["calibration"])
+    except ValueError as error:
+        raise damaged(document, str(error)) from error
+    wrong = contradiction(report["calibration"], calibration) or implausible(calibration)
+    if wrong:
+        raise damaged(document, wrong)
+    return Coefficients(document, calibration, _origin(report), by_content)
+
+
+def _origin(report: Mapping[str, Any]) -> Origin:
+    by_way, made = report.get("coefficients"), report["recording"]
+    if by_way is None:
+        path, digest, version = made["path"], made["sha256"], report["accelcal_version"]
+        return Origin(path, digest, Device(**made["device"]), str(version))
+    device = Device(**by_way["device"])
+    return Origin(by_way["recording_path"], by_way["recording_sha256"], device, by_way["accelcal_version"])
+
+
+def calibration_of(section: Mapping[str, Any]) -> Calibration:
+    """The calibration of a report's `calibration` section, from its fixed-point integers.
+
+    Raises:
+        ValueError: the integers or the model are missing or impossible; the message says which.
+    """
+    try:
+        held, place, model = section["fixed_point"], section["gravity"], section["model"]
+        integers = {name: held["parameters"][name] for name in PARAMETER_NAMES}
+        upper = {name: held["parameters"].get(name, 0) for name in UPPER_NAMES}
+        scale = _scale(held["temperature_reference_mc"], held["temperature_span_c"])
+        gravity = Gravity(place["latitude"], place["altitude"])
+        gravity.local_g()
+        bits = held["fraction_bits"]
+    except (KeyError, TypeError, AttributeError, OverflowError) as error:
+        raise ValueError(f"calibration lacks what is needed ({error})") from error
+    _check_integers({**integers, **upper})
+    if bits != FRACTION_BITS:
+        raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
+    yx, zx, zy = upper.values()
+    found = Calibration(model, tuple(integers.values()), scale, gravity, (yx, zx, zy))
+    _check_model(found)
+    return found
+
+
+def _scale(reference_mc: Any, span_c: Any) -> TemperatureScale | None:
+    if reference_mc is None and span_c is None:
+        return None
+    if type(reference_mc) is not int or reference_mc < ABSOLUTE_ZERO_MC:
+        raise ValueError(f"calibration.fixed_point.temperature_reference_mc cannot be {reference_mc!r}")
+    if isinstance(span_c, bool) or not isinstance(span_c, int | float) or not 0 < span_c < 1e6:
+        raise ValueError(f"calibration.fixed_point.temperature_span_c cannot be {span_c!r}")
+    return TemperatureScale(reference_mc, float(span_c))
+
+
+def _check_integers(named: dict[str, Any]) -> None:
+    for name, value in named.items():
+        if type(value) is not int or not -LIMIT < value < LIMIT:
+            raise ValueError(f"calibration.fixed_point.parameters.{name} is no 32-bit integer")
+
+
+def _check_model(found: Calibration) -> None:
+    """A parameter that the model does not have keeps its ideal value."""
+    if not isinstance(found.model, str) or found.model not in (*MODELS, FULL_GAIN):
+        raise ValueError(f"calibration.model is {found.model!r}, which this version does not know")
+    full, base = found.model == FULL_GAIN, found.model.removesuffix("T")
+    if found.model != base + ("T" if found.temperature else ""):
+        raise ValueError(f"model {found.model} and the temperature scale contradict each other")
+    free = range(9) if full else MODELS[found.model].free
+    fixed = [
+        name
+        for index, name in enumerate(PARAMETER_NAMES)
+        if index not in free and found.parameters[index] != IDENTITY[index]
+    ]
+    fixed += [name for name, value in zip(UPPER_NAMES, found.upper, strict=True) if value and not full]
+    if fixed:
+        raise ValueError(f"model {found.model} has no parameter {fixed[0]}, but fixed_point gives one")
+
+
+def contradiction(section: Mapping[str, Any], found: Calibration) -> str | None:
+    """Which number of a `calibration` section is not what its own integers say, if any."""
+    made = coefficients_json(found)
+    for name, value in made.items():
+        if section.get(name) != value:
+            return f"calibration.{name} is not what calibration.fixed_point says"
+    return None
+
+
+def implausible(found: Calibration) -> str | None:
+    """Why no sensor can have such a calibration, or None."""
+    stretch = np.linalg.svd(found.gain(), compute_uv=False)
+    if not (stretch.min() >= STRETCH[0] and stretch.max() <= STRETCH[1]):
+        return f"its gain stretches by {stretch.min():.3g} to {stretch.max():.3g}, which no sensor does"
+    if np.abs(found.offset_g()).max() > LARGEST_OFFSET_G:
+        return f"an offset is beyond {LARGEST_OFFSET_G:g} g, which no sensor has"
+    if np.abs(found.slope_g_per_c()).max() > LARGEST_SLOPE_G_PER_C:
+        return f"a slope is beyond {LARGEST_SLOPE_G_PER_C:g} g per C, which no sensor has"
+    return None

@@ -1,0 +1,288 @@
+"""Which outputs belong to which recording, decided before any work.
+
+The identity of an input, and copies of inputs that can be read only once.
+
+What is asked for, and what came of it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.core.system import cpus
+from accelcal_cli.formats import all_formats
+
+if TYPE_CHECKING:
+    from accelcal_cli.output.report_reading import Coefficients
+
+STDIN = Path("-")
+PARQUET_SUFFIX = ".calibrated.parquet"
+REPORT_SUFFIX = ".calibration.json"
+INTEGERS_SUFFIX = ".integers.json"
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One recording and where its results go."""
+
+    source: Path
+    parquet: Path
+    report: Path
+
+    @property
+    def integers(self) -> Path:
+        """Where the fit's integers go, if they are asked for."""
+        return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + INTEGERS_SUFFIX)
+
+
+def real(path: Path) -> Path:
+    """The absolute path without links; a loop of links, or a path in a working folder that is gone, stays."""
+    try:
+        return Path(os.path.realpath(path))
+    except FileNotFoundError:
+        return path
+
+
+def stem(path: Path) -> str:
+    """File name without `.gz` and its format suffix."""
+    name = path.name
+    if name.lower().endswith(".gz"):
+        name = name[:-3]
+    known = {suffix for item in all_formats() for suffix in item.suffixes}
+    suffix = Path(name).suffix
+    return name[: -len(suffix)] if suffix.lower() in known else name
+
+
+def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> list[Job]:
+    """Jobs in the order of the sources.
+
+    Raises:
+        UsageError: `output` with several recordings, a standard input named twice, or two
+            recordings with one output.
+    """
+    if output is not None and len(sources) > 1:
+        raise UsageError("-o/--output names one file, but there are several recordings", hint="use -d")
+    jobs = [_job(source, output_dir, output) for source in sources]
+    _refuse_collisions(jobs)
+    return jobs
+
+
+def plan_report(source: Path, output_dir: Path | None, report: Path | None, *inputs: Path) -> Job:
+    """The job of a command that writes a report and no Parquet.
+
+    Args:
+        report: name of the report, if not the usual one.
+        inputs: further files that must not be written to.
+
+    Raises:
+        UsageError: an input would be overwritten.
+    """
+    job = _job(source, output_dir, None)
+    if report is not None:
+        base = report.name.removesuffix(".json").removesuffix(".calibration")
+        job = Job(source, report.with_name(base + PARQUET_SUFFIX), report)
+    _refuse_collisions([job])
+    for path in inputs:
+        if real(path) == real(job.report):
+            raise UsageError(f"{path} would be overwritten by the report", hint="use -o or -d")
+    return job
+
+
+def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
+    if output is not None:
+        base = output.name.removesuffix(".parquet").removesuffix(".calibrated")
+        return Job(source, output, output.with_name(base + REPORT_SUFFIX))
+    if source == STDIN:
+        folder, name = output_dir or Path(), "stdin"
+    else:
+        folder, name = output_dir or source.parent, stem(source)
+    return Job(source, folder / (name + PARQUET_SUFFIX), folder / (name + REPORT_SUFFIX))
+
+
+def _refuse_collisions(jobs: list[Job]) -> None:
+    owners: dict[Path, Path] = {}
+    for job in jobs:
+        target = real(job.report)
+        if target in owners:
+            raise UsageError(
+                f"{owners[target]} and {job.source} would both write {job.report}",
+                hint="calibrate them separately with -d, or rename one",
+            )
+        owners[target] = job.source
+        if job.source != STDIN and real(job.source) in (target, real(job.parquet)):
+            raise UsageError(f"{job.source} would be overwritten by its own output", hint="use -o or -d")
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal.
+
+    Raises:
+        UnreadableError: it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
+
+
+Seen = tuple[int, int]
+"""Size [bytes] and time of the last change [ns since 1970] of a file."""
+
+
+def seen(path: Path) -> Seen | None:
+    """How a file is found; None where it cannot be looked at."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns
+
+
+def same(path: Path, before: Seen | None) -> None:
+    """Raise UnreadableError if a file changed, or went, since it was seen: what was read does not agree."""
+    if before is not None and seen(path) != before:
+        raise UnreadableError(
+            "changed while it was read",
+            path=path,
+            hint="try again when it is complete (study --settle SECONDS leaves it until then)",
+        )
+
+
+@contextlib.contextmanager
+def hashing(path: Path) -> Iterator[Future[str]]:
+    """The hash of a file, computed beside the work in the block."""
+    with ThreadPoolExecutor(1, thread_name_prefix="sha256") as pool:
+        yield pool.submit(sha256, path)
+
+
+@contextlib.contextmanager
+def spooled(stream: BinaryIO) -> Iterator[Path]:
+    """A temporary file with all of a stream, for the two passes; removed at the end.
+
+    Raises:
+        OutputError: there is no room for it.
+    """
+    import shutil  # few runs read standard input
+    import tempfile
+
+    with tempfile.TemporaryDirectory(prefix="accelcal-") as folder:
+        path = Path(folder) / "stdin"
+        try:
+            with path.open("wb") as file:
+                shutil.copyfileobj(stream, file, 1 << 20)
+        except OSError as error:
+            raise OutputError(
+                f"standard input cannot be stored ({error.strerror or error})",
+                path=path,
+                hint="set TMPDIR to a disk with more room",
+            ) from error
+        yield path
+
+
+DEFAULT_CHUNK_SAMPLES = 1 << 18
+
+Progress = Callable[[int], None]
+"""Called with the number of bytes of the file that have been read."""
+
+ProgressMaker = Callable[[str, int], Progress]
+"""Called with the name of a stage and the bytes to read; makes a Progress."""
+
+
+def no_progress(_stage: str, _total: int) -> Progress:
+    """Shows nothing."""
+    return lambda _end_byte: None
+
+
+class Asked(Protocol):
+    """What decides whether an earlier result still holds."""
+
+    @property
+    def integers(self) -> bool:
+        """Whether the fit's integers are wanted too."""
+
+    @property
+    def coefficients_sha256(self) -> str | None:
+        """Of the file of known coefficients; None where the recording's own are found."""
+
+    def effective_settings(self, companion: Path | None) -> dict[str, Any]:
+        """The report's `settings`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """How to calibrate.
+
+    Attributes:
+        coefficients: those to apply, None to find the recording's own.
+        any_device: apply them whatever device recorded.
+        report_only: write no Parquet.
+        integers: also write the fit's points and result as integers.
+        force: overwrite what accelcal did not write, and redo what is up to date.
+        command: the command line, for the provenance.
+        threads: how many may work at a time on one recording.
+    """
+
+    options: ReadOptions = field(default_factory=ReadOptions)
+    settings: Settings = DEFAULT
+    chunk_samples: int = DEFAULT_CHUNK_SAMPLES
+    report_only: bool = False
+    integers: bool = False
+    force: bool = False
+    command: tuple[str, ...] = ()
+    coefficients: Coefficients | None = None
+    any_device: bool = False
+    threads: int = field(default_factory=cpus)
+
+    @property
+    def coefficients_sha256(self) -> str | None:
+        """Hash of the file of the coefficients to apply, if there is one."""
+        return None if self.coefficients is None else self.coefficients.sha256
+
+    def effective_settings(self, companion: Path | None) -> dict[str, Any]:
+        """The report's `settings`: all that decides the result besides the recording.
+
+        Args:
+            companion: the file that says how to read the recording; its content counts.
+        """
+        told = input_settings(self.options, companion)
+        return {**self.settings.as_json(), "report_only": self.report_only, "input": told}
+
+
+def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
+    """The `input` object of a report's settings: what the user said of the recording."""
+    told = asdict(options)
+    told["layout"] = None if companion is None else printable(companion.name)
+    told["layout_sha256"] = None if companion is None else sha256(companion)
+    told["columns"] = None if options.columns is None else list(options.columns)
+    return told
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One recording's report, and whether it was up to date already."""
+
+    job: Job
+    report: dict[str, Any]
+    up_to_date: bool = False
+
+    @property
+    def outcome(self) -> Outcome:
+        """The report's outcome."""
+        return Outcome(self.report["outcome"])
+
+    @property
+    def has_parquet(self) -> bool:
+        """Whether the calibrated recording was written too."""
+        return self.report["calibration"] is not None and not self.report["settings"]["report_only"]

@@ -1,0 +1,304 @@
+"""Records back from JSON, by the types of their fields.
+
+Settings and reading options back from a report's `settings`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass
+from math import isfinite
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import PROFILES, SIX_POSE, STILLNESS, PoseSettings, Settings
+from accelcal_cli.formats import named_format
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.report_reading import Document, damaged
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Restored(Generic[T]):
+    """A record made from a JSON object.
+
+    Attributes:
+        missing: fields that the object lacks; they have their defaults.
+        unknown: keys of the object that are no fields.
+    """
+
+    record: T
+    missing: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+def restored(kind: type[T], values: Mapping[str, Any]) -> Restored[T]:
+    """A dataclass, all of whose fields have defaults, from a JSON object.
+
+    Raises:
+        ValueError: a value is not of its field's type; the message names the key.
+    """
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    hints = get_type_hints(kind)
+    held = {}
+    for name in names:
+        if name in values:
+            try:
+                held[name] = converted(values[name], hints[name])
+            except TypeError as error:
+                raise ValueError(f"{name} cannot be {str(values[name])[:80]!r}") from error
+    missing = tuple(name for name in names if name not in values)
+    return Restored(kind(**held), missing, tuple(name for name in values if name not in names))
+
+
+def converted(value: Any, hint: Any) -> Any:
+    """A JSON value as a type: str, int, float, bool, None, Path, records, tuples and unions of these.
+
+    Raises:
+        TypeError: it is of another type, or not finite.
+    """
+    origin = get_origin(hint)
+    if origin in (Union, UnionType):
+        return _of_union(value, get_args(hint))
+    if origin is tuple:
+        return _of_tuple(value, get_args(hint))
+    if is_dataclass(hint):
+        return _record(value, hint)
+    if hint is Path and isinstance(value, str):
+        return Path(value)
+    if hint is float and type(value) is int:
+        return float(value)
+    if type(value) is not hint or (hint is float and not isfinite(value)):
+        raise TypeError
+    return value
+
+
+def _record(value: Any, kind: Any) -> Any:
+    """A record within a record: all of its fields, and no others."""
+    if not isinstance(value, dict) or set(value) != {field.name for field in fields(kind)}:
+        raise TypeError
+    try:
+        return restored(kind, value).record
+    except ValueError as error:
+        raise TypeError from error
+
+
+def _of_union(value: Any, options: tuple[Any, ...]) -> Any:
+    if value is None and NoneType in options:
+        return None
+    (hint,) = (option for option in options if option is not NoneType)
+    return converted(value, hint)
+
+
+def _of_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
+    if not isinstance(value, list):
+        raise TypeError
+    kinds = parts[:1] * len(value) if parts[1:] == (...,) else parts
+    if len(kinds) != len(value):
+        raise TypeError
+    return tuple(converted(item, kind) for item, kind in zip(value, kinds, strict=True))
+
+
+LIMITS: dict[str, tuple[float, float]] = {
+    "segment_seconds": (1e-6, 3600),
+    "stillness_threshold_g": (1e-9, 4),
+    "stillness_deviation_g": (1e-9, 4),
+    "stillness_axes": (0, 2),
+    "cells_per_g": (1, 1000),
+    "norm_low_g": (0, 10),
+    "norm_high_g": (0, 10),
+    "posture_degrees": (1e-3, 180),
+    "folds": (2, 1000),
+    "min_postures": (2, 1_000_000),
+    "coverage_g": (0, 4),
+    "max_error_mg": (0, 1e6),
+    "min_temperature_range_c": (0, 1e3),
+    "temperature_block_c": (1e-3, 1e3),
+    "face_degrees": (0.1, 90),
+    "state_degrees": (1e-3, 180),
+    "min_state_seconds": (0, 3600),
+    "max_condition": (1, 1e9),
+    "max_vector_error_mg": (0, 1e6),
+    "precision_mg": (1e-3, 1e3),
+    "latitude": (-90, 90),
+    "altitude_m": (-500, 9000),
+    "max_damage_percent": (0, 100),
+    "rate_hz": (1e-3, 1e5),
+    "lsb_per_g": (1e-9, 1e9),
+}
+"""Between which a number can be used at all; a report with others was not written so."""
+
+ADAPTIVE_LIMITS: dict[str, tuple[int, int]] = {
+    "acceleration_factor": (1, 30),
+    "rotation_factor": (1, 30),
+    "min_samples": (1, 1_000_000),
+    "min_windows": (1, 1_000_000),
+    "max_windows": (1, 1_000_000),
+    "held_windows": (1, 1_000_000),
+}
+"""The same for the numbers of stillness rule `adaptive`: what its integers and the memory hold."""
+
+CHOICES = {
+    "profile": tuple(PROFILES),
+    "stillness": tuple(STILLNESS),
+    "model": ("auto", "9", "6", "3"),
+    "unit": ("g", "mg", "m/s2", "counts"),
+    "date_format": ("dmy", "mdy", "ymd"),
+}
+
+POINTS = "points"
+"""What `fit` calls the format of its tables."""
+
+NOT_SETTINGS = ("report_only", "input")
+FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
+"""What a report of a session says of its method, and no user can change."""
+
+NOT_POSE_SETTINGS = (*NOT_SETTINGS, *FIXED, "poses", "poses_sha256")
+NOT_OPTIONS = ("layout", "layout_sha256")
+
+
+@dataclass(frozen=True, slots=True)
+class NamedFile:
+    """A file of which a report holds the name and the hash."""
+
+    name: str
+    sha256: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Rebuilt:
+    """What a report was made with.
+
+    Attributes:
+        settings: those of `six-pose` in a report of that command.
+        options: without the layout.
+        layout: the layout file of a raw dump, None without one.
+        poses: the list of poses of a session, None without one.
+        missing: settings that the report does not name; this version's defaults stand for them.
+        unknown: settings that it names and this version does not have; they are not used.
+    """
+
+    settings: Settings | PoseSettings
+    options: ReadOptions
+    report_only: bool
+    layout: NamedFile | None
+    poses: NamedFile | None
+    missing: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+def rebuild(document: Document) -> Rebuilt:
+    """The settings of a report.
+
+    Raises:
+        UnreadableError: they are missing, or one cannot be what it is.
+    """
+    held = document.report.get("settings")
+    if not isinstance(held, dict) or not isinstance(held.get("input"), dict):
+        raise damaged(document, "it does not say how the recording was read")
+    try:
+        return _rebuilt(held)
+    except ValueError as error:
+        raise damaged(document, f"settings: {error}") from error
+    except AccelcalError as error:
+        raise UnreadableError(
+            f"settings: {error.message}", path=document.path, hint="this version does not know it"
+        ) from error
+
+
+def _rebuilt(held: dict[str, Any]) -> Rebuilt:
+    settings, options = _settings(held), _options(held["input"])
+    _check(settings.record)
+    _check(options.record)
+    missing, unknown = _odd(held, settings, options)
+    return Rebuilt(
+        settings=settings.record,
+        options=options.record,
+        report_only=_typed(held, "report_only", bool, default=False),
+        layout=_file(held["input"], "layout"),
+        poses=_file(held, "poses"),
+        missing=missing,
+        unknown=unknown,
+    )
+
+
+def _settings(held: Mapping[str, Any]) -> Restored[Any]:
+    if held.get("profile") == SIX_POSE:
+        return restored(PoseSettings, _without(held, NOT_POSE_SETTINGS))
+    return restored(Settings, _without(held, NOT_SETTINGS))
+
+
+def _options(held: Mapping[str, Any]) -> Restored[ReadOptions]:
+    """Reading options; a table of points has none."""
+    if held.get("format") == POINTS:
+        return Restored(ReadOptions(), (), ())
+    return restored(ReadOptions, _without(held, NOT_OPTIONS))
+
+
+def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: value for name, value in values.items() if name not in names}
+
+
+def _odd(
+    held: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Missing and unknown keys, by their places in `settings`."""
+    outer = [name for name in NOT_SETTINGS if name not in held]
+    read = [name for name in options.missing if name not in NOT_OPTIONS]
+    if held["input"].get("format") != POINTS:
+        read += [name for name in NOT_OPTIONS if name not in held["input"]]
+    return (
+        (*settings.missing, *outer, *(f"input.{name}" for name in read)),
+        (*settings.unknown, *(f"input.{name}" for name in options.unknown)),
+    )
+
+
+def _check(record: Settings | PoseSettings | ReadOptions) -> None:
+    """Raise ValueError for a number out of its limits, AccelcalError for a name this version lacks."""
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        low, high = LIMITS.get(name, (float("-inf"), float("inf")))
+        numbers = value if isinstance(value, tuple) else (value,)
+        if name in LIMITS and value is not None and not all(low <= v <= high for v in numbers):
+            raise ValueError(f"{name} cannot be {value}")
+        if name in CHOICES and value is not None and value not in CHOICES[name]:
+            raise ValueError(f"{name} cannot be {value!r}")
+    if isinstance(record, Settings):
+        named_optimizer(record.optimizer)
+        _check_rule(record)
+    elif isinstance(record, ReadOptions):
+        utc_offset_s(record.timezone, 0)
+        if record.format is not None:
+            named_format(record.format)
+
+
+def _check_rule(record: Settings) -> None:
+    """Raise ValueError for numbers of a rule of stillness that cannot be, or that belong to another."""
+    rule = STILLNESS[record.stillness]
+    for name in ("stillness_axes", "stillness_threshold_g", "stillness_deviation_g"):
+        value = getattr(record, name)
+        if bool(value) != bool(rule[name]):
+            raise ValueError(f"{name} cannot be {value}")
+    if (record.adaptive is not None) != (record.stillness == "adaptive"):
+        raise ValueError(f"adaptive cannot be {record.adaptive}")
+    for name, (low, high) in ADAPTIVE_LIMITS.items():
+        if record.adaptive is not None and not low <= getattr(record.adaptive, name) <= high:
+            raise ValueError(f"adaptive.{name} cannot be {getattr(record.adaptive, name)}")
+
+
+def _file(values: Mapping[str, Any], name: str) -> NamedFile | None:
+    told = _typed(values, name, str, default=None)
+    digest = _typed(values, f"{name}_sha256", str, default=None)
+    return None if told is None else NamedFile(told, digest)
+
+
+def _typed(values: Mapping[str, Any], name: str, kind: type, *, default: Any) -> Any:
+    value = values.get(name, default)
+    if value is not default and not isinstance(value, kind):
+        raise ValueError(f"{name} cannot be {str(value)[:80]!r}")
+    return value

@@ -1,1 +1,0 @@
-"""Parts shared by the HDF5 readers."""

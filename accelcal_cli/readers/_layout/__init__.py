@@ -1,1 +1,0 @@
-"""Layout files of raw dumps."""

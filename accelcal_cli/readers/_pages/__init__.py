@@ -1,1 +1,0 @@
-"""What readers of page-wise files share: blocks, timelines, problems."""

@@ -1,0 +1,330 @@
+"""The sensor's errors: from true acceleration to raw counts (the inverse of F eq. 7-9).
+
+What a wrist does all day: bouts of sleep, desk, walking, chores, watch on the table.
+
+Each bout gives true acceleration in g and says which samples are motionless. Directions are of the
+specific force at rest: a watch lying face up reads (0, 0, 1).
+
+A simulated recording as a stream of chunks, and the truth about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.random import RandomState
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import UniformClock, rate_fraction
+from accelcal_cli.core.recording import Chunk, Device, Recording
+
+SCALE_ERROR = 0.05
+MISALIGNMENT = 0.025
+OFFSET_G = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """A sensor with known errors, in the convention of the report: a = K (v + o + s (T - Tref)).
+
+    Attributes:
+        gain: K, (3, 3) lower triangular.
+        offset_g: o, (3,).
+        slope_g_per_c: s, (3,).
+        noise_g: standard deviation of white noise on each axis.
+    """
+
+    gain: NDArray[np.float64]
+    offset_g: NDArray[np.float64]
+    slope_g_per_c: NDArray[np.float64]
+    noise_g: float
+    lsb_per_g: float
+    range_g: float
+    reference_c: float = 30.0
+
+    def counts(
+        self, acceleration: NDArray[np.float64], temperature_c: NDArray[np.float64], random: RandomState
+    ) -> NDArray[np.int16]:
+        """Raw counts (n, 3) of true acceleration (n, 3) in g."""
+        raw = acceleration @ np.linalg.inv(self.gain).T - self.offset_g
+        if self.slope_g_per_c.any():
+            raw -= np.multiply.outer(temperature_c - self.reference_c, self.slope_g_per_c)
+        if self.noise_g:
+            raw += self.noise_g * random.standard_normal(raw.shape)
+        limit = round(self.range_g * self.lsb_per_g)
+        return np.clip(np.rint(raw * self.lsb_per_g), -limit, limit - 1).astype(np.int16)
+
+    def as_json(self) -> dict[str, Any]:
+        """The truth file's `sensor` object."""
+        return {
+            "gain": self.gain.tolist(),
+            "offset_g": self.offset_g.tolist(),
+            "slope_g_per_c": self.slope_g_per_c.tolist(),
+            "reference_c": self.reference_c,
+            "noise_g": self.noise_g,
+            "lsb_per_g": self.lsb_per_g,
+            "range_g": self.range_g,
+        }
+
+
+def draw_gain_and_offset(
+    seed: int, size: float, misalignment: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors drawn uniformly from half of F's ranges (eq. 17), times `size`.
+
+    Returns:
+        K as in F eq. 18 (misalignment terms times the factor `misalignment`), and o in g.
+    """
+    draw = RandomState(seed).uniform(-1, 1, 9) * size
+    scale = 1 + SCALE_ERROR * draw[:3]
+    xy, xz, yz = MISALIGNMENT * misalignment * draw[3:6]
+    gain = np.array(
+        [[scale[0], 0, 0], [scale[1] * xy, scale[1], 0], [scale[2] * xz, scale[2] * yz, scale[2]]]
+    )
+    return gain, OFFSET_G * draw[6:]
+
+
+Floats = NDArray[np.float64]
+
+SLEEP_POSTURES = (
+    (0.0, 0.1, -1.0),
+    (-0.9, 0.2, -0.4),
+    (0.3, -0.9, 0.3),
+    (0.1, 0.4, 0.9),
+    (0.8, 0.5, -0.2),
+    (-0.3, 0.9, -0.1),
+)
+DESK_POSTURES = ((0.1, -0.2, 0.97), (0.5, 0.1, 0.85), (-0.4, 0.5, 0.75), (-0.85, -0.2, 0.4))
+TABLE = (0.02, -0.03, 1.0)
+ARM_DOWN = (-0.97, 0.1, 0.2)
+TURN_SECONDS = (0.6, 2.5)
+SETTLE_SECONDS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Bout:
+    """Some seconds of wear: acceleration (n, 3) in g, motionless samples (n,), and whether worn."""
+
+    acceleration: Floats
+    still: NDArray[np.bool_]
+    worn: bool
+
+
+def unit(vector: Floats) -> Floats:
+    """Scale to length 1 along the last axis."""
+    return np.asarray(vector / np.sqrt((vector**2).sum(axis=-1, keepdims=True)))
+
+
+class Wearer:
+    """Makes bouts one after another; the wrist turns from each posture to the next."""
+
+    def __init__(self, rate_hz: float, seed: int) -> None:
+        self.rate_hz = rate_hz
+        self.random = RandomState(seed)
+        self.direction = unit(np.array(TABLE))
+
+    def bouts(self) -> Iterator[Bout]:
+        """Bouts without end, from midnight on."""
+        seconds = 0.0
+        while True:
+            bout = self._bout(seconds / 3600 % 24)
+            seconds += len(bout.still) / self.rate_hz
+            yield bout
+
+    def _bout(self, hour: float) -> Bout:
+        chance = self.random.rand()
+        if hour >= 23 or hour < 7:
+            return self._sleep(chance)
+        if 20.5 <= hour < 21 and chance < 0.5:
+            return self._table()
+        return self._day(chance)
+
+    def _sleep(self, chance: float) -> Bout:
+        posture = self._near(SLEEP_POSTURES, 0.25)
+        if chance < 0.8:
+            return self._rest(posture, self._minutes(9.0, 0.8))
+        return self._moving(posture, self.random.uniform(5, 60), 0.15)
+
+    def _table(self) -> Bout:
+        bout = self._rest(self._near((TABLE,), 0.02), self.random.uniform(300, 1200))
+        return Bout(bout.acceleration, bout.still, worn=False)
+
+    def _day(self, chance: float) -> Bout:
+        if chance < 0.35:
+            return self._rest(self._anywhere(), self._minutes(0.6, 0.9))
+        if chance < 0.6:
+            return self._tremor(self._near(DESK_POSTURES, 0.3), self.random.uniform(10, 200))
+        if chance < 0.8:
+            return self._walking(self.random.uniform(30, 400))
+        return self._moving(self._anywhere(), self._minutes(0.9, 0.9), 0.35)
+
+    def _minutes(self, median: float, spread: float) -> float:
+        return float(np.clip(60 * median * np.exp(spread * self.random.randn()), 4, 3600))
+
+    def _near(self, postures: tuple[tuple[float, float, float], ...], spread: float) -> Floats:
+        chosen = np.array(postures[self.random.randint(len(postures))])
+        return unit(chosen + spread * self.random.randn(3))
+
+    def _anywhere(self) -> Floats:
+        return unit(self.random.randn(3))
+
+    def _turn(self, target: Floats, seconds: float) -> tuple[Floats, int]:
+        """Directions for a bout: a smooth turn to the target, then hold; and the turn's samples."""
+        number = max(2, round(seconds * self.rate_hz))
+        turning = min(number, max(1, round(self.random.uniform(*TURN_SECONDS) * self.rate_hz)))
+        start = self.direction
+        if float(start @ target) < -0.98:
+            start = unit(start + 0.2 * self.random.randn(3))
+        share = np.ones(number)
+        share[:turning] = 0.5 - 0.5 * np.cos(np.pi * np.arange(1, turning + 1) / turning)
+        path = unit(start * (1 - share)[:, None] + target * share[:, None])
+        self.direction = path[-1]
+        return path, turning
+
+    def _rest(self, target: Floats, seconds: float) -> Bout:
+        path, turning = self._turn(target, seconds)
+        still = np.zeros(len(path), np.bool_)
+        still[turning + round(SETTLE_SECONDS * self.rate_hz) :] = True
+        return Bout(path, still, worn=True)
+
+    def _tremor(self, target: Floats, seconds: float) -> Bout:
+        path, _ = self._turn(target, seconds)
+        size = self.random.uniform(0.004, 0.03)
+        return Bout(path + self._waves(len(path), size, 0.3, 9.0), np.zeros(len(path), np.bool_), worn=True)
+
+    def _moving(self, target: Floats, seconds: float, size: float) -> Bout:
+        path, _ = self._turn(target, seconds)
+        swaying = unit(path + self._waves(len(path), size, 0.1, 0.6))
+        self.direction = swaying[-1]
+        shaken = swaying + self._waves(len(path), size * self.random.uniform(0.2, 1.0), 0.5, 4.0)
+        return Bout(shaken, np.zeros(len(path), np.bool_), worn=True)
+
+    def _walking(self, seconds: float) -> Bout:
+        path, _ = self._turn(self._near((ARM_DOWN,), 0.15), seconds)
+        steps = self.random.uniform(1.6, 2.1)
+        time = np.arange(len(path)) / self.rate_hz
+        swing = self.random.uniform(0.1, 0.5) * np.sin(np.pi * steps * time + 6.28 * self.random.rand())
+        impact = self.random.uniform(0.1, 0.6) * np.sin(2 * np.pi * steps * time) ** 3
+        side = unit(self.random.randn(3))
+        swung = unit(path + swing[:, None] * side)
+        self.direction = swung[-1]
+        return Bout(swung * (1 + impact)[:, None], np.zeros(len(path), np.bool_), worn=True)
+
+    def _waves(self, number: int, size: float, low_hz: float, high_hz: float) -> Floats:
+        time = np.arange(number)[:, None] / self.rate_hz
+        frequency = self.random.uniform(low_hz, high_hz, 3)
+        return np.asarray(size * np.sin(2 * np.pi * (frequency * time + self.random.rand(3))))
+
+
+START_US = 1_709_510_400_000_000
+"""2024-03-04T00:00:00."""
+STILL_SECONDS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to simulate.
+
+    Attributes:
+        unit_samples: the number of samples is cut to a multiple of this.
+    """
+
+    days: float
+    rate_hz: float
+    seed: int
+    sensor: Sensor
+    temperature: bool = True
+    unit_samples: int = 1
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        wanted = round(self.days * 86_400 * self.rate_hz)
+        return wanted - wanted % self.unit_samples
+
+
+@dataclass(slots=True)
+class Truth:
+    """Errors over the motionless 10 s stretches, before and with the true parameters [mg]."""
+
+    stretches: int = 0
+    before: list[float] = field(default_factory=list)
+    after: list[float] = field(default_factory=list)
+
+    def see(self, counts: NDArray[np.int16], warm: NDArray[np.float64], sensor: Sensor) -> None:
+        """Take one motionless stretch in."""
+        mean = counts.mean(axis=0) / sensor.lsb_per_g
+        moved = mean + sensor.offset_g + sensor.slope_g_per_c * (warm.mean() - sensor.reference_c)
+        self.stretches += 1
+        self.before.append(abs(float(np.sqrt((mean**2).sum())) - 1) * 1000)
+        self.after.append(abs(float(np.sqrt(((sensor.gain @ moved) ** 2).sum())) - 1) * 1000)
+
+    def as_json(self) -> dict[str, Any]:
+        """The truth file's `still` object."""
+        means = [sum(v) / len(v) if v else None for v in (self.before, self.after)]
+        return {
+            "stretches": self.stretches,
+            "seconds": STILL_SECONDS,
+            "before_mg": means[0],
+            "with_true_parameters_mg": means[1],
+        }
+
+
+def describe(plan: Plan, path: Path, format_name: str) -> Recording:
+    """The recording that a writer is to describe."""
+    return Recording(
+        path=path,
+        format=format_name,
+        rate_hz=plan.rate_hz,
+        lsb_per_g=plan.sensor.lsb_per_g,
+        total_bytes=0,
+        device=Device("simulated", f"SIM{plan.seed:05d}", None),
+        range_g=plan.sensor.range_g,
+        start_us=START_US,
+        samples=plan.samples,
+        has_temperature=plan.temperature,
+    )
+
+
+def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
+    """Chunks of a plan, one a bout; fills `truth` on the way."""
+    noise = RandomState(plan.seed + 1_000_003)
+    rate = rate_fraction(plan.rate_hz)
+    done = 0
+    for bout in Wearer(plan.rate_hz, plan.seed).bouts():
+        number = min(len(bout.still), plan.samples - done)
+        warm = temperature_c(done, number, plan.rate_hz, worn=bout.worn)
+        counts = plan.sensor.counts(bout.acceleration[:number], warm, noise)
+        _note_stillness(bout, counts, warm, plan, truth)
+        yield Chunk(
+            done,
+            counts,
+            UniformClock(START_US, done, rate),
+            0,
+            temperature_mc=np.rint(warm * 1000).astype(np.int32) if plan.temperature else None,
+        )
+        done += number
+        if done == plan.samples:
+            return
+
+
+def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> NDArray[np.float64]:
+    """Skin temperature with a daily and a faster swing; some degrees less off the wrist."""
+    seconds = (first + np.arange(number)) / rate_hz
+    swing = 3.5 * np.sin(2 * np.pi * (seconds / 86_400 - 0.2)) + 1.2 * np.sin(2 * np.pi * seconds / 5400)
+    return np.asarray(29.0 + swing - (0.0 if worn else 5.0))
+
+
+def _note_stillness(
+    bout: Bout, counts: NDArray[np.int16], warm: NDArray[np.float64], plan: Plan, truth: Truth
+) -> None:
+    length = round(STILL_SECONDS * plan.rate_hz)
+    at = np.flatnonzero(bout.still[: len(counts)])
+    if not len(at):
+        return
+    for start in range(int(at[0]), len(counts) - length + 1, length):
+        truth.see(counts[start : start + length], warm[start : start + length], plan.sensor)

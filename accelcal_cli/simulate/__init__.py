@@ -1,1 +1,0 @@
-"""Simulated wrist wear with known sensor errors."""

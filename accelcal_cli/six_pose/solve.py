@@ -1,0 +1,387 @@
+"""Twelve parameters by linear least squares from known accelerations (Bragge et al., eq. 1-5).
+
+z = K a + O is linear in K and O, and each axis of z has the same matrix [a 1]. The normal equations
+are solved in exact fractions of the integer means, so that the parameters are the same bits on every
+machine. Every orientation weighs the same, however many states it has.
+
+Errors of the states: by the fit of all, and by fits that have not seen their orientation.
+
+Differences are exact integers before they become lengths, so that the figures are the same bits on
+every machine.
+
+How well twelve parameters are known: standard errors of a linear least-squares fit.
+
+From the states of a session to twelve parameters and all that is known of them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from itertools import product
+from math import acos, degrees, fsum, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.fixed import LIMIT, ONE, checked, to_fixed
+from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.six_pose.poses import Floats3, Integers3, KnownFit, Matrix3, Pose, PoseError, Session, State
+
+MODEL = "12"
+UNKNOWNS = 4
+"""For each axis: a row of K and an entry of O."""
+
+_LOWER = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+_UPPER = ((0, 1), (0, 2), (1, 2))
+
+Table = list[list[Fraction]]
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """z = K a + O in exact fractions, and its inverse a = gain (v + offset) in fixed point.
+
+    Attributes:
+        k: rows of K, raw g per g.
+        o: O, raw g.
+    """
+
+    k: tuple[tuple[Fraction, ...], ...]
+    o: tuple[Fraction, ...]
+    calibration: Calibration
+
+
+def weights(poses: Sequence[Pose]) -> list[Fraction]:
+    """Of each state, so that every orientation weighs 1."""
+    states = Counter(pose.number for pose in poses)
+    return [Fraction(1, states[pose.number]) for pose in poses]
+
+
+def condition_number(poses: Sequence[Pose]) -> float:
+    """Of the weighted matrix [a 1], a in g; infinite below rank 4. Six faces make it the root of 3."""
+    if len(poses) < UNKNOWNS:
+        return float("inf")
+    rows = design(poses) * np.sqrt(np.array(weights(poses), np.float64))[:, np.newaxis]
+    singular = np.linalg.svd(rows, compute_uv=False)
+    return float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+
+
+def design(poses: Sequence[Pose]) -> NDArray[np.float64]:
+    """[a 1], (n, 4), in g."""
+    references = np.array([pose.reference for pose in poses], np.float64).reshape(-1, 3) / ONE
+    return np.hstack([references, np.ones((len(references), 1))])
+
+
+def solve(poses: Sequence[Pose], gravity: Gravity) -> Solution:
+    """K and O of the states, each with its known acceleration.
+
+    Raises:
+        DivergedError: the states do not determine them, or K has no inverse.
+    """
+    normal = [[Fraction(0)] * UNKNOWNS for _ in range(UNKNOWNS)]
+    right = [[Fraction(0)] * 3 for _ in range(UNKNOWNS)]
+    for pose, weight in zip(poses, weights(poses), strict=True):
+        row = (*pose.reference, ONE)
+        for i in range(UNKNOWNS):
+            for j in range(UNKNOWNS):
+                normal[i][j] += weight * row[i] * row[j]
+            for axis in range(3):
+                right[i][axis] += weight * row[i] * pose.state.raw[axis]
+    found = eliminated(normal, right)
+    k = tuple(tuple(found[column][axis] for column in range(3)) for axis in range(3))
+    o = tuple(found[3])
+    return Solution(k, o, _inverse(k, o, gravity))
+
+
+def eliminated(matrix: Table, right: Table) -> Table:
+    """X of matrix X = right by Gauss-Jordan elimination, exact.
+
+    Raises:
+        DivergedError: the matrix is singular.
+    """
+    size = len(matrix)
+    rows = [[*left, *more] for left, more in zip(matrix, right, strict=True)]
+    for step in range(size):
+        pivot = next((row for row in range(step, size) if rows[row][step]), None)
+        if pivot is None:
+            raise DivergedError("the poses do not determine the parameters")
+        rows[step], rows[pivot] = rows[pivot], rows[step]
+        rows[step] = [value / rows[step][step] for value in rows[step]]
+        for row in range(size):
+            factor = rows[row][step]
+            if row != step and factor:
+                rows[row] = [a - factor * b for a, b in zip(rows[row], rows[step], strict=True)]
+    return [row[size:] for row in rows]
+
+
+def _inverse(k: Sequence[Sequence[Fraction]], o: Sequence[Fraction], gravity: Gravity) -> Calibration:
+    """a = K^-1 (z - O) as a = gain (v + offset)."""
+    unity = [[Fraction(int(row == column)) for column in range(3)] for row in range(3)]
+    try:
+        gain = eliminated([list(row) for row in k], unity)
+    except DivergedError as error:
+        raise DivergedError(
+            "K has no inverse: an axis does not follow the orientation",
+            hint="check the sensor and the poses",
+        ) from error
+    lower = tuple(to_fixed(gain[row][column]) for row, column in _LOWER)
+    upper = tuple(to_fixed(gain[row][column]) for row, column in _UPPER)
+    offset = tuple(to_fixed(-value) for value in o)
+    return Calibration(MODEL, (*lower, *offset, 0, 0, 0), None, gravity, (upper[0], upper[1], upper[2]))
+
+
+def check_range(calibration: Calibration) -> None:
+    """Raise FixedPointOverflowError where a parameter lies beyond 4; a fit that is refused may do so."""
+    values = [min(max(value, -LIMIT), LIMIT) for value in calibration.parameters + calibration.upper]
+    checked(np.array(values, np.int64), "a parameter")
+
+
+def calibrated(raw: Integers3, calibration: Calibration) -> Floats3:
+    """a = K (v + o) of a fixed-point mean [g]: exact until the last division."""
+    p = calibration.parameters
+    yx, zx, zy = calibration.upper
+    rows = ((p[0], yx, zx), (p[3], p[1], zy), (p[4], p[5], p[2]))
+    shifted = [value + offset for value, offset in zip(raw, p[6:9], strict=True)]
+    x, y, z = (sum(k * v for k, v in zip(row, shifted, strict=True)) / ONE**2 for row in rows)
+    return x, y, z
+
+
+def pose_errors(
+    poses: Sequence[Pose], calibration: Calibration, settings: PoseSettings
+) -> tuple[PoseError, ...]:
+    """Errors of each state; `calibration` is the fit of all."""
+    unseen = held_out(poses, settings)
+    estimates = [calibrated(pose.state.raw, calibration) for pose in poses]
+    return tuple(
+        _errors(pose, estimate, unseen[pose.number], _centre(poses, estimates, pose.number))
+        for pose, estimate in zip(poses, estimates, strict=True)
+    )
+
+
+def held_out(poses: Sequence[Pose], settings: PoseSettings) -> dict[int, Calibration | None]:
+    """For each orientation the calibration by the others; None where they do not determine one."""
+    found: dict[int, Calibration | None] = {}
+    for number in sorted({pose.number for pose in poses}):
+        others = [pose for pose in poses if pose.number != number]
+        enough = condition_number(others) <= settings.max_condition
+        found[number] = solve(others, settings.gravity).calibration if enough else None
+    return found
+
+
+def between_norm_mg(states: Sequence[State], calibration: Calibration, gravity: Gravity) -> float | None:
+    """Mean | |a| - local g | of states that were not fitted, None without any."""
+    local_g = float(gravity.local_g())
+    errors = [abs(_length(calibrated(state.raw, calibration)) - local_g) * 1000 for state in states]
+    return fsum(errors) / len(errors) if errors else None
+
+
+def _errors(pose: Pose, estimate: Floats3, unseen: Calibration | None, centre: Floats3 | None) -> PoseError:
+    raw, reference = _in_g(pose.state.raw), _in_g(pose.reference)
+    guess = None if unseen is None else calibrated(pose.state.raw, unseen)
+    return PoseError(
+        raw=_distance(raw, reference),
+        raw_norm=_norm_error(raw, reference),
+        residual=_distance(estimate, reference),
+        norm=_norm_error(estimate, reference),
+        held_out=None if guess is None else _distance(guess, reference),
+        held_out_norm=None if guess is None else _norm_error(guess, reference),
+        tilt_degrees=None if guess is None else _angle(guess, reference),
+        repeat=None if centre is None else _distance(estimate, centre),
+    )
+
+
+def _centre(poses: Sequence[Pose], estimates: Sequence[Floats3], number: int) -> Floats3 | None:
+    """Mean of an orientation's states, None for a single one."""
+    own = [estimate for pose, estimate in zip(poses, estimates, strict=True) if pose.number == number]
+    if len(own) < 2:
+        return None
+    x, y, z = (fsum(values) / len(own) for values in zip(*own, strict=True))
+    return x, y, z
+
+
+def _in_g(values: Integers3) -> Floats3:
+    return values[0] / ONE, values[1] / ONE, values[2] / ONE
+
+
+def _length(a: Floats3) -> float:
+    return sqrt(fsum(value * value for value in a))
+
+
+def _distance(a: Floats3, b: Floats3) -> float:
+    return 1000 * sqrt(fsum((left - right) ** 2 for left, right in zip(a, b, strict=True)))
+
+
+def _norm_error(a: Floats3, b: Floats3) -> float:
+    return 1000 * abs(_length(a) - _length(b))
+
+
+def _angle(a: Floats3, b: Floats3) -> float:
+    cosine = fsum(left * right for left, right in zip(a, b, strict=True)) / (_length(a) * _length(b))
+    return degrees(acos(max(-1.0, min(1.0, cosine))))
+
+
+Real = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Standard errors.
+
+    Attributes:
+        k, o: of K and O in z = K a + O.
+        parameters: of kxx .. oz, three slopes (0) and kyx, kzx, kzy.
+        worst_direction_mg: of |a|, in the worst of 26 directions (faces, edges, corners of a cube).
+    """
+
+    k: Matrix3
+    o: Floats3
+    parameters: tuple[float, ...]
+    worst_direction_mg: float
+
+
+def uncertainty(poses: Sequence[Pose], solution: Solution) -> Uncertainty:
+    """From the residuals of all axes together, with 3 (orientations - 4) degrees of freedom.
+
+    The rows of K have independent errors with the covariance s^2 M, M = ([a 1]' W [a 1])^-1. With
+    G = K^-1, an error dK of K is one of -G dK G of G.
+    """
+    rows, weight = design(poses), np.array(weights(poses), np.float64)
+    inverse = np.asarray(np.linalg.inv(rows.T @ (rows * weight[:, np.newaxis])), np.float64)
+    residual = raw_g(poses) - rows @ _parameters(solution)
+    freedom = 3 * (weight.sum() - UNKNOWNS)
+    variance = float((weight[:, np.newaxis] * residual**2).sum() / freedom)
+    gain = solution.calibration.gain()
+    scale = np.sqrt(variance * np.diag(inverse))
+    k_errors = np.tile(scale[:3], (3, 1))
+    lengths = (gain**2).sum(axis=1)[:, np.newaxis]
+    across = np.einsum("ij,ik,kj->j", gain, inverse[:3, :3], gain)
+    gain_errors = np.sqrt(variance * lengths * across)
+    return Uncertainty(
+        _matrix3(k_errors),
+        (float(scale[3]),) * 3,
+        _named(gain_errors, float(scale[3])),
+        _worst_direction(gain, inverse, variance),
+    )
+
+
+def raw_g(poses: Sequence[Pose]) -> Real:
+    """Raw means, (n, 3) in g."""
+    return np.array([pose.state.raw for pose in poses], np.float64).reshape(-1, 3) / ONE
+
+
+def _parameters(solution: Solution) -> Real:
+    """K transposed above O, (4, 3)."""
+    columns = [[float(solution.k[axis][column]) for axis in range(3)] for column in range(3)]
+    return np.array([*columns, [float(value) for value in solution.o]])
+
+
+def _matrix3(values: Real) -> Matrix3:
+    first, second, third = ((float(row[0]), float(row[1]), float(row[2])) for row in values)
+    return first, second, third
+
+
+def _named(gain: Real, offset: float) -> tuple[float, ...]:
+    lower = [gain[place] for place in ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))]
+    upper = [gain[place] for place in ((0, 1), (0, 2), (1, 2))]
+    return tuple(map(float, (*lower, *(offset,) * 3, 0.0, 0.0, 0.0, *upper)))
+
+
+def _worst_direction(gain: Real, inverse: Real, variance: float) -> float:
+    """At a, z is known to s^2 [a 1] M [a 1]' on each axis, and |a| to that times |a' G|^2."""
+    cube = np.array([place for place in product((-1.0, 0.0, 1.0), repeat=3) if any(place)])
+    a = cube / np.sqrt((cube**2).sum(axis=1, keepdims=True))
+    rows = np.hstack([a, np.ones((len(a), 1))])
+    shown = np.einsum("ni,ij,nj->n", rows, inverse, rows)
+    along = ((a @ gain) ** 2).sum(axis=1)
+    return float(1000 * np.sqrt(variance * (shown * along).max()))
+
+
+FEWEST = 4
+"""N of Bragge et al.: with fewer there are more unknowns than equations."""
+
+FEWEST_CHECKED = 2
+"""A mean of fewer errors has no confidence interval."""
+
+_LONGER = "rest the device on every face for 10 s, or list the poses with --poses"
+
+
+def known_fit(session: Session, settings: PoseSettings) -> KnownFit:
+    """Solve and measure the errors.
+
+    Raises:
+        DivergedError: the poses do not determine the parameters, or leave none to judge them by.
+    """
+    condition = condition_number(session.poses)
+    _require(session, condition, settings)
+    solution = solve(session.poses, settings.gravity)
+    errors = pose_errors(session.poses, solution.calibration, settings)
+    _require_checks(session, errors)
+    precision = uncertainty(session.poses, solution)
+    return KnownFit(
+        calibration=solution.calibration,
+        k=_floats(solution),
+        o=_offset(solution),
+        k_errors=precision.k,
+        o_errors=precision.o,
+        standard_errors=precision.parameters,
+        condition_number=condition,
+        worst_direction_mg=precision.worst_direction_mg,
+        errors=errors,
+        between_norm_mg=between_norm_mg(session.between, solution.calibration, settings.gravity),
+    )
+
+
+def _require(session: Session, condition: float, settings: PoseSettings) -> None:
+    """Raise DivergedError unless the matrix [a 1] of the poses has rank 4, and well so."""
+    if not session.poses:
+        raise DivergedError(_no_poses(session, settings), hint=_LONGER)
+    found = session.orientations
+    if found < FEWEST or condition > settings.max_condition:
+        few = f"{found} pose{'' if found == 1 else 's'}" if found < FEWEST else "the poses"
+        raise DivergedError(
+            f"{few}{_which(session)} cannot determine twelve parameters: that takes four whose matrix [a 1] "
+            "has rank 4, and a fifth to judge by",
+            hint=f"{_missing(session)}{_LONGER}",
+        )
+
+
+def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
+    """Raise DivergedError where hardly any orientation could be left out."""
+    held = zip(session.poses, errors, strict=True)
+    checked = {pose.number for pose, error in held if error.held_out is not None}
+    if len(checked) < FEWEST_CHECKED:
+        raise DivergedError(
+            f"the poses{_which(session)} only just determine twelve parameters and leave none to judge by",
+            hint=f"{_missing(session)}{_LONGER}",
+        )
+
+
+def _no_poses(session: Session, settings: PoseSettings) -> str:
+    seen = [(len(session.between), "lie between faces"), (session.short, "are too short")]
+    told = " and ".join(f"{number} {what}" for number, what in seen if number)
+    return f"no still state lies within {settings.face_degrees:g} degrees of a face{told and f'; {told}'}"
+
+
+def _which(session: Session) -> str:
+    return f" ({', '.join(sorted({pose.face for pose in session.poses}))})"
+
+
+def _missing(session: Session) -> str:
+    """A missing face is tolerable while the others determine all and can be left out in turn."""
+    return f"missing: {', '.join(session.missing)}; " if session.missing else ""
+
+
+def _floats(solution: Solution) -> Matrix3:
+    first, second, third = ((float(x), float(y), float(z)) for x, y, z in solution.k)
+    return first, second, third
+
+
+def _offset(solution: Solution) -> Floats3:
+    x, y, z = solution.o
+    return float(x), float(y), float(z)

@@ -1,0 +1,229 @@
+"""The verdict on a calibration from known orientations: by orientations that it has not seen.
+
+Sections of a report on known orientations: the poses, and the model in its authors' convention.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from accelcal_cli.core.fixed import to_float
+from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Calibration, Fit, Operations, PointSet
+from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
+from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.judge.errors import coverage, interval95, mean, summary
+from accelcal_cli.output.report import significant, summary_json
+from accelcal_cli.six_pose.poses import Integers3, KnownFit, Matrix3, Pose, PoseError, Session, VectorErrors
+
+METHOD = "one orientation left out at a time"
+DEGREE_MG = 17.5
+"""What a tilt of one degree makes of 1 g across it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """Errors of the orientations that could be left out.
+
+    Attributes:
+        raw, norms: of the length, without a calibration and with the twelve parameters.
+        vectors: of the vector, by which the two are compared.
+    """
+
+    raw: Holdout
+    norms: Holdout
+    vectors: VectorErrors
+
+
+def judge_known(session: Session, fit: KnownFit, settings: PoseSettings) -> tuple[Judgement, VectorErrors]:
+    """Accept, refuse, or find that the raw data are no worse than the poses."""
+    held = _held(session, fit)
+    outcome, message = _outcome(session, fit, settings, held)
+    verdict = Judgement(
+        outcome=outcome,
+        message=message,
+        coverage=_coverage(session, fit),
+        trials=(Trial("0", held.raw, None), Trial("12", held.norms, None)),
+        holdout=held.raw if outcome is Outcome.ALREADY_GOOD else held.norms,
+        fit_errors=_fit_errors(session, fit),
+    )
+    return _with_calibration(verdict, fit), held.vectors
+
+
+def _with_calibration(verdict: Judgement, fit: KnownFit) -> Judgement:
+    if verdict.outcome is Outcome.REFUSED:
+        return verdict
+    if verdict.outcome is Outcome.ALREADY_GOOD:
+        same = Calibration("0", IDENTITY, None, fit.calibration.gravity)
+        return replace(verdict, calibration=same, fit=Fit(IDENTITY, 0, "nothing to fit", Operations()))
+    return replace(
+        verdict,
+        calibration=fit.calibration,
+        fit=Fit(fit.calibration.parameters, 1, "solved", Operations()),
+        standard_errors=fit.standard_errors,
+    )
+
+
+def _outcome(session: Session, fit: KnownFit, settings: PoseSettings, held: Held) -> tuple[Outcome, str]:
+    before, after = held.vectors.before.mean, held.vectors.after.mean
+    norm_before, norm_after = held.norms.before.mean, held.norms.after.mean
+    if after >= settings.max_vector_error_mg or norm_after >= settings.max_error_mg:
+        return Outcome.REFUSED, (
+            f"the poses disagree: {after:.1f} mg on orientations left out, {norm_after:.1f} mg in length "
+            f"(the limits are {settings.max_vector_error_mg:g} and {settings.max_error_mg:g}); "
+            f"{_worst(session, fit)}; rest the device exactly on its faces, on a level surface"
+        )
+    if after >= before:
+        return Outcome.ALREADY_GOOD, (
+            f"the raw data are {before:.1f} mg off, no more than twelve parameters: {after:.1f} mg on "
+            "orientations left out"
+        )
+    return Outcome.CALIBRATED, (
+        f"model 12: {norm_before:.1f} mg before, {norm_after:.2f} mg after on orientations left out; "
+        f"as vectors {before:.1f} and {after:.2f} mg{_unchecked(session, fit)}"
+    )
+
+
+def _worst(session: Session, fit: KnownFit) -> str:
+    """The state farthest from what the other orientations say of it."""
+    error, pose = max(
+        ((error, pose) for pose, error in zip(session.poses, fit.errors, strict=True)),
+        key=lambda pair: pair[0].held_out or 0.0,
+    )
+    at = (pose.state.start_us - session.first_us) / 1e6
+    return (
+        f"worst is {pose.face} at {at:.0f} s with {error.held_out or 0.0:.0f} mg (or its opposite is the "
+        f"cause; a tilt of 1 degree makes {DEGREE_MG:g} mg)"
+    )
+
+
+def _unchecked(session: Session, fit: KnownFit) -> str:
+    """Orientations without which there is no fit, so that nothing says whether they are right."""
+    pairs = zip(session.poses, fit.errors, strict=True)
+    names = sorted({pose.face for pose, error in pairs if error.held_out is None})
+    if not names:
+        return ""
+    missing = f" ({', '.join(session.missing)} missing)" if session.missing else ""
+    return f"; nothing checks {', '.join(names)}, without which there is no fit{missing}"
+
+
+def _held(session: Session, fit: KnownFit) -> Held:
+    """Each orientation counts the same, with the mean of its states."""
+    known = [error for error in fit.errors if error.held_out is not None]
+    norm_before = _by_orientation(session, fit, lambda error: error.raw_norm)
+    norm_after = _by_orientation(session, fit, lambda error: error.held_out_norm or 0.0)
+    before = _by_orientation(session, fit, lambda error: error.raw)
+    after = _by_orientation(session, fit, lambda error: error.held_out or 0.0)
+    repeats = [error.repeat for error in fit.errors if error.repeat is not None]
+    raw, norms = (
+        Holdout(
+            METHOD,
+            len(known),
+            len(shown),
+            summary(norm_before),
+            summary(shown),
+            interval95(shown),
+            tuple(zip(norm_before, shown, strict=True)),
+            tuple(enumerate(compared)),
+        )
+        for shown, compared in ((norm_before, before), (norm_after, after))
+    )
+    return Held(raw, norms, VectorErrors(summary(before), summary(after), max(repeats, default=None)))
+
+
+def _by_orientation(
+    session: Session, fit: KnownFit, value: Callable[[PoseError], float], *, every: bool = False
+) -> list[float]:
+    """Mean of each orientation's states; of those that could be left out, or of `every` one."""
+    groups: dict[int, list[float]] = {}
+    for pose, error in zip(session.poses, fit.errors, strict=True):
+        if every or error.held_out is not None:
+            groups.setdefault(pose.number, []).append(value(error))
+    return [mean(groups[number]) for number in sorted(groups)]
+
+
+def _fit_errors(session: Session, fit: KnownFit) -> FitErrors:
+    before = _by_orientation(session, fit, lambda error: error.raw_norm, every=True)
+    after = _by_orientation(session, fit, lambda error: error.norm, every=True)
+    return FitErrors(len(session.poses), len(after), mean(before), mean(after))
+
+
+def _coverage(session: Session, fit: KnownFit) -> Coverage:
+    states = [pose.state for pose in session.poses]
+    points = PointSet(
+        np.array([state.raw for state in states], np.int64).reshape(-1, 3),
+        np.full(len(states), WEIGHT_ONE, np.int64),
+        np.array([state.windows for state in states], np.int64),
+    )
+    return replace(
+        coverage(points),
+        condition_number=fit.condition_number,
+        worst_direction_mg=fit.worst_direction_mg,
+    )
+
+
+EQUATION = "z = K a + O"
+
+
+def poses_json(session: Session, fit: KnownFit) -> list[dict[str, Any]]:
+    """The `poses` list, in the order of time."""
+    return [_pose(session, pose, error) for pose, error in zip(session.poses, fit.errors, strict=True)]
+
+
+def _pose(session: Session, pose: Pose, error: PoseError) -> dict[str, Any]:
+    return {
+        "face": pose.face,
+        "start_s": _seconds(pose.state.start_us, session),
+        "end_s": _seconds(pose.state.end_us, session),
+        "windows": pose.state.windows,
+        "mean_raw_g": _in_g(pose.state.raw),
+        "reference_g": _in_g(pose.reference),
+        "raw_mg": round(error.raw, 4),
+        "residual_mg": round(error.residual, 4),
+        "held_out_mg": _rounded(error.held_out),
+        "held_out_norm_mg": _rounded(error.held_out_norm),
+        "held_out_tilt_degrees": _rounded(error.tilt_degrees),
+        "repeat_mg": _rounded(error.repeat),
+    }
+
+
+def _seconds(time_us: int, session: Session) -> float:
+    return round((time_us - session.first_us) / 1e6, 6)
+
+
+def _in_g(values: Integers3) -> list[float]:
+    return [to_float(value) for value in values]
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 4)
+
+
+def known_json(session: Session, fit: KnownFit, outcome: Outcome, vectors: VectorErrors) -> dict[str, Any]:
+    """The `known_orientations` object; K and O are null where they were refused."""
+    refused = outcome is Outcome.REFUSED
+    return {
+        "equation": EQUATION,
+        "K": None if refused else [list(row) for row in fit.k],
+        "O": None if refused else list(fit.o),
+        "standard_errors": None if refused else _errors(fit.k_errors, fit.o_errors),
+        "holdout_vector_mg": {"before": summary_json(vectors.before), "after": summary_json(vectors.after)},
+        "repeat_spread_mg": _rounded(vectors.repeat_spread),
+        "orientations": session.orientations,
+        "missing_faces": list(session.missing),
+        "left_out": {
+            "between_faces": len(session.between),
+            "between_faces_norm_mg": _rounded(fit.between_norm_mg),
+            "short": session.short,
+        },
+    }
+
+
+def _errors(k: Matrix3, o: tuple[float, float, float]) -> dict[str, Any]:
+    return {
+        "K": [[significant(value) for value in row] for row in k],
+        "O": [significant(value) for value in o],
+    }

@@ -1,0 +1,248 @@
+"""What a study writes in OUT beside the recordings' outputs, known by name and content.
+
+OUT may be the study's folder itself, and a recording or another program's table may have one of these names.
+
+The files of a study, and which of them are recordings.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import stat
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
+from accelcal_cli.core.formats import Format, ReadOptions, probe_file
+from accelcal_cli.formats import all_formats, named_format
+from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
+from accelcal_cli.pipeline.jobs import INTEGERS_SUFFIX, PARQUET_SUFFIX, REPORT_SUFFIX, Job, real, stem
+from accelcal_cli.study.records import Item, stamp
+from accelcal_cli.study.summary import COLUMNS
+
+NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
+SUMMARY = (".parquet", ".csv", ".json")
+FIRST = list(COLUMNS[:2])
+"""With these columns the table of every version begins."""
+
+
+def of_a_study(path: Path) -> bool:
+    """Whether a file was written by a study, as its ledger, its lock or its summary."""
+    return NAMES.fullmatch(path.name) is not None and (path.suffix not in SUMMARY or _summary(path))
+
+
+def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
+    """Refuse to overwrite with the summary what no study wrote; a recording not even with `force`.
+
+    Raises:
+        OutputError: such a file is in the way.
+    """
+    for path in _foreign(out, base):
+        if not force or path.resolve() in {one.resolve() for one in recordings}:
+            raise OutputError(
+                "is in the way of the study's summary, and was not written by accelcal",
+                path=path,
+                hint="move it away, or choose another folder with -d",
+            )
+
+
+def _foreign(out: Path, base: str) -> Iterator[Path]:
+    for suffix in SUMMARY:
+        path = out / f"{base}{suffix}"
+        if path.exists() and not _summary(path):
+            yield path
+
+
+def _summary(path: Path) -> bool:
+    try:
+        if path.suffix == ".parquet":
+            return list(pq.read_schema(path).names[:2]) == FIRST
+        if path.suffix == ".csv":
+            with path.open("rb") as file:
+                return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
+        held = json.loads(path.read_text(encoding="utf-8"))
+        return isinstance(held, dict) and "accelcal_version" in held and "recordings" in held
+    except (OSError, ValueError, pa.ArrowException):
+        return False
+
+
+OURS = (PARQUET_SUFFIX, REPORT_SUFFIX, INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
+TABLES = "csv"
+"""The one format whose suffixes other files often have."""
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where to look, and for what.
+
+    Attributes:
+        folders: the study; each of several lies under OUT by its own name.
+        out: folder of the outputs.
+        include: patterns of file names (or of paths under the folder) of what is done now; empty for all.
+        exclude: patterns of what is left out.
+    """
+
+    folders: tuple[Path, ...]
+    out: Path
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+
+def files(where: Where) -> list[Item]:
+    """All files that may be recordings, by name.
+
+    Raises:
+        UsageError: a folder is none, or two folders would share their place under OUT.
+    """
+    found = [item for folder, place in _places(where) for item in _folder(where, folder, place)]
+    return sorted(found, key=lambda item: item.name)
+
+
+def below_out(where: Where) -> list[Item]:
+    """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
+    found, every = [], replace(where, include=(), exclude=())
+    for folder, place in _places(where):
+        if real(folder) in real(where.out).parents and where.out.is_dir():
+            way = real(where.out).relative_to(real(folder))
+            found += [
+                item
+                for item in _folder(every, folder / way, f"{place}{way.as_posix()}/")
+                if _wanted(where, item.name.removeprefix(place))
+            ]
+    return found
+
+
+def _wanted(where: Where, below: str) -> bool:
+    return not _fits(below, where.exclude) and (not where.include or _fits(below, where.include))
+
+
+def check(where: Where) -> None:
+    """Raise what `files` would raise of the folders."""
+    _places(where)
+
+
+def _places(where: Where) -> list[tuple[Path, str]]:
+    """Each folder with its place under OUT."""
+    for folder in where.folders:
+        if not folder.is_dir():
+            raise UsageError("is not a folder", path=folder, hint="name the folder of the recordings")
+    if len(where.folders) == 1:
+        return [(where.folders[0], "")]
+    names = [real(folder).name for folder in where.folders]
+    twice = sorted(name for name in set(names) if names.count(name) > 1)
+    if twice:
+        raise UsageError(
+            f"several folders are called {twice[0]}", hint="make a study of each, with its own -d"
+        )
+    return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
+
+
+def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
+    out = real(where.out)
+    unlisted: list[OSError] = []
+    for here, folders, names in os.walk(folder, onerror=unlisted.append):
+        base = Path(here)
+        inside = real(base) != out
+        folders[:] = sorted(
+            name for name in folders if name[0] != "." and not (inside and real(base / name) == out)
+        )
+        if base != folder and real(base) == out:
+            folders.clear()
+            continue
+        for name in names:
+            below = (base / name).relative_to(folder).as_posix()
+            aside = bool(where.include) and not _fits(below, where.include)
+            if not _never(base / name) and not _fits(below, where.exclude) and _plain(base / name):
+                yield replace(_item(where, base / name, place + below), aside=aside)
+    for error in unlisted:
+        yield _unlisted(where, folder, place, error)
+
+
+def _never(path: Path) -> bool:
+    """Whether a file is certainly no recording: hidden, of ours, or a layout."""
+    name = path.name
+    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or of_a_study(path)
+
+
+def _fits(below: str, patterns: tuple[str, ...]) -> bool:
+    """Whether a path under the folder fits one of the patterns."""
+
+    def fits(pattern: str) -> bool:
+        text = below if "/" in pattern else below.rpartition("/")[2]
+        return fnmatchcase(text.lower(), pattern.lower())
+
+    return any(map(fits, patterns))
+
+
+def _plain(path: Path) -> bool:
+    """Whether it is a file, or a link whose file is gone: that is a recording that cannot be read."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return True
+
+
+def _item(where: Where, path: Path, name: str) -> Item:
+    target = (where.out / name).parent / stem(path)
+    job = Job(
+        path, target.with_name(target.name + PARQUET_SUFFIX), target.with_name(target.name + REPORT_SUFFIX)
+    )
+    return Item(name, job, tuple(stamp(one) for one in (path, named_layout(path), folder_layout(path))))
+
+
+def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:
+    path = Path(str(error.filename))
+    item = _item(where, path, place + path.relative_to(folder).as_posix())
+    return replace(item, refusal=f"the folder cannot be listed ({error.strerror})")
+
+
+def without_collisions(items: list[Item]) -> list[Item]:
+    """Recordings with one STEM in one folder are refused, each with the other's name."""
+    owners: dict[Path, list[Item]] = {}
+    for item in items:
+        owners.setdefault(item.job.report, []).append(item)
+    return [_refused(item, owners[item.job.report]) for item in items]
+
+
+def _refused(item: Item, sharing: list[Item]) -> Item:
+    others = ", ".join(other.source.name for other in sharing if other is not item)
+    if not others:
+        return item
+    return replace(item, refusal=f"would share its outputs with {others}: rename one, or use --exclude")
+
+
+def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
+    """Whether a file is one of the study's recordings, by content.
+
+    What no format fits is one all the same if its suffix is that of a device's files: it is damaged,
+    and must not be lost in silence. Of text files only those are that hold columns of numbers.
+
+    Args:
+        asked_for: the user named its kind with `--include`.
+    """
+    if asked_for:
+        return True
+    name = options.format or ("raw" if options.layout is not None else None)
+    wanted = all_formats() if name is None else (named_format(name),)
+    try:
+        probe = probe_file(item.source, replace(options, layout=None))
+    except UnreadableError:
+        return _suffix(item) in _suffixes(all_formats())
+    return any(one.sniff(probe) for one in wanted) or _suffix(item) in _suffixes(
+        tuple(one for one in wanted if one.name != TABLES)
+    )
+
+
+def _suffix(item: Item) -> str:
+    return Path(item.source.name.lower().removesuffix(".gz")).suffix
+
+
+def _suffixes(formats: tuple[Format, ...]) -> set[str]:
+    return {suffix for one in formats for suffix in one.suffixes}

@@ -1,0 +1,137 @@
+"""What flows between the parts of a study.
+
+What carries out the tasks of a study: processes of this machine, or a cluster.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from accelcal_cli.pipeline.jobs import Job
+
+FAILED = "failed"
+"""The summary's outcome of a recording that gave no report."""
+
+OWN = "own"
+"""The first round of a study: each recording's own result."""
+
+Stamp = tuple[int, int]
+"""Size [bytes] and time of the last change [ns since 1970] of a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Item:
+    """A file of the study.
+
+    Attributes:
+        name: its place under OUT with its full file name, `/` between folders: what it is known by.
+        stamps: its own stamp, and those of the layout files that may describe it; None for none.
+        refusal: why nothing can be done with it, found before any work.
+        aside: nothing is to be begun with it now, since `--include` does not name it.
+    """
+
+    name: str
+    job: Job
+    stamps: tuple[Stamp | None, ...]
+    refusal: str | None = None
+    aside: bool = False
+
+    @property
+    def source(self) -> Path:
+        """The file."""
+        return self.job.source
+
+    @property
+    def size(self) -> int:
+        """Bytes; 0 where it cannot be looked at."""
+        own = self.stamps[0]
+        return 0 if own is None else own[0]
+
+    @property
+    def changed_s(self) -> float:
+        """When it was last changed [s since 1970]."""
+        own = self.stamps[0]
+        return 0.0 if own is None else own[1] / 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """What became of an item in one round; a line of the ledger.
+
+    Attributes:
+        stamps: the item's when it was worked on.
+        asked: a hash of the settings and the version.
+        row: its row in the summary; None for a file that is no recording.
+        outputs: name under OUT and stamp of each file written.
+        again: whether it must be tried again, because the fault was not in the recording.
+        round: the round that it is of.
+        inputs: identities of what else the result was made of, in the order in which it was looked at.
+    """
+
+    name: str
+    stamps: tuple[Stamp | None, ...]
+    asked: str
+    row: dict[str, Any] | None
+    outputs: tuple[tuple[str, Stamp], ...] = ()
+    again: bool = False
+    round: str = OWN
+    inputs: tuple[str, ...] = ()
+
+    @property
+    def failed(self) -> bool:
+        """Whether it gave no report."""
+        return self.row is not None and self.row["outcome"] == FAILED
+
+
+def stamp(path: Path) -> Stamp | None:
+    """A file's stamp; None where it cannot be looked at."""
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_size, found.st_mtime_ns
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What is known of a recording after some rounds: its own result, and the last one."""
+
+    item: Item
+    own: Entry
+    last: Entry
+
+
+Told = Callable[[float], None]
+"""Called where the work is done with the part of its task that is done, 0 to 1."""
+
+Work = Callable[[Any, Told], Any]
+"""What is done with a task; a function of a module, and its task and answer can be pickled."""
+
+Moved = Callable[[Any, float], None]
+"""Called with a task and by how much more of it is done; less than 0 where it begins anew."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """One task that ended.
+
+    Attributes:
+        answer: what the work returned; None where the worker did not live to say.
+        fault: what befell the worker, else None.
+        again: whether the fault may lie in the machine and not in the task.
+    """
+
+    task: Any
+    answer: Any = None
+    fault: str | None = None
+    again: bool = False
+
+
+class Engine(Protocol):
+    """Does tasks, several at a time; what befalls one befalls it alone."""
+
+    def run(self, tasks: list[Any]) -> Generator[Ended, None, None]:
+        """Do all tasks; yields each as it ends. Nothing is left running when the iteration is given up."""

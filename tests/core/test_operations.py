@@ -1,0 +1,56 @@
+"""Table 1 of Farago, Maczak, Gingl 2024, and the times that its section II.C derives from it."""
+
+from __future__ import annotations
+
+import pytest
+
+from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
+from accelcal_cli.core.points import Arithmetic, Operations
+
+PAPER = Operations(50 * (18 * 100 + 3), 50 * (18 * 100 + 3))
+
+
+def test_the_papers_count_is_90150_of_each() -> None:
+    assert Operations(90_150, 90_150) == PAPER
+
+
+@pytest.mark.parametrize(
+    ("name", "arithmetic", "by_hand"),
+    [
+        ("ATmega328", "integer", 90_150 * 125 / 16e6),  # 28 + 97 = 125 cycles: 0.704 s
+        ("ATmega328", "float", 90_150 * 283 / 16e6),  # 123 + 160: 1.595 s
+        ("ARM Cortex-M3", "integer", 90_150 * 28 / 80e6),  # 14 + 14: 31.6 ms
+        ("ARM Cortex-M3", "float", 90_150 * 164 / 80e6),  # 96 + 68: 185 ms
+        ("ARM Cortex-M4", "integer", 90_150 * 13 / 80e6),  # 7 + 6: 14.6 ms
+        ("ARM Cortex-M4", "float", 90_150 * 22 / 80e6),  # 11 + 11: 24.8 ms
+    ],
+)
+def test_the_papers_case_by_hand(name: str, arithmetic: Arithmetic, by_hand: float) -> None:
+    found = predicted_seconds(PAPER, arithmetic)
+    assert found is not None
+    assert found[name] == pytest.approx(by_hand, rel=1e-12)
+
+
+def test_the_times_of_section_2c() -> None:
+    whole, real = predicted_seconds(PAPER, "integer"), predicted_seconds(PAPER, "float")
+    assert whole is not None and real is not None
+    assert round(whole["ATmega328"], 2) == 0.70
+    assert whole["ARM Cortex-M3"] < 0.040
+    assert real["ARM Cortex-M4"] < 0.030
+
+
+def test_additions_and_multiplications_cost_their_own() -> None:
+    added = predicted_seconds(Operations(16_000_000, 0), "integer")
+    multiplied = predicted_seconds(Operations(0, 16_000_000), "integer")
+    assert added is not None and multiplied is not None
+    assert (added["ATmega328"], multiplied["ATmega328"]) == (28, 97)
+    assert (added["ARM Cortex-M4"], multiplied["ARM Cortex-M4"]) == (1.4, 1.2)
+
+
+def test_what_was_not_counted_has_no_time() -> None:
+    assert predicted_seconds(Operations(), "float") is None
+
+
+def test_the_processors_are_those_of_the_table() -> None:
+    clocks = {item.name: item.clock_hz for item in MICROCONTROLLERS}
+    assert clocks == {"ATmega328": 16_000_000, "ARM Cortex-M3": 80_000_000, "ARM Cortex-M4": 80_000_000}

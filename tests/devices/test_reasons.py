@@ -1,0 +1,165 @@
+"""The rules, each with a device that it is meant for and one that it is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from accelcal_cli.devices.review import Unit, review
+from accelcal_cli.devices.trends import Rules
+from tests.devices.made import NOW_S, drifting, fitted, fleet, refused, write
+
+
+def units(tmp_path: Path, rows: list[dict], **rules: float) -> dict[str, Unit]:
+    found = review(write(tmp_path, rows), Rules(**rules), NOW_S)
+    return {unit.device.serial: unit for unit in found.units}
+
+
+def told(unit: Unit) -> list[tuple[str, bool]]:
+    return [(one.rule, one.certain) for one in unit.reasons]
+
+
+def test_a_good_fleet_is_good(tmp_path: Path) -> None:
+    found = units(tmp_path, fleet(12))
+    assert [str(unit.verdict) for unit in found.values()] == ["good"] * 12
+    assert list(found) == sorted(found)
+
+
+def test_a_known_drift_is_found(tmp_path: Path) -> None:
+    found = units(tmp_path, [*fleet(), *drifting("D", 0.005), *drifting("slow", 0.001)])
+    (x,) = [one for one in found["D"].trends if one.parameter.name == "offset_x"]
+    assert x.drift is not None
+    assert abs(x.drift.per_month - 5.0) < 3 * x.drift.error
+    days = 30.0 * np.arange(8)
+    assert x.drift.error == pytest.approx(
+        0.1 / np.sqrt(((days - days.mean()) ** 2).sum()) * 30.4375 * max(1, x.drift.scatter) ** 0.5
+    )
+    assert told(found["D"]) == [("drift", True)]
+    assert found["D"].verdict == "service"
+    assert found["D"].reasons[0].text == "offset x drifts by +4.990 +- 0.016 mg a month"
+    assert told(found["slow"]) == []
+    assert next(iter(found)) == "D"
+
+
+@pytest.mark.parametrize(
+    ("name", "per_month", "label"),
+    [("k_yy", 0.004, "scale y"), ("k_zx", -0.004, "misalignment zx"), ("offset_z_g", -0.004, "offset z")],
+)
+def test_each_kind_drifts_in_its_unit(tmp_path: Path, name: str, per_month: float, label: str) -> None:
+    unit = units(tmp_path, drifting("D", per_month, name=name))["D"]
+    assert told(unit) == [("drift", True)]
+    size = per_month * (1000 if name.startswith("offset") else 100)
+    said = unit.reasons[0].text.removeprefix(f"{label} drifts by ")
+    assert float(said.split()[0]) == pytest.approx(size, rel=0.02)
+
+
+def test_few_recordings_make_no_drift_certain(tmp_path: Path) -> None:
+    """With one degree of freedom even a drift of 40 standard errors has a probability of 1.6 %."""
+    noisy = [fitted("C", 30.0 * n, {"offset_x_g": 0.004 * n + 0.001 * (n == 1)}) for n in range(3)]
+    found = units(tmp_path, [*drifting("A", 0.005, 2), *drifting("B", 0.005, 3), *noisy])
+    assert [one.drift for one in found["A"].trends] == [None] * 9
+    assert told(found["C"]) == []
+    assert told(found["B"]) == [("drift", False)]
+    assert found["B"].verdict == "watch"
+
+
+def test_significance_is_corrected_for_the_number_of_parameters(tmp_path: Path) -> None:
+    """The limit lies between the drifts of two devices that differ in nothing else."""
+    freedom, tested = 6, 9
+    limit = stats.t.isf(stats.norm.sf(3) / tested, freedom)
+    error = 0.1 / np.sqrt((days := 30.0 * np.arange(8) - 105) @ days) * 30.4375
+    rows = []
+    for serial, factor in (("above", 1.01), ("below", 0.99)):
+        slope = factor * limit * error / 1000 / 30.4375
+        rows += [fitted(serial, 30.0 * n, {"offset_x_g": slope * 30 * n}) for n in range(8)]
+    found = units(tmp_path, rows, drift_mg=0.01)
+    assert told(found["above"]) == [("drift", True)]
+    assert told(found["below"]) == [("drift", False)]
+
+
+def test_levels_beyond_the_limits(tmp_path: Path) -> None:
+    rows = [fitted("A", 0, {"offset_z_g": -0.151}), fitted("B", 0, {"offset_z_g": 0.1499}),
+            fitted("C", 0, {"k_xx": 1.11, "k_yx": 0.12}), fitted("D", 0, {"offset_z_g": 0.1501})]  # fmt: skip
+    found = units(tmp_path, rows)
+    assert {name: told(unit) for name, unit in found.items()} == {
+        "A": [("level", True)],
+        "B": [],
+        "C": [("level", True)] * 2,
+        "D": [("level", False)],
+    }
+    assert found["A"].reasons[0].text == "offset z is -151.00 +- 0.10 mg (limit 150 mg)"
+    assert found["C"].reasons[0].text == "misalignment yx is +12.000 +- 0.010 % (limit 10 %)"
+
+
+def test_an_outlying_held_out_error(tmp_path: Path) -> None:
+    bad = [fitted("bad", 30.0 * number, after_mg=6.0) for number in range(2)]
+    once = [fitted("once", 0, after_mg=6.0)]
+    found = units(tmp_path, [*fleet(8), *bad, *once])
+    assert told(found["bad"]) == [("held out", True)]
+    assert told(found["once"]) == [("held out", False)]
+    assert found["bad"].reasons[0].text == "held-out error 6.0 mg, of devices of its kind 2.1 mg"
+    assert told(units(tmp_path, [*fleet(3), *bad])["bad"]) == []
+    assert told(units(tmp_path, [*fleet(8), *(row | {"format": "csv"} for row in bad)])["bad"]) == []
+
+
+@pytest.mark.parametrize(
+    ("others", "limit"), [((1, 2, 3, 4, 5, 6), 4 + 5 * 1.4826 * 2), ((2, 2, 2, 2, 2, 2), 2 + 5 * 0.5)]
+)
+def test_what_is_usual_is_the_median_and_its_robust_deviation(
+    tmp_path: Path, others: tuple[int, ...], limit: float
+) -> None:
+    """Of seven errors, the last beyond the others: the median distance is the fourth, but at least 0.5 mg."""
+    rows = [fitted(f"{number}", 0, after_mg=float(error)) for number, error in enumerate(others)]
+    for error, found in ((limit - 0.01, []), (limit + 0.01, [("held out", False)])):
+        assert told(units(tmp_path, [*rows, fitted("x", 0, after_mg=error)])["x"]) == found
+
+
+def test_slopes_have_limits_of_level_and_drift(tmp_path: Path) -> None:
+    """5 mg/C, and 2 mg over 10 C a month; standard errors are 0.01 mg/C."""
+    rows = [
+        fitted(name, 0, {"slope_y_g_per_c": size}, model="9T")
+        for name, size in (("steep", -0.0051), ("flat", 0.0049))
+    ]
+    for name, size in (("moves", 0.00021), ("stays", 0.00019)):
+        rows += [
+            fitted(name, 30.4375 * n, {"slope_y_g_per_c": size * n - 0.001}, model="9T") for n in range(8)
+        ]
+    found = units(tmp_path, rows)
+    assert {name: told(unit) for name, unit in found.items()} == {
+        "steep": [("level", True)], "flat": [], "moves": [("drift", True)], "stays": [],
+    }  # fmt: skip
+    assert found["moves"].reasons[0].text.startswith("slope y drifts by +0.2100 +- ")
+
+
+@pytest.mark.parametrize(("lost", "reasons"), [(0.09, []), (0.1, [("damaged", True)])])
+def test_a_little_damage_is_none(tmp_path: Path, lost: float, reasons: list[tuple[str, bool]]) -> None:
+    rows = [*fleet(2), *(fitted("x", 30.0 * number, lost_percent=lost) for number in range(2))]
+    assert told(units(tmp_path, rows)["x"]) == reasons
+
+
+def test_repeated_refusals_and_damage(tmp_path: Path) -> None:
+    short = [refused("short", 30.0 * number) for number in range(3)]
+    rows = [*fleet(4), *short, fitted("short", 99), refused("once", 0)]
+    rows += [fitted("wet", 30.0 * number, lost_percent=3.0 * number) for number in range(4)]
+    found = units(tmp_path, rows)
+    assert told(found["short"]) == [("refused", True)]
+    assert found["short"].reasons[0].text == "3 of 4 recordings refused or borrowed (other devices: 3 %)"
+    assert (told(found["once"]), found["once"].verdict) == ([], "unknown")
+    assert told(found["wet"]) == [("damaged", True)]
+    assert "damage in 3 of 4 recordings, up to 9 % lost" in found["wet"].reasons[0].text
+
+
+def test_where_all_are_refused_no_device_is_to_blame(tmp_path: Path) -> None:
+    found = units(tmp_path, [refused(serial, 30.0 * number) for serial in "ABC" for number in range(3)])
+    assert {str(unit.verdict) for unit in found.values()} == {"unknown"}
+
+
+def test_all_limits_can_be_moved(tmp_path: Path) -> None:
+    rows = [*drifting("D", 0.005), fitted("L", 0, {"offset_z_g": 0.2})]
+    assert {str(one.verdict) for one in units(tmp_path, rows).values()} == {"service"}
+    moved = units(tmp_path, rows, drift_mg=6.0, offset_mg=250.0)
+    assert {str(one.verdict) for one in moved.values()} == {"good"}
+    assert [one.drift for one in units(tmp_path, rows, least_days=300)["D"].trends] == [None] * 9

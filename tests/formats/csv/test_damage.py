@@ -1,0 +1,220 @@
+"""Damaged text files: nothing is invented, nothing is dropped silently, nothing crashes."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.formats.csv import table as _csv_blocks
+from tests.formats.make_csv import make, read, stamp, written
+
+HEADER = "time,x,y,z\n"
+COUNTS = np.random.default_rng(5).integers(-256, 256, (40, 3)).astype(np.int16)
+
+
+def row(number: int, cells: str = "0,0,1") -> str:
+    return f"{stamp(number * 10_000)},{cells}\n"
+
+
+def rows(count: int, start: int = 0) -> str:
+    return "".join(row(number) for number in range(start, start + count))
+
+
+def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Path) -> None:
+    truth = make(tmp_path, COUNTS[:12], 100.0, 256.0)
+    data = truth.path.read_bytes()
+    whole = read(truth.path)
+    for size in range(len(data)):
+        path = written(tmp_path, data[:size], "cut.csv")
+        try:
+            found = read(path)
+        except UnreadableError as error:
+            assert data[:size].count(b"\n") < 4
+            assert str(path) in str(error) and error.hint
+            continue
+        lines = data[:size].count(b"\n") - 1
+        assert len(found.counts) in (lines, lines + 1)
+        assert np.array_equal(found.counts[:lines], whole.counts[:lines])
+        kept = data[:size].endswith(b"\n") or len(found.counts) == lines + 1
+        assert found.codes == ([] if kept else ["truncated"])
+
+
+def test_gzip_truncated_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Path) -> None:
+    truth = make(tmp_path, COUNTS[:20], 100.0, 256.0)
+    data = gzip.compress(truth.path.read_bytes(), mtime=0)
+    whole = read(truth.path)
+    for size in range(2, len(data)):
+        path = written(tmp_path, data[:size], "cut.csv.gz")
+        try:
+            found = read(path)
+        except UnreadableError as error:
+            assert str(path) in str(error)
+            continue
+        assert np.array_equal(found.counts, whole.counts[: len(found.counts)])
+        assert found.codes == ["truncated"]
+
+
+def test_gzip_with_a_flipped_byte_never_crashes_nor_depends_on_chunks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    truth = make(tmp_path, COUNTS[:20], 100.0, 256.0)
+    data = gzip.compress(truth.path.read_bytes(), mtime=0)
+    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", 200)
+    for place in range(10, len(data), 5):
+        path = written(tmp_path, data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :], "bad.csv.gz")
+        try:
+            found = read(path)
+        except AccelcalError:
+            continue
+        assert read(path, 3).same_as(found)
+        assert "truncated" in found.codes
+
+
+def test_flipped_bytes_never_crash(tmp_path: Path) -> None:
+    truth = make(tmp_path, COUNTS[:6], 100.0, 256.0)
+    data = truth.path.read_bytes()
+    for place in range(0, len(data), 2):
+        for value in (0, 10, 34, 44):
+            path = written(tmp_path, data[:place] + bytes([value]) + data[place + 1 :], "bad.csv")
+            try:
+                read(path)
+            except AccelcalError as error:
+                assert str(path) in str(error)
+
+
+def test_missing_values_leave_their_rows_out_and_break(tmp_path: Path) -> None:
+    bad = [row(5, "0,,1"), row(6, "nan,0,1"), row(7, "0,0,NA"), ",0,0,1\n"]
+    path = written(tmp_path, HEADER + rows(5) + "".join(bad) + rows(11, 9))
+    found = read(path)
+    assert len(found.counts) == 16
+    assert found.breaks == [5]
+    (problem,) = found.problems
+    assert (problem.code, problem.sample, problem.count) == ("missing_value", 5, 4)
+    assert problem.message == "4 rows from line 7 on left out: a value is missing"
+
+
+def test_missing_rows_keep_their_place_in_a_file_without_times(tmp_path: Path) -> None:
+    path = written(tmp_path, "x,y,z\n" + "0,0,1\n" * 5 + ",,\n" * 2 + "0,0,1\n" * 3)
+    found = read(path, rate_hz=10.0)
+    assert found.times.tolist() == [number * 100_000 for number in (0, 1, 2, 3, 4, 7, 8, 9)]
+    assert found.breaks == [5]
+    assert found.codes == ["no_start_time", "missing_value"]
+
+
+@pytest.mark.parametrize("value", ["128", "-1e30", "inf", "1e400", "127.01"])
+def test_values_out_of_range_leave_their_rows_out(tmp_path: Path, value: str) -> None:
+    path = written(tmp_path, HEADER + rows(5) + row(5, f"0,{value},1") + rows(5, 6))
+    found = read(path)
+    assert (len(found.counts), found.breaks, found.codes) == (10, [5], ["out_of_range"])
+
+
+def test_the_largest_values_are_kept(tmp_path: Path) -> None:
+    found = read(written(tmp_path, HEADER + rows(5) + row(5, "0,127,-127")))
+    assert found.g[-1].tolist() == [0, 127, -127]
+
+
+def test_missing_rows_at_either_end(tmp_path: Path) -> None:
+    path = written(tmp_path, HEADER + row(0, ",,") + rows(8, 1) + row(9, ",,"))
+    found = read(path)
+    assert (len(found.counts), found.breaks) == (8, [])
+    assert [(problem.sample, problem.count) for problem in found.problems] == [(0, 1), (8, 1)]
+    assert found.recording.start_us == found.times[0]
+
+
+@pytest.mark.parametrize("piece", [1, 100, 1000])
+@pytest.mark.parametrize("chunk_samples", [1, 30, 1000])
+def test_many_problems_become_few_records_whatever_the_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int, chunk_samples: int
+) -> None:
+    cells = ["0,0,1", "0,,1", "0,0,1", "0,999,1", "0,0,1", "0,0,", ",0,0", "0,0,1", "0,0,1"]
+    text = "".join(row(number + 5 * (number % 50 == 49), cells[number % 9]) for number in range(700))
+    path = written(tmp_path, HEADER + text)
+    whole = read(path)
+    assert whole.codes.count("missing_value") == 51
+    assert whole.codes.count("out_of_range") == 51
+    counted = {
+        code: sum(problem.count for problem in whole.problems if problem.code == code) for code in whole.codes
+    }
+    wrong = [cells[number % 9] for number in range(700)]
+    assert counted["missing_value"] == sum(wrong.count(cell) for cell in ("0,,1", "0,0,", ",0,0"))
+    assert counted["out_of_range"] == wrong.count("0,999,1")
+    assert len(whole.counts) == wrong.count("0,0,1")
+    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", piece)
+    assert read(path, chunk_samples).same_as(whole)
+
+
+def test_mostly_unusable_rows_are_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, HEADER + rows(40) + "".join(row(number, "0,,") for number in range(40, 90)))
+    with pytest.raises(UnreadableError, match="only 40 of 90 rows hold usable values"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        ("oops,0,1", "column 1 holds 'oops', which is no number"),
+        ("0,-,1", "column 2 holds '-', which is no number"),
+        ("0,1", r"the line has 3 columns, not 4"),
+        ("0,1,2,3", r"the line has 5 columns, not 4"),
+        ("0,0,0x10", "column 3 holds '0x10', which is no number"),
+        ('0,"0,1', r"the line has 3 columns, not 4"),
+    ],
+)
+@pytest.mark.parametrize("chunk_samples", [10, 1000])
+@pytest.mark.parametrize("blank", ["", "\n"])
+def test_bad_lines_are_named(tmp_path: Path, line: str, message: str, chunk_samples: int, blank: str) -> None:
+    text = HEADER + rows(200) + blank + row(200, line) + rows(100, 201)
+    with pytest.raises(UnreadableError, match=f"line {202 + len(blank)}: {message}"):
+        read(written(tmp_path, text), chunk_samples)
+
+
+def test_a_bad_time_is_named(tmp_path: Path) -> None:
+    text = HEADER + rows(500) + "yesterday,0,0,1\n" + rows(100, 501)
+    with pytest.raises(UnreadableError, match="line 502: column 0 holds 'yesterday', which is no time"):
+        read(written(tmp_path, text))
+
+
+def test_a_bad_line_far_behind_the_head_is_named(tmp_path: Path) -> None:
+    text = HEADER + rows(45_000) + row(45_000, "a,b,c") + rows(100, 45_001)
+    with pytest.raises(UnreadableError, match="line 45002: column 1 holds 'a', which is no number"):
+        read(written(tmp_path, text), 5000)
+
+
+def test_blank_lines_are_no_rows(tmp_path: Path) -> None:
+    text = HEADER + rows(10) + "\n   \n\n" + rows(10, 10) + "\n\n"
+    found = read(written(tmp_path, text))
+    assert (len(found.counts), found.breaks, found.problems) == (20, [], [])
+    broken = text.replace(row(15), row(15, "0,,1"))
+    assert "line 20 " in read(written(tmp_path, broken)).problems[0].message
+
+
+@pytest.mark.parametrize(
+    "tail", ["2024-03-04T00:00:00.100000,0,0", "2024-03-04T00:00", "2024-03-04T00:00:00.1,0,0,"]
+)
+def test_a_cut_last_line_is_reported(tmp_path: Path, tail: str) -> None:
+    found = read(written(tmp_path, HEADER + rows(10) + tail))
+    assert (len(found.counts), found.codes) == (10, ["truncated"])
+    assert (
+        found.problems[0].message == "line 12, the last one, has no end: it may be cut off and was left out"
+    )
+    assert found.problems[0].byte_offset == len(HEADER + rows(10))
+
+
+def test_a_last_line_without_its_end_may_be_cut_and_is_left_out(tmp_path: Path) -> None:
+    found = read(written(tmp_path, HEADER + rows(10).rstrip("\n")))
+    assert (len(found.counts), found.codes) == (9, ["truncated"])
+
+
+def test_an_endless_line_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, HEADER + rows(10) + "7" * 3_000_000)
+    with pytest.raises(UnreadableError, match=r"line 12.*a line has no end"):
+        read(path)
+
+
+def test_missing_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableError, match="cannot be read"):
+        read(tmp_path / "none.csv")

@@ -1,0 +1,177 @@
+"""Delimiters, headers, decimals and columns that the CSV reader has to understand, or ask about."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from tests.formats.make_csv import START_US, read, stamp, written
+
+ROWS = [(0.25 * row - 2, -0.5, 1.0 + row / 64) for row in range(12)]
+TRUTH = np.array(ROWS)
+
+
+def table(delimiter: str, header: str = "", decimal: str = ".", end: str = "\n", time: bool = True) -> str:
+    """The rows as text."""
+    lines = [header] if header else []
+    for number, row in enumerate(ROWS):
+        cells = [repr(value).replace(".", decimal) for value in row]
+        lines.append(delimiter.join([stamp(number * 10_000)] * time + cells))
+    return end.join(lines) + end
+
+
+def check(path: Path, **options: object) -> None:
+    """Values and times are those of the rows."""
+    found = read(path, unit="g", **options)
+    assert np.array_equal(found.g, TRUTH)
+    assert np.array_equal(found.times - found.times[0], np.arange(len(ROWS)) * 10_000)
+    assert found.recording.start_us in (START_US, None)
+    assert found.breaks == []
+
+
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|", " ", "   ", " \t ", ", ", " ; "])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+@pytest.mark.parametrize("names", [(), ("time", "x", "y", "z")])
+def test_delimiters_and_line_ends(tmp_path: Path, delimiter: str, end: str, names: tuple[str, ...]) -> None:
+    check(written(tmp_path, table(delimiter, delimiter.join(names), end=end)))
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", "|", " "])
+def test_decimal_commas(tmp_path: Path, delimiter: str) -> None:
+    check(written(tmp_path, table(delimiter, delimiter.join(("time", "x", "y", "z")), decimal=",")))
+
+
+def test_decimal_commas_in_times_too(tmp_path: Path) -> None:
+    check(written(tmp_path, table(";", "time;x;y;z").replace(".", ",")))
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "Time,X,Y,Z",
+        "timestamp,acc_x,acc_y,acc_z",
+        "Timestamp,Accelerometer X,Accelerometer Y,Accelerometer Z",
+        "datetime,accelX,accelY,accelZ",
+        "time,AccX,AccY,AccZ",
+        "t,ax,ay,az",
+        '"time","X-axis","Y-axis","Z-axis"',
+        "Sample Time,Accelerometer X (g),Accelerometer Y (g),Accelerometer Z (g)",
+        "# time,x,y,z",
+        "no,known,names,here",
+        "\ufefftime,x,y,z",
+        "made by a logger\nserial: 17\nrate 100 Hz\n\ntime,x,y,z",
+        "sep=,\ntime,x,y,z",
+        "time,x,y,z\nyyyy,g,g,g".replace("yyyy", "-"),
+        "a preamble line of text",
+    ],
+)
+def test_headers(tmp_path: Path, header: str) -> None:
+    options = {"columns": ("1", "2", "3")} if header.startswith("no,") else {}
+    check(written(tmp_path, table(",", header)), **options)
+
+
+def test_byte_order_mark_before_rows(tmp_path: Path) -> None:
+    check(written(tmp_path, "\ufeff" + table(",")))
+
+
+def test_quoted_cells(tmp_path: Path) -> None:
+    lines = table(",", "time,x,y,z").splitlines()
+    quoted = "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in lines)
+    check(written(tmp_path, quoted + "\n"))
+
+
+def test_date_and_time_split_by_the_delimiter_of_blanks(tmp_path: Path) -> None:
+    check(written(tmp_path, table(" ").replace("T", " ")))
+
+
+def test_columns_in_any_order_beside_others(tmp_path: Path) -> None:
+    lines = ["gyro_x,z,label,y,time,x,gyro_y,gyro_z"]
+    for number, (x, y, z) in enumerate(ROWS):
+        lines.append(f"7,{z},walk,{y},{stamp(number * 10_000)},{x},8,9")
+    check(written(tmp_path, "\n".join(lines) + "\n"))
+
+
+def test_row_names_before_and_empty_cells_behind(tmp_path: Path) -> None:
+    lines = table(",").splitlines()
+    numbered = "\n".join(["time,x,y,z", *(f"{number},{line}" for number, line in enumerate(lines, 1))])
+    check(written(tmp_path, numbered + "\n"))
+    check(written(tmp_path, "time,x,y,z\n" + "".join(f"{line},\n" for line in lines)))
+
+
+def test_linear_acceleration_and_gyroscope_are_not_taken(tmp_path: Path) -> None:
+    header = "time,gyro_x,gyro_y,gyro_z,linear_acc_x,linear_acc_y,linear_acc_z"
+    path = written(tmp_path, header + "\n" + f"{stamp(0)},0,0,1,0,0,1\n" * 9)
+    with pytest.raises(UnreadableError, match="--columns"):
+        read(path)
+
+
+def test_two_accelerometers_are_asked_about(tmp_path: Path) -> None:
+    header = "acc_left_x,acc_left_y,acc_left_z,acc_right_x,acc_right_y,acc_right_z"
+    path = written(tmp_path, header + "\n" + "0,0,1,1,0,0\n" * 9)
+    with pytest.raises(UnreadableError, match="several groups"):
+        read(path, rate_hz=30.0)
+    found = read(path, rate_hz=30.0, columns=("acc_right_x", "acc_right_y", "ACC_RIGHT_Z"))
+    assert found.g.tolist() == [[1, 0, 0]] * 9
+
+
+def test_columns_by_number_and_time_by_name(tmp_path: Path) -> None:
+    path = written(tmp_path, table(",", "when,a,b,c"))
+    check(path, columns=("1", "b", "3"), time_column="when")
+    check(path, columns=("1", "2", "3"), time_column="0")
+
+
+@pytest.mark.parametrize("row", ["0,0,1,0,0,0,1", "0,0,1,0,0", "0,0,1,0,0,0", "5,4,1,9"])
+def test_columns_without_names_are_asked_about(tmp_path: Path, row: str) -> None:
+    path = written(tmp_path, f"{row}\n" * 9)
+    with pytest.raises(UnreadableError, match=r"line 1: which columns are x, y and z .* --columns"):
+        read(path, rate_hz=30.0)
+
+
+@pytest.mark.parametrize(
+    "said", [{"columns": ("x", "y", "w")}, {"columns": ("0", "1", "9")}, {"time_column": "w"}]
+)
+def test_unknown_columns_are_named_with_the_known_ones(tmp_path: Path, said: dict[str, object]) -> None:
+    with pytest.raises(
+        UsageError, match=r"is no column of this file; its columns are 0 to 3 \(time, x, y, z\)"
+    ):
+        read(written(tmp_path, table(",", "time,x,y,z")), **said)
+
+
+def test_one_column_twice_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="twice"):
+        read(written(tmp_path, table(",", "time,x,y,z")), columns=("x", "x", "z"))
+
+
+def test_a_column_of_text_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path, "x,y,z,label\n" + "0,0,1,walk\n" * 9)
+    with pytest.raises(UnreadableError, match=r"column 3 \('label'\) does not hold numbers"):
+        read(path, rate_hz=30.0, columns=("x", "y", "label"))
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "a,b,c\n", "prose\n" * 99, "1,2\n" * 99, "{}\n"])
+def test_files_without_rows_are_refused(tmp_path: Path, text: str) -> None:
+    with pytest.raises(UnreadableError, match="no rows of three or more numbers"):
+        read(written(tmp_path, text))
+
+
+def test_utf16_is_named(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableError, match=r"UTF-16.*UTF-8"):
+        read(written(tmp_path, table(",", "time,x,y,z").encode("utf-16")))
+
+
+def test_latin1_in_names_and_unused_cells(tmp_path: Path) -> None:
+    text = (
+        "time,x,y,z,Temperature (°C),Ort\n"
+        + f"{stamp(0)},0,0,1,30.5,K\xf6ln\n{stamp(10_000)},0,0,1,30.5,K\xf6ln\n"
+    )
+    found = read(written(tmp_path, text.encode("latin-1")))
+    assert found.temperature is not None
+    assert found.temperature.tolist() == [30500, 30500]
+
+
+def test_a_temperature_in_fahrenheit_is_not_taken(tmp_path: Path) -> None:
+    path = written(tmp_path, "time,x,y,z,temp [F]\n" + f"{stamp(0)},0,0,1,86\n{stamp(10_000)},0,0,1,86\n")
+    assert read(path).temperature is None

@@ -1,0 +1,215 @@
+"""Kinds of times, shared stamps, gaps and jumps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats.csv import table as _csv_blocks
+from tests.formats.make_csv import START_US, Read, read, stamp, written
+
+SECOND = 1_000_000
+
+
+def with_times(folder: Path, cells: list[str], name: str = "time", **options: object) -> Read:
+    """A file of these times and a resting sensor."""
+    text = "".join(f"{cell},0,0,1\n" for cell in cells)
+    return read(written(folder, f"{name},x,y,z\n{text}"), **options)
+
+
+def after_start(found: Read) -> list[int]:
+    return (found.times - START_US).tolist()
+
+
+@pytest.mark.parametrize(
+    ("form", "zone"),
+    [
+        ("2024-03-04T00:00:00.{:02d}", None),
+        ("2024-03-04 00:00:00.{:02d}", None),
+        ("2024-03-04 00:00:00.{:02d}0000", None),
+        ("2024-03-04 00:00:00.{:02d}0000499", None),
+        ("2024-03-04 00:00:00.{:02d}0000000000000000", None),
+        ("2024/03/04 00:00:00.{:02d}", None),
+        ("2024-03-04T00:00:00.{:02d}Z", "UTC"),
+        ("2024-03-04T01:00:00.{:02d}+01:00", "UTC"),
+        ("2024-03-03T19:00:00.{:02d}-0500", "UTC"),
+        ("1709510400.{:02d}", None),
+        ("1709510400{:02d}0", None),
+        ("1709510400{:02d}0.0", None),
+        ("1709510400{:02d}0000", None),
+    ],
+)
+def test_ways_to_write_a_time(tmp_path: Path, form: str, zone: str | None) -> None:
+    found = with_times(tmp_path, [form.format(row) for row in range(90)])
+    assert after_start(found) == [row * 10_000 for row in range(90)]
+    assert found.recording.rate_hz == 100.0
+    assert found.recording.timezone == zone
+    assert found.recording.start_us == START_US
+
+
+def test_the_users_zone_is_kept_for_local_times(tmp_path: Path) -> None:
+    cells = [stamp(row * 10_000) for row in range(9)]
+    assert with_times(tmp_path, cells, timezone="Europe/Berlin").recording.timezone == "Europe/Berlin"
+    zoned = [cell + "Z" for cell in cells]
+    assert with_times(tmp_path, zoned, timezone="Europe/Berlin").recording.timezone == "UTC"
+
+
+def test_fractions_may_be_left_out_where_they_are_zero(tmp_path: Path) -> None:
+    cells = ["2024-03-04 00:00:00", "2024-03-04 00:00:00.5", "2024-03-04 00:00:01", "2024-03-04 00:00:01.5"]
+    assert after_start(with_times(tmp_path, cells)) == [0, 500_000, SECOND, 1_500_000]
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "us"),
+    [
+        ("time", 0.01, SECOND),
+        ("time", 10, 1000),
+        ("time", 10_000, 1),
+        ("time [s]", 1, SECOND),
+        ("time (ms)", 1, 1000),
+        ("time_ms", 0.5, 1000),
+        ("seconds", 2, SECOND),
+    ],
+)
+def test_times_from_the_start_of_the_recording(tmp_path: Path, name: str, step: float, us: int) -> None:
+    found = with_times(tmp_path, [f"{row * step:.2f}" for row in range(20)], name)
+    assert found.times.tolist() == [round(row * step * us) for row in range(20)]
+    assert found.recording.start_us is None
+    assert found.codes == ["no_start_time"]
+
+
+def test_seconds_or_milliseconds_are_settled_by_the_rate(tmp_path: Path) -> None:
+    cells = [str(row) for row in range(20)]
+    with pytest.raises(UnreadableError, match="may be seconds or milliseconds; give the right --rate"):
+        with_times(tmp_path, cells)
+    assert with_times(tmp_path, cells, rate_hz=1.0).times[1] == SECOND
+    assert with_times(tmp_path, cells, rate_hz=1000.0).times[1] == 1000
+    with pytest.raises(UnreadableError, match="does not fit 30 Hz"):
+        with_times(tmp_path, cells, rate_hz=30.0)
+    assert with_times(tmp_path, cells, rate_hz=30.0, time_column="none").times[3] == 100_000
+
+
+@pytest.mark.parametrize(
+    "cell", ["04/03/2024 12:00:0{}", "4.3.2024 12:00:0{}", "12:00:0{}", "2024-03-04 12:00:0{} PM"]
+)
+def test_dates_that_can_be_read_in_two_ways_are_refused(tmp_path: Path, cell: str) -> None:
+    with pytest.raises(
+        UnreadableError,
+        match=r"line 2: the (time .* is not written as 2024-03-04|date .* can be read as dmy or mdy)",
+    ):
+        with_times(tmp_path, [cell.format(row) for row in range(9)])
+
+
+def test_a_mix_of_zones_and_none_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableError, match="some times have a zone"):
+        with_times(tmp_path, [stamp(0), stamp(10_000) + "Z"] * 9)
+
+
+def test_a_rate_that_contradicts_the_times_is_refused(tmp_path: Path) -> None:
+    cells = [stamp(row * 10_000) for row in range(20)]
+    with pytest.raises(UnreadableError, match="its times say 100 Hz, not 30 Hz"):
+        with_times(tmp_path, cells, rate_hz=30.0)
+    assert with_times(tmp_path, cells, rate_hz=102.4).recording.rate_hz == 102.4
+
+
+def test_two_time_columns_are_asked_about(tmp_path: Path) -> None:
+    rows = "".join(f"{stamp(row * 10_000)},{stamp(row * 10_000)},0,0,1\n" for row in range(9))
+    path = written(tmp_path, "time_utc,time_local,x,y,z\n" + rows)
+    with pytest.raises(UnreadableError, match=r"several columns may be the time .*--time-column"):
+        read(path)
+    assert len(read(path, time_column="time_utc").times) == 9
+
+
+def test_without_times_rows_are_counted_at_the_rate(tmp_path: Path) -> None:
+    path = written(tmp_path, "x,y,z\n" + "0,0,1\n" * 31)
+    with pytest.raises(UnreadableError, match="--time-column, or give the sampling rate with --rate"):
+        read(path)
+    found = read(path, 7, rate_hz=30.0)
+    assert found.times.tolist() == [(row * SECOND + 15) // 30 for row in range(31)]
+    assert found.codes == ["no_start_time"]
+    assert found.recording.start_us is None
+
+
+def test_uneven_stamps_are_used_as_given(tmp_path: Path) -> None:
+    steps = [0, 33, 67, 100, 133, 133, 167, 200]
+    found = with_times(tmp_path, [stamp(step * 1000) for step in steps])
+    assert after_start(found) == [step * 1000 for step in steps]
+    assert found.breaks == []
+
+
+def test_gaps_and_steps_back_are_breaks(tmp_path: Path) -> None:
+    steps = [*range(20), *range(23, 40), *range(35, 60), *range(70, 90)]
+    found = with_times(tmp_path, [stamp(step * 10_000) for step in steps])
+    assert found.breaks == [20, 37, 62]
+    assert found.codes == ["clock_gap", "clock_back", "clock_gap"]
+    assert [problem.sample for problem in found.problems] == [20, 37, 62]
+    assert "ahead by 0.04 s before line 22" in found.problems[0].message
+    assert "back by 0.04 s before line 39" in found.problems[1].message
+
+
+def test_a_step_of_three_periods_is_no_gap(tmp_path: Path) -> None:
+    steps = [*range(20), *range(22, 40)]
+    assert with_times(tmp_path, [stamp(step * 10_000) for step in steps]).breaks == []
+
+
+def test_whole_seconds_are_spread_evenly(tmp_path: Path) -> None:
+    groups = [7, 10, 10, 9, 10, 11, 10, 4]
+    cells = [stamp(second * SECOND)[:19] for second, size in enumerate(groups) for _ in range(size)]
+    found = with_times(tmp_path, cells)
+    begin = [300_000 + row * 100_000 for row in range(7)]
+    middle = [
+        second * SECOND + (2 * row * SECOND + size) // (2 * size)
+        for second, size in enumerate(groups[1:-1], 1)
+        for row in range(size)
+    ]
+    end = [7 * SECOND + row * 100_000 for row in range(4)]
+    assert after_start(found) == begin + middle + end
+    assert found.recording.rate_hz == 10.0
+    assert found.recording.start_us == START_US + 300_000
+    assert (found.breaks, found.problems) == ([], [])
+
+
+def test_whole_seconds_around_a_gap(tmp_path: Path) -> None:
+    sizes = {0: 10, 1: 10, 2: 10, 3: 6, 8: 4, 9: 10, 10: 10}
+    cells = [stamp(second * SECOND)[:19] for second, size in sizes.items() for _ in range(size)]
+    found = with_times(tmp_path, cells)
+    times = after_start(found)
+    assert times[30:36] == [3 * SECOND + row * 100_000 for row in range(6)]
+    assert times[36:40] == [8 * SECOND + row * 100_000 for row in range(6, 10)]
+    assert found.breaks == [36]
+    assert found.codes == ["clock_gap"]
+
+
+def test_stamps_shared_by_minutes_and_by_batches(tmp_path: Path) -> None:
+    minutes = [stamp(minute * 60 * SECOND)[:16] for minute in range(5) for _ in range(120)]
+    found = with_times(tmp_path, minutes)
+    assert found.recording.rate_hz == 2.0
+    assert after_start(found) == [row * 500_000 for row in range(600)]
+    batches = [stamp(batch * 80_000) for batch in range(20) for _ in range(4)]
+    assert after_start(with_times(tmp_path, batches)) == [row * 20_000 for row in range(80)]
+
+
+@pytest.mark.parametrize("piece", [1, 37, 400, 5000])
+@pytest.mark.parametrize("chunk_samples", [1, 5, 64, 1000])
+def test_spreading_and_gaps_do_not_depend_on_blocks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int, chunk_samples: int
+) -> None:
+    sizes = [7, 10, 10, 3, 10, 95, 10, 0, 0, 10, 10, 1, 10, 10, 4]
+    cells = [stamp(second * SECOND)[:19] for second, size in enumerate(sizes) for _ in range(size)]
+    cells[50:52] = ["", ""]
+    cells[0] = ""
+    whole = with_times(tmp_path, cells)
+    assert {"clock_gap", "clock_back", "missing_value"} <= set(whole.codes)
+    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", piece)
+    assert with_times(tmp_path, cells, chunk_samples=chunk_samples).same_as(whole)
+
+
+def test_a_stopped_clock_asks_for_the_rate(tmp_path: Path) -> None:
+    cells = [stamp(0)] * 50
+    with pytest.raises(UnreadableError, match="do not tell the sampling rate; give it with --rate"):
+        with_times(tmp_path, cells)
+    found = with_times(tmp_path, cells[:20], rate_hz=30.0)
+    assert np.array_equal(np.diff(found.times) // 1000, np.full(19, 33))

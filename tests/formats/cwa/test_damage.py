@@ -1,0 +1,295 @@
+"""Axivity recordings with lost, damaged and foreign sectors, and clocks that jump."""
+
+from __future__ import annotations
+
+import gzip
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Chunk, Device
+from tests.formats.cwa.test_cwa import everything, joined, opened, random_counts, times_of
+from tests.formats.make_cwa import START_US, Sector, header, make, sectors, with_checksum, written
+
+VALUES = random_counts(800)
+SAMPLE_US = 10_000
+Found = list[tuple[str, int | None, int, int]]
+
+
+def pages() -> list[Sector]:
+    """Ten full sectors."""
+    return sectors(VALUES)
+
+
+def read(path: Path, chunk_samples: int = 300) -> tuple[list[Chunk], list[int], Found]:
+    """Chunks, breaks, and problems as (code, byte offset, sample, count)."""
+    chunks = list(opened(path).chunks(chunk_samples))
+    breaks = [chunk.first_sample + row for chunk in chunks for row in chunk.breaks.tolist()]
+    problems = [problem for chunk in chunks for problem in chunk.problems]
+    return chunks, breaks, [(p.code, p.byte_offset, p.sample, p.count) for p in problems]
+
+
+def without(*lost: int) -> np.ndarray:
+    return np.concatenate([VALUES[80 * k : 80 * k + 80] for k in range(10) if k not in lost])
+
+
+def raw_file(path: Path, data: list[bytes], head: bytes | None = None) -> Path:
+    path.write_bytes((header() if head is None else head) + b"".join(data))
+    return path
+
+
+def spoiled(page: bytes) -> bytes:
+    return page[:100] + bytes([page[100] ^ 1]) + page[101:]
+
+
+def test_sectors_with_a_wrong_checksum_are_left_out_and_counted(tmp_path: Path) -> None:
+    data = [page.to_bytes() for page in pages()]
+    for k in (3, 4, 7):
+        data[k] = spoiled(data[k])
+    chunks, breaks, problems = read(raw_file(tmp_path / "a.cwa", data))
+    assert (joined(chunks, "counts") == without(3, 4, 7)).all()
+    assert breaks == [240, 400]
+    assert problems == [("checksum", 1024 + 3 * 512, 240, 2), ("checksum", 1024 + 7 * 512, 400, 1)]
+    truth = START_US + SAMPLE_US * np.arange(800)
+    kept = np.r_[0:240, 400:560, 640:800]
+    assert np.abs(times_of(chunks) - truth[kept]).max() <= 31
+
+
+def test_real_damage_leaves_the_other_sectors_as_in_the_healthy_file(real_data: Path) -> None:
+    folder = real_data / "vendor"
+    healthy = joined(list(opened(folder / "ax3_100hz_3min.cwa").chunks(1000)), "counts").reshape(145, 120, 3)
+    chunks, breaks, problems = read(folder / "ax3_corrupt_blocks_0_13_14_142_143_144.cwa")
+    kept = np.delete(healthy, [0, 13, 14, 142, 143, 144], axis=0).reshape(-1, 3)
+    assert (joined(chunks, "counts") == kept).all()
+    assert breaks == [12 * 120]
+    assert problems == [
+        ("checksum", 1024, 0, 1),
+        ("checksum", 1024 + 13 * 512, 1440, 2),
+        ("checksum", 1024 + 142 * 512, 16680, 3),
+    ]
+    whole = times_of(list(opened(folder / "ax3_100hz_3min.cwa").chunks(1000))).reshape(145, 120)
+    known = np.delete(whole, [0, 13, 14, 142, 143, 144], axis=0).reshape(-1)
+    assert np.abs(times_of(chunks) - known)[120:].max() < 3000
+
+
+def test_missing_sequence_numbers_are_a_gap(tmp_path: Path) -> None:
+    kept = [page for page in pages() if page.sequence not in (2, 3, 4)]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", kept))
+    assert (breaks, problems) == ([160], [("sequence_gap", 2048, 160, 3)])
+    assert np.diff(times_of(chunks))[159] == pytest.approx(241 * SAMPLE_US, abs=62)
+
+
+def test_a_long_gap_begins_a_new_run_without_a_jump_of_the_clock(tmp_path: Path) -> None:
+    later = [
+        replace(page, sequence=page.sequence + 5000, time_us=page.time_us + 5000 * 80 * 10_100)
+        for page in pages()[5:]
+    ]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", pages()[:5] + later))
+    assert (breaks, problems) == ([400], [("sequence_gap", 1024 + 5 * 512, 400, 5000)])
+    assert np.abs(np.diff(times_of(chunks)[400:]) - SAMPLE_US).max() <= 2
+
+
+def test_a_restart_of_the_logging_is_a_break(tmp_path: Path) -> None:
+    again = [
+        replace(page, time_us=page.time_us + 60_000_000, events=1 * (k == 0))
+        for k, page in enumerate(pages())
+    ]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", pages() + again))
+    assert breaks == [800]
+    assert problems == [("sequence_back", 6144, 800, 1), ("clock_gap", 6144, 800, 1)]
+    assert times_of(chunks)[800] == START_US + 60_000_000
+    assert times_of(chunks)[799] == pytest.approx(START_US + 7_990_000, abs=62)
+
+
+def test_a_resume_flag_alone_is_not_a_break(tmp_path: Path) -> None:
+    flagged = [replace(page, events=1) for page in pages()]
+    assert read(written(tmp_path / "a.cwa", flagged))[1:] == ([], [])
+
+
+def test_a_new_session_is_a_break(tmp_path: Path) -> None:
+    two = [replace(page, session=778 if page.sequence >= 6 else 777) for page in pages()]
+    _, breaks, problems = read(written(tmp_path / "a.cwa", two))
+    assert (breaks, problems) == ([480], [("session_change", 1024 + 6 * 512, 480, 1)])
+
+
+@pytest.mark.parametrize(
+    ("shift", "code"), [(300_000, "clock_gap"), (-300_000, "clock_back"), (-9_000_000, "clock_back")]
+)
+def test_jumps_of_the_clock_are_breaks(tmp_path: Path, shift: int, code: str) -> None:
+    jumping = [replace(page, time_us=page.time_us + shift * (page.sequence >= 5)) for page in pages()]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", jumping))
+    assert (breaks, problems) == ([400], [(code, 1024 + 5 * 512, 400, 1)])
+    truth = START_US + SAMPLE_US * np.arange(800) + shift * (np.arange(800) >= 400)
+    assert np.abs(times_of(chunks) - truth).max() <= 40
+
+
+def test_a_small_excursion_of_the_clock_is_none(tmp_path: Path) -> None:
+    late = [replace(page, time_us=page.time_us + 200_000 * (page.sequence == 5)) for page in pages()]
+    assert read(written(tmp_path / "a.cwa", late))[1:] == ([], [])
+
+
+def test_overflow_of_the_device_is_a_break(tmp_path: Path) -> None:
+    lossy = [replace(page, events=0x20 * (page.sequence == 4)) for page in pages()]
+    _, breaks, problems = read(written(tmp_path / "a.cwa", lossy))
+    assert (breaks, problems) == ([320], [("device_overflow", 1024 + 4 * 512, 320, 1)])
+
+
+def test_sectors_of_another_rate_or_range_are_left_out(tmp_path: Path) -> None:
+    mixed = pages()
+    mixed[4] = replace(mixed[4], rate_code=0x49)
+    mixed[5] = replace(mixed[5], rate_code=0x49)
+    mixed[8] = replace(mixed[8], rate_code=0x8A)
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", mixed))
+    assert (joined(chunks, "counts") == without(4, 5, 8)).all()
+    assert breaks == [320, 480]
+    assert problems == [("rate_change", 1024 + 4 * 512, 320, 2), ("settings_change", 1024 + 8 * 512, 480, 1)]
+
+
+@pytest.mark.parametrize("count", [0, 81, 65535])
+def test_impossible_counts_are_bad_sectors(tmp_path: Path, count: int) -> None:
+    wrong = [replace(page, count=count) if page.sequence == 4 else page for page in pages()]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", wrong))
+    assert (joined(chunks, "counts") == without(4)).all()
+    assert (breaks, problems) == ([320], [("bad_page", 1024 + 4 * 512, 320, 1)])
+
+
+def test_short_sectors_give_their_samples(tmp_path: Path) -> None:
+    short = [replace(page, count=50) if page.sequence == 4 else page for page in pages()]
+    chunks, _, _ = read(written(tmp_path / "a.cwa", short))
+    assert (joined(chunks, "counts") == np.delete(VALUES, np.s_[370:400], axis=0)).all()
+
+
+@pytest.mark.parametrize("filler", [b"\0", b"\xff"])
+def test_empty_sectors_end_the_data_but_are_bad_in_the_middle(tmp_path: Path, filler: bytes) -> None:
+    data = [page.to_bytes() for page in pages()]
+    at_end = data + [filler * 512] * 9 + [filler * 100]
+    chunks, breaks, problems = read(raw_file(tmp_path / "a.cwa", at_end))
+    assert (len(joined(chunks, "counts")), breaks, problems) == (800, [], [])
+    inside = data[:4] + [filler * 512] * 2 + data[6:]
+    chunks, breaks, problems = read(raw_file(tmp_path / "b.cwa", inside))
+    assert (joined(chunks, "counts") == without(4, 5)).all()
+    assert (breaks, problems) == ([320], [("bad_page", 1024 + 4 * 512, 320, 2)])
+
+
+def test_usage_blocks_are_no_damage(tmp_path: Path) -> None:
+    data = [page.to_bytes() for page in pages()]
+    data[5:5] = [with_checksum(b"UB" + data[5][2:])]
+    assert read(raw_file(tmp_path / "a.cwa", data))[1:] == ([], [])
+
+
+@pytest.mark.parametrize("head", [bytes(1024), b"\xff" * 1024, b"", bytes(512)])
+def test_a_damaged_header_does_not_prevent_reading(tmp_path: Path, head: bytes) -> None:
+    path = raw_file(tmp_path / "a.cwa", [page.to_bytes() for page in pages()], head)
+    chunks, breaks, problems = read(path)
+    assert (joined(chunks, "counts") == VALUES).all()
+    assert (breaks, problems) == ([], [("damaged_header", 0, 0, 1)])
+    recording = opened(path).recording
+    assert (recording.rate_hz, recording.range_g, recording.device) == (100, 8, Device("AX3"))
+
+
+def test_sectors_tell_the_device_where_the_header_is_lost(tmp_path: Path) -> None:
+    coarse = [replace(page, fractional=False, scale=4 << 3) for page in sectors(VALUES, rate_code=0x47)]
+    recording = opened(written(tmp_path / "a.cwa", coarse, bytes(1024))).recording
+    assert recording.device == Device("AX6", "12345")
+
+
+def test_sectors_without_a_time_are_placed_by_counting(tmp_path: Path) -> None:
+    untimed = [replace(page, stamp=0) if page.sequence in (4, 5) else page for page in pages()]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", untimed))
+    assert (breaks, problems) == ([], [("missing_value", 1024 + 4 * 512, 320, 2)])
+    assert np.abs(times_of(chunks) - START_US - SAMPLE_US * np.arange(800)).max() <= 62
+
+
+def test_a_clock_that_was_never_set_counts_from_1970(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.cwa", [replace(page, stamp=0) for page in pages()])
+    chunks, breaks, problems = read(path)
+    assert opened(path).recording.start_us is None
+    assert breaks == []
+    assert problems == [("no_start_time", 1024, 0, 1), ("missing_value", 1024, 0, 10)]
+    assert times_of(chunks).tolist() == (SAMPLE_US * np.arange(800)).tolist()
+
+
+def test_the_oldest_format_has_no_checksum_and_its_rate_in_hertz(tmp_path: Path) -> None:
+    data = []
+    for page in pages():
+        raw = bytearray(replace(page, time_us=START_US + page.sequence * 1_000_000).to_bytes())
+        raw[24], raw[26:28] = 0, (80).to_bytes(2, "little")
+        data.append(bytes(raw))
+    path = raw_file(tmp_path / "old.cwa", data)
+    chunks, breaks, problems = read(path)
+    assert (joined(chunks, "counts") == VALUES).all()
+    assert (opened(path).recording.rate_hz, opened(path).recording.range_g) == (80, 16)
+    assert (breaks, problems) == ([], [])
+    assert times_of(chunks).tolist() == (START_US + 12_500 * np.arange(800)).tolist()
+
+
+def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Path) -> None:
+    whole = written(tmp_path / "whole.cwa", pages()[:3]).read_bytes()
+    path = tmp_path / "cut.cwa"
+    for size in range(1, len(whole) + 1):
+        path.write_bytes(whole[:size])
+        sectors_left, rest = divmod(size - 1024, 512)
+        if sectors_left < 1:
+            with pytest.raises(UnreadableError, match=r"cut\.cwa, byte .*copy it again"):
+                opened(path)
+            continue
+        chunks, breaks, problems = read(path)
+        assert (joined(chunks, "counts") == VALUES[: 80 * sectors_left]).all()
+        tail = [("truncated", 1024 + 512 * sectors_left, 80 * sectors_left, rest)] if rest else []
+        assert (breaks, problems) == ([], tail)
+
+
+def test_a_broken_gzip_gives_the_same_rows_for_every_chunk_size(tmp_path: Path) -> None:
+    whole = gzip.compress(make(tmp_path, random_counts(20_000), 100.0, 256.0).path.read_bytes())
+    path = tmp_path / "cut.cwa.gz"
+    path.write_bytes(whole[: len(whole) // 2])
+    results = [everything(opened(path), size) for size in (1, 3000, 10**6)]
+    assert results[0] == results[1] == results[2]
+    assert 8000 < len(results[0][0]) < 12_000
+    assert results[0][4][-1].code == "truncated"
+
+
+def test_mutations_give_rows_or_a_plain_error_and_do_not_depend_on_chunks(tmp_path: Path) -> None:
+    kinds = [pages(), sectors(random_counts(400, 6), axes=0x62, scale=0x23), sectors(VALUES, axes=0x32)]
+    path, random = tmp_path / "mutant.cwa", np.random.default_rng(8)
+    read_at_all = 0
+    for number in range(150):
+        data = bytearray(written(path, kinds[number % 3]).read_bytes())
+        for at in random.integers(0, len(data), random.integers(1, 20)):
+            data[at] = random.integers(256)
+        mended = bytes(data[:1024]) + b"".join(
+            with_checksum(bytes(data[at : at + 512])) for at in range(1024, len(data), 512)
+        )
+        path.write_bytes(mended if number % 2 else bytes(data))
+        try:
+            results = [everything(opened(path), size) for size in (1, 1000)]
+        except UnreadableError as error:
+            assert "holds no intact data sector" in str(error)
+            continue
+        read_at_all += 1
+        assert results[0] == results[1]
+        assert results[0][5]
+    assert read_at_all > 140
+
+
+def test_many_problems_are_few_records(tmp_path: Path) -> None:
+    data = [page.to_bytes() for page in sectors(random_counts(48_000))]
+    data[1::2] = [spoiled(page) for page in data[1::2]]
+    chunks, breaks, problems = read(raw_file(tmp_path / "a.cwa", data), 1000)
+    assert len(problems) <= 101
+    assert sum(count for _, _, _, count in problems) == 300
+    assert len(breaks) == 299
+    assert np.abs(np.diff(times_of(chunks)[:80]) - SAMPLE_US).max() <= 1
+
+
+def test_nothing_of_the_format_is_an_error_with_a_place(tmp_path: Path) -> None:
+    path = tmp_path / "a.cwa"
+    path.write_bytes(bytes(5000))
+    with pytest.raises(UnreadableError, match=r"a\.cwa, byte 1024: is not an Axivity .cwa recording"):
+        opened(path)
+    raw_file(path, [spoiled(page.to_bytes()) for page in pages()])
+    with pytest.raises(UnreadableError, match="holds no intact data sector"):
+        opened(path)

@@ -1,0 +1,249 @@
+"""Gzip-packed HDF5 chunks unpacked without h5py: the oracle is what was written, and h5py itself."""
+
+from __future__ import annotations
+
+import threading
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats.hdf5 import HDF5
+from accelcal_cli.formats.hdf5 import rows as _chunks
+from accelcal_cli.formats.hdf5 import rows as _rows
+from accelcal_cli.formats.hdf5.datasets import Track
+from tests.formats.make_hdf5 import Read, about, joined, write
+
+ROWS, CHUNK = 40_000, 6000
+
+
+def counts() -> np.ndarray:
+    return np.random.default_rng(5).integers(-2048, 2048, (ROWS, 3)).astype(np.int16)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a.h5"
+
+
+@pytest.fixture
+def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[range, bool]]:
+    """What was read by chunks, and whether h5py was not needed for it."""
+    seen: list[tuple[range, bool]] = []
+    read = _chunks.StoredChunks.read
+
+    def spy(self: _chunks.StoredChunks, rows: range) -> Any:
+        values = read(self, rows)
+        seen.append((rows, values is not None))
+        return values
+
+    monkeypatch.setattr(_chunks.StoredChunks, "read", spy)
+    return seen
+
+
+def streamed(path: Path, threads: int = 1, samples: int = 7000) -> Read:
+    with HDF5.open(path, ReadOptions()) as reader:
+        reader.threads = threads
+        return joined(reader.recording, reader.chunks(samples))
+
+
+def by_h5py(path: Path, monkeypatch: pytest.MonkeyPatch) -> Read:
+    with monkeypatch.context() as patch:
+        patch.setattr(_rows, "LEAST_BYTES", 1 << 40)
+        return streamed(path)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("shuffle", [False, True])
+@pytest.mark.parametrize("dtype", ["<i2", ">i4", "<f4", "f8", ">i8"])
+@pytest.mark.parametrize("shape", ["wide", "transposed", "columns"])
+def test_chunks_are_unpacked_as_they_were_packed(
+    path: Path, done: list[tuple[range, bool]], threads: int, shuffle: bool, dtype: str, shape: str
+) -> None:
+    packed: dict[str, Any] = {"compression": "gzip", "compression_opts": 1, "shuffle": shuffle}
+    values = counts().astype(dtype)
+    if shape == "columns":
+        with h5py.File(path, "w") as file:
+            for name, column in zip("xyz", values.T, strict=True):
+                file.create_dataset(name, data=column, chunks=(9000,), **packed).attrs.update(about())
+    elif shape == "transposed":
+        write(path, {"accel": values.T}, about(), chunks=(3, CHUNK), **packed)
+    else:
+        write(path, {"accel": values}, about(), chunks=(CHUNK, 3), **packed)
+    got = streamed(path, threads)
+    assert (got.counts == counts()).all()
+    assert (got.codes, got.breaks) == ([], [])
+    assert all(whole for _, whole in done)
+    assert {rows.stop for rows, _ in done} >= {ROWS}
+
+
+@pytest.mark.parametrize("size", [1, 2, 4, 8])
+def test_shuffled_bytes_are_put_together(size: int) -> None:
+    raw = np.random.default_rng(size).integers(0, 256, size * 999, np.uint8)
+    expected = raw.reshape(size, -1).T.tobytes()
+    assert _chunks.together(raw.tobytes(), size).tobytes() == expected
+
+
+def overwrite(path: Path, row: int, change: Callable[[bytes], tuple[int, bytes]]) -> None:
+    """Store another chunk in the place of the one that begins with a row."""
+    with h5py.File(path, "r+") as file:
+        dataset = file["accel"].id
+        mask, data = change(dataset.read_direct_chunk((row, 0))[1])
+        dataset.write_direct_chunk((row, 0), data, mask)
+
+
+def turned(data: bytes) -> bytes:
+    return data[:200] + bytes([data[200] ^ 255]) + data[201:]
+
+
+CHANGES: dict[str, Callable[[bytes], tuple[int, bytes]]] = {
+    "a byte turned": lambda data: (0, turned(data)),
+    "cut": lambda data: (0, data[:500]),
+    "checksum": lambda data: (0, data[:-1] + bytes([data[-1] ^ 1])),
+    "longer than a chunk": lambda data: (0, zlib.compress(zlib.decompress(data) + bytes(601))),
+    "followed by something": lambda data: (0, data + bytes(9)),
+    "not packed": lambda data: (1, zlib.decompress(data)),
+    "not packed, though it looks so": lambda data: (1, zlib.compress(bytes(6 * CHUNK)).ljust(6 * CHUNK)),
+}
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_chunk_that_is_not_plain_gives_what_h5py_gives(
+    path: Path, monkeypatch: pytest.MonkeyPatch, change: str, threads: int
+) -> None:
+    monkeypatch.setattr(_rows, "STORED_ROWS", 3 * CHUNK)
+    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
+    overwrite(path, 2 * CHUNK, CHANGES[change])
+    got = streamed(path, threads)
+    assert got.same_as(by_h5py(path, monkeypatch))
+    kept = np.r_[0 : 2 * CHUNK, 3 * CHUNK : ROWS]
+    damaged = change in ("a byte turned", "cut", "checksum")
+    assert got.codes == ["bad_page"] * damaged
+    assert ((got.counts if damaged else got.counts[kept]) == counts()[kept]).all()
+
+
+@pytest.mark.parametrize(("beside", "first"), [("a byte turned", CHUNK), ("not packed", 0)])
+def test_a_chunk_that_holds_too_little_is_lost_whatever_is_beside_it(
+    path: Path, beside: str, first: int
+) -> None:
+    """h5py would give what lies behind it in memory."""
+    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
+    overwrite(path, 0, CHANGES[beside])
+    overwrite(path, 2 * CHUNK, lambda _: (0, zlib.compress(bytes(600))))
+    got = streamed(path)
+    assert (got.counts == counts()[np.r_[first : 2 * CHUNK, 3 * CHUNK : ROWS]]).all()
+    assert set(got.codes) == {"bad_page"}
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_chunks_that_were_never_written_are_lost(
+    path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset(
+            "accel", (ROWS, 3), "i2", chunks=(CHUNK, 3), compression="gzip", fillvalue=7
+        )
+        dataset[: 2 * CHUNK] = counts()[: 2 * CHUNK]
+        dataset[4 * CHUNK :] = counts()[4 * CHUNK :]
+        dataset.attrs.update(about())
+    got = streamed(path, threads)
+    assert (got.counts == counts()[np.r_[0 : 2 * CHUNK, 4 * CHUNK : ROWS]]).all()
+    assert (got.codes, got.breaks) == (["bad_page"], [2 * CHUNK])
+    assert got.same_as(by_h5py(path, monkeypatch))
+
+
+LEFT_TO_H5PY: dict[str, dict[str, Any]] = {
+    "lzf": {"compression": "lzf"},
+    "checksums": {"compression": "gzip", "fletcher32": True},
+    "only shuffled": {"shuffle": True},
+    "part of the columns": {"compression": "gzip", "chunks": (CHUNK * 3, 1)},
+    "small chunks": {"compression": "gzip", "chunks": (100, 3)},
+    "scaled": {"scaleoffset": 0, "compression": "gzip"},
+}
+
+
+@pytest.mark.parametrize("layout", LEFT_TO_H5PY)
+def test_what_is_packed_otherwise_is_left_to_h5py(
+    path: Path, done: list[tuple[range, bool]], layout: str
+) -> None:
+    write(path, {"accel": counts()}, about(), **{"chunks": (CHUNK, 3), **LEFT_TO_H5PY[layout]})
+    assert (streamed(path).counts == counts()).all()
+    assert done == []
+
+
+def test_numbers_that_numpy_does_not_know_are_left_to_h5py(
+    path: Path, done: list[tuple[range, bool]]
+) -> None:
+    """Twelve bits in the upper part of two bytes: HDF5 shifts them."""
+    kind = h5py.h5t.STD_I16LE.copy()
+    kind.set_precision(12)
+    kind.set_offset(4)
+    with h5py.File(path, "w") as file:
+        settings = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+        settings.set_chunk((CHUNK, 3))
+        settings.set_deflate(1)
+        space = h5py.h5s.create_simple((ROWS, 3))
+        h5py.h5d.create(file.id, b"accel", kind, space, settings).write(h5py.h5s.ALL, h5py.h5s.ALL, counts())
+        file["accel"].attrs.update(about())
+    assert (streamed(path).counts == counts()).all()
+    assert done == []
+
+
+def test_large_chunks_are_left_to_h5py(
+    path: Path, monkeypatch: pytest.MonkeyPatch, done: list[tuple[range, bool]]
+) -> None:
+    monkeypatch.setattr(_rows, "MOST_BYTES", 6 * CHUNK - 1)
+    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
+    assert (streamed(path).counts == counts()).all()
+    assert done == []
+
+
+def test_what_was_unpacked_ahead_is_not_taken_for_other_rows(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_rows, "STORED_ROWS", CHUNK)
+    write(path, {"accel": counts()}, chunks=(CHUNK, 3), compression="gzip")
+    track = Track("/accel", ROWS, 3, 0, np.dtype("i2"))
+    with h5py.File(path) as file, _chunks.unpackers(2) as pool:
+        rows = _rows.TrackRows(file, track, path, pool)
+        for start in (0, 3 * CHUNK, 100, CHUNK):
+            assert (rows.read(start, start + 200)[0] == counts()[start : start + 200]).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_only_where_several_may_work_is_anything_unpacked_ahead(
+    path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
+) -> None:
+    monkeypatch.setattr(_rows, "STORED_ROWS", CHUNK)
+    begun: list[tuple[int, str]] = []
+    unpack = _chunks.StoredChunks._unpack
+
+    def spy(self: _chunks.StoredChunks, row: int, into: np.ndarray) -> bool:
+        begun.append((row, threading.current_thread().name))
+        return unpack(self, row, into)
+
+    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
+    with HDF5.open(path, ReadOptions()) as reader:
+        monkeypatch.setattr(_chunks.StoredChunks, "_unpack", spy)
+        reader.threads = threads
+        stream = reader.chunks(CHUNK)
+        next(stream)
+        stream.close()
+    assert {row for row, _ in begun} == ({0} if threads == 1 else {0, CHUNK})
+    assert all(name.startswith("hdf5") == (threads > 1) for _, name in begun)
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("hdf5")]
+
+
+def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("accelcal_cli.formats.hdf5.stream.PIECE_BYTES", 24_000)
+    write(path, {"accel": counts().astype("f8")}, about())
+    with HDF5.open(path, ReadOptions()) as reader:
+        parts = [chunk.counts for chunk in reader.chunks(1 << 20)]
+    assert max(map(len, parts)) == 1000
+    assert (np.concatenate(parts) == counts()).all()

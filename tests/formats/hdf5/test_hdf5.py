@@ -1,0 +1,734 @@
+"""HDF5 files: finding datasets, units, times, damage. The oracle is h5py and plain arithmetic."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions, probe_file
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.formats import find_format
+from accelcal_cli.formats.hdf5 import HDF5
+from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
+from accelcal_cli.formats.hdf5.file import heaps_are_sound
+from tests.formats.make_hdf5 import START, START_US, about, even_times, joined, read, write
+
+ROWS = 500
+
+
+def counts(rows: int = ROWS, seed: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).integers(-2048, 2048, (rows, 3)).astype(np.int16)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a.h5"
+
+
+def columns(values: np.ndarray, names: str) -> dict[str, np.ndarray]:
+    return dict(zip(names.split(), values.T, strict=True))
+
+
+# --- finding the acceleration
+
+
+@pytest.mark.parametrize(
+    "name", ["accel", "Acceleration", "wrist/ACC", "a/b/accelerometer/data", "raw", "XYZ"]
+)
+def test_a_dataset_of_three_columns_is_found_by_name_in_any_group(path: Path, name: str) -> None:
+    write(path, {name: counts()}, about(serial="7", model="M1", firmware="1.2", range_g=8))
+    got = read(path)
+    assert (got.counts == counts()).all()
+    assert got.counts.dtype == np.int16
+    assert (got.times == even_times(ROWS, 100.0)).all()
+    recording = got.recording
+    assert (recording.rate_hz, recording.lsb_per_g, recording.range_g) == (100.0, 256.0, 8.0)
+    assert (recording.device.serial, recording.device.model, recording.device.firmware) == ("7", "M1", "1.2")
+    assert (recording.start_us, recording.samples, recording.duration_s) == (START_US, ROWS, 5.0)
+    assert (got.breaks, got.problems) == ([], [])
+
+
+@pytest.mark.parametrize(
+    "names", ["x y z", "imu/acc_x imu/acc_y imu/acc_z", "AX AY AZ", "s/x_accel s/y_accel s/z_accel"]
+)
+def test_three_datasets_of_one_column_are_found_by_name(path: Path, names: str) -> None:
+    write(path, columns(counts(), names), about())
+    assert (read(path).counts == counts()).all()
+
+
+def test_axes_of_a_gyroscope_and_a_magnetometer_are_not_taken_for_acceleration(path: Path) -> None:
+    names = "imu/{0}/x imu/{0}/y imu/{0}/z"
+    with_gyro = columns(counts(), names.format("accelerometer")) | columns(
+        counts(), names.format("gyroscope")
+    )
+    write(path, with_gyro | columns(counts(), names.format("mag")), about())
+    assert (read(path).counts == counts()).all()
+
+
+@pytest.mark.parametrize("values", [counts().T, counts().T.astype(">i4")])
+def test_rows_along_the_second_dimension_are_read_as_rows(path: Path, values: np.ndarray) -> None:
+    write(path, {"accel": values}, about(), chunks=(3, 64), compression="gzip")
+    assert (read(path).counts == counts()).all()
+
+
+def test_single_columns_may_have_a_second_dimension_of_one(path: Path) -> None:
+    write(path, {"x": counts()[:, :1], "y": counts()[:, 1:2].T, "z": counts()[:, 2]}, about())
+    assert (read(path).counts == counts()).all()
+
+
+def test_several_candidates_are_refused_with_their_list(path: Path) -> None:
+    write(path, {"left/accel": counts(), "right/accel": counts(seed=4)}, about())
+    with pytest.raises(UnreadableError, match=r"/left/accel, /right/accel.*--columns"):
+        read(path)
+    assert (read(path, sensor="RIGHT", lsb_per_g=1.0, rate_hz=10.0).counts == counts(seed=4)).all()
+
+
+def test_no_candidate_is_refused_with_the_list_of_datasets(path: Path) -> None:
+    write(path, {"signal": counts(), "other": np.arange(3.0)}, about())
+    with pytest.raises(UnreadableError, match=r"--columns .*/other \(3\), /signal \(500 x 3\)"):
+        read(path)
+
+
+@pytest.mark.parametrize("names", [("signal",) * 3, ("/signal",) * 3, ("grp/a", "grp/b", "c")])
+def test_columns_name_one_dataset_thrice_or_three(path: Path, names: tuple[str, str, str]) -> None:
+    write(path, {"signal": counts()} | columns(counts(), "grp/a grp/b grp/C"), about())
+    more: dict[str, Any] = {"rate_hz": 100.0, "lsb_per_g": 256.0}
+    assert (read(path, columns=names, **more).counts == counts()).all()
+
+
+@pytest.mark.parametrize("names", [("signal", "signal", "a"), ("a", "a", "nothing"), ("a", "b", "short")])
+def test_columns_that_do_not_fit_are_refused(path: Path, names: tuple[str, str, str]) -> None:
+    write(path, {"signal": counts(), "short": np.arange(9)} | columns(counts(), "a b c"), about())
+    with pytest.raises(UsageError, match=r"signal|nothing|short"):
+        read(path, columns=names)
+
+
+# --- attributes, units and scales
+
+
+@pytest.mark.parametrize(
+    "rate", [50, np.float32(50), "50", "50 Hz", b"50.0", np.array([50.0]), np.bytes_(b"50")]
+)
+@pytest.mark.parametrize("name", ["fs", "Hz", "Sampling Rate", "rate_hz"])
+def test_attributes_may_be_of_many_kinds(path: Path, rate: Any, name: str) -> None:
+    write(path, {"accel": counts()}, about(sample_rate=None, **{name: rate}, serial=np.bytes_(b"A1\0")))
+    assert read(path).recording.rate_hz == 50.0
+    assert read(path).recording.device.serial == "A1"
+
+
+def test_the_nearest_attribute_wins_and_options_outweigh_all(path: Path) -> None:
+    write(path, {"s/accel": counts()}, about(sample_rate=None, lsb_per_g=None, units=None, start_time=None))
+    with h5py.File(path, "a") as file:
+        file.attrs.update(fs=10.0, lsb_per_g=100.0, start_time=START)
+        file["s"].attrs["fs"] = 20.0
+    recording = read(path).recording
+    assert (recording.rate_hz, recording.lsb_per_g, recording.start_us) == (20.0, 100.0, START_US)
+    recording = read(path, rate_hz=40.0, lsb_per_g=64.0, timezone="Europe/Oslo").recording
+    assert (recording.rate_hz, recording.lsb_per_g, recording.timezone) == (40.0, 64.0, "Europe/Oslo")
+    assert read(path, unit="mg").recording.lsb_per_g == 1000.0
+
+
+@pytest.mark.parametrize(
+    ("missing", "hint"), [("sample_rate", "--rate"), ("lsb_per_g", "--lsb-per-g"), ("units", "--lsb-per-g")]
+)
+def test_what_is_nowhere_told_is_asked_for(path: Path, missing: str, hint: str) -> None:
+    write(
+        path,
+        {"accel": counts()},
+        about(**{missing: None, "lsb_per_g": None if missing != "sample_rate" else 9}),
+    )
+    with pytest.raises(UnreadableError, match=hint):
+        read(path)
+
+
+@pytest.mark.parametrize("unit", ["furlong", None])
+def test_fractions_without_a_known_unit_are_asked_about(path: Path, unit: str | None) -> None:
+    write(path, {"accel": counts() / 256}, about(units=unit, lsb_per_g=None))
+    with pytest.raises(UnreadableError, match="--unit"):
+        read(path)
+    assert (read(path, unit="g").g == counts() / 256).all()
+
+
+@pytest.mark.parametrize("changes", [{"sample_rate": 1e300}, {"sample_rate": 0.0}, {"lsb_per_g": -1.0}])
+def test_numbers_that_cannot_be_right_are_refused(path: Path, changes: dict[str, float]) -> None:
+    write(path, {"accel": counts()}, about(**changes))
+    with pytest.raises(UnreadableError, match="cannot be right"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("unit", "per_g"),
+    [("g", 1.0), ("mg", 1000.0), ("m/s^2", 9.80665), ("m/s2", 9.80665), (b"m s-2", 9.80665)],
+)
+def test_fractions_go_to_the_fine_grid(path: Path, unit: str, per_g: float) -> None:
+    values = counts() / 256 * per_g
+    write(path, {"accel": values}, about(units=unit, lsb_per_g=None))
+    got = read(path)
+    assert got.recording.lsb_per_g == FLOAT_LSB_PER_G
+    assert got.counts.dtype == np.int32
+    assert (got.counts == counts().astype(np.int64) * 65_536).all()
+
+
+def test_whole_numbers_in_mg_stay_whole_counts(path: Path) -> None:
+    write(path, {"accel": counts()}, about(units="mg", lsb_per_g=None))
+    got = read(path)
+    assert (got.recording.lsb_per_g, got.counts.dtype) == (1000.0, np.int16)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "kept"),
+    [
+        ("i1", "i2"),
+        ("u1", "i2"),
+        (">i2", "i2"),
+        ("u2", "i4"),
+        ("i4", "i4"),
+        ("i8", "i4"),
+        ("f4", "i4"),
+        ("f8", "i4"),
+    ],
+)
+def test_whole_counts_of_any_type_are_kept_exactly(path: Path, dtype: str, kept: str) -> None:
+    values = (counts() % 100).astype(dtype)
+    write(path, {"accel": values}, about())
+    got = read(path)
+    assert got.counts.dtype == kept
+    assert (got.counts == values).all()
+
+
+def test_counts_beyond_32_bits_are_left_out(path: Path) -> None:
+    values = counts().astype(np.int64)
+    values[7, 1] = -(2**40)
+    write(path, {"accel": values}, about())
+    got = read(path)
+    assert (got.counts == np.delete(values, 7, axis=0)).all()
+    assert (got.codes, got.breaks) == (["out_of_range"], [7])
+
+
+def test_averaged_counts_go_to_the_fine_grid(path: Path) -> None:
+    values = counts() + 0.5
+    write(path, {"accel": values}, about())
+    assert (read(path).g == values / 256).all()
+
+
+def test_a_rare_fraction_among_whole_counts_is_a_bad_row(path: Path) -> None:
+    values = counts(20_000).astype(np.float32)
+    values[3_000, 0] = 0.5
+    write(path, {"accel": values}, about())
+    got = read(path)
+    assert (got.counts == np.delete(values, 3_000, axis=0)).all()
+    assert (got.codes, got.breaks) == (["bad_row"], [3_000])
+
+
+def test_axes_of_different_scales_are_refused(path: Path) -> None:
+    write(path, columns(counts(), "x y z"), about())
+    with h5py.File(path, "a") as file:
+        file["y"].attrs.update(units="counts", lsb_per_g=512.0)
+    with pytest.raises(UnreadableError, match="different units"):
+        read(path)
+
+
+# --- rows that are not there
+
+
+def test_rows_of_nan_are_left_out_with_a_break_and_a_jump_of_the_time(path: Path) -> None:
+    values = counts() / 256.0
+    values[100:110, 2] = np.nan
+    values[ROWS - 1] = np.nan
+    write(path, {"accel": values}, about(units="g", lsb_per_g=None))
+    got = read(path)
+    kept = np.r_[0:100, 110 : ROWS - 1]
+    assert (got.g == counts()[kept] / 256).all()
+    assert (got.times == even_times(ROWS, 100.0)[kept]).all()
+    assert got.breaks == [100]
+    assert [(item.code, item.sample, item.count) for item in got.problems] == [
+        ("missing_value", 100, 10),
+        ("missing_value", 489, 1),
+    ]
+
+
+@pytest.mark.parametrize("value", [127.5, -1e30, np.inf, 1e308])
+def test_impossible_values_are_damage_not_wrapped(path: Path, value: float) -> None:
+    values = counts() / 256.0
+    values[0, 0] = value
+    write(path, {"accel": values}, about(units="g", lsb_per_g=None))
+    got = read(path)
+    assert (got.g == counts()[1:] / 256).all()
+    assert (got.codes, got.breaks, got.times[0]) == (["out_of_range"], [], START_US + 10_000)
+
+
+def test_many_single_faults_make_few_records(path: Path) -> None:
+    values = counts(3_000) / 256.0
+    values[::2] = np.nan
+    write(path, {"accel": values}, about(units="g", lsb_per_g=None))
+    got = read(path)
+    assert len(got.problems) == 101
+    assert sum(item.count for item in got.problems) == 1_500
+
+
+def test_a_file_without_one_usable_row_is_refused(path: Path) -> None:
+    write(path, {"accel": np.full((9, 3), np.nan)}, about(units="g", lsb_per_g=None))
+    with pytest.raises(UnreadableError, match="none of the 9 rows"):
+        read(path)
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 7, 64, 333, 10**6])
+def test_nothing_depends_on_the_chunk_size_even_with_damage(path: Path, chunk_samples: int) -> None:
+    random = np.random.default_rng(8)
+    values = counts() / 256.0
+    values[random.random(ROWS) < 0.3] = np.nan
+    values[random.random(ROWS) < 0.1] = 500.0
+    stamps = START_US + np.arange(ROWS) * 10_000 + 50_000 * (random.random(ROWS) < 0.1)
+    warm = np.where(random.random(ROWS) < 0.5, np.nan, 20 + np.arange(ROWS) / 100)
+    extras = {"time": stamps.astype(np.int64), "temperature": warm}
+    write(
+        path,
+        {"accel": values, **extras},
+        about(units="g", lsb_per_g=None),
+        chunks=(50, 3),
+        compression="gzip",
+    )
+    corrupt(path, "accel", 3)
+    one, other = read(path, 200), read(path, chunk_samples)
+    assert one.same_as(other)
+    assert {"missing_value", "out_of_range", "clock_gap", "clock_back", "bad_page"} <= set(one.codes)
+
+
+# --- temperature and gyroscope
+
+
+def test_temperature_follows_its_rows(path: Path) -> None:
+    warm = np.round(20 + np.arange(ROWS) / 1000, 3)
+    write(path, {"accel": counts(), "temperature": warm}, about())
+    got = read(path, 64)
+    assert got.temperature is not None
+    assert (got.temperature == 20_000 + np.arange(ROWS)).all()
+
+
+def test_a_missing_temperature_is_the_last_one_before_it(path: Path) -> None:
+    warm = np.array([np.nan, np.nan, 21.5, np.nan, 22.0, np.nan])
+    write(path, {"accel": counts(6), "temp_c": warm}, about())
+    got = read(path, 2)
+    assert got.temperature is not None
+    assert got.temperature.tolist() == [21_500, 21_500, 21_500, 21_500, 22_000, 22_000]
+    assert [(item.code, item.count) for item in got.problems] == [("missing_value", 4)]
+
+
+@pytest.mark.parametrize(
+    "warm",
+    [np.full(9, 20.0), np.full(ROWS, np.nan), np.full(ROWS, 300, np.int16)],
+    ids=["another length", "all missing", "counts of an unknown unit"],
+)
+def test_a_temperature_that_cannot_be_used_is_left_aside(path: Path, warm: np.ndarray) -> None:
+    write(path, {"accel": counts(), "temperature": warm}, about())
+    assert read(path).temperature is None
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("deg/s", 1.0), ("dps", 1.0), ("rad/s", np.pi / 180)])
+def test_a_gyroscope_in_fractions_goes_to_a_grid(path: Path, unit: str, factor: float) -> None:
+    turns = counts(seed=5) / 16
+    write(path, {"accel": counts(), "gyro": turns * factor}, about())
+    with h5py.File(path, "a") as file:
+        file["gyro"].attrs["units"] = unit
+    got = read(path)
+    assert got.recording.gyro_dps_per_lsb == (1 / 65_536,) * 3
+    assert got.gyro is not None
+    assert (got.gyro == turns * 65_536).all()
+
+
+def test_a_gyroscope_in_counts_stays_in_counts(path: Path) -> None:
+    write(path, {"imu/accel/xyz": counts(), "imu/gyroscope/xyz": counts(seed=5)}, about())
+    assert read(path).gyro is None
+    with h5py.File(path, "a") as file:
+        file["imu/gyroscope/xyz"].attrs["lsb_per_dps"] = 16.4
+    got = read(path)
+    assert got.gyro is not None
+    assert (got.gyro == counts(seed=5)).all()
+    assert got.recording.gyro_dps_per_lsb == (1 / 16.4,) * 3
+
+
+# --- times
+
+
+@pytest.mark.parametrize(
+    ("start", "start_us", "zone"),
+    [
+        (START, START_US, None),
+        (b"2024-03-04 00:00:00.250", START_US + 250_000, None),
+        ("2024-03-04T02:00:00+02:00", START_US, "UTC"),
+        ("2024-03-04T00:00:00Z", START_US, "UTC"),
+        (1_709_510_400, START_US, None),
+        (1_709_510_400.5, START_US + 500_000, None),
+        ("1709510400", START_US, None),
+        (np.int64(START_US), START_US, None),
+    ],
+)
+def test_starts_are_understood(path: Path, start: Any, start_us: int, zone: str | None) -> None:
+    write(path, {"accel": counts()}, about(start_time=start))
+    assert (read(path).recording.start_us, read(path).recording.timezone) == (start_us, zone)
+
+
+@pytest.mark.parametrize("start", [None, "yesterday", 12.0, "0001-01-01T00:00:00+05:00", -1e300])
+def test_a_missing_start_is_told(path: Path, start: Any) -> None:
+    write(path, {"accel": counts()}, about(start_time=start))
+    got = read(path)
+    assert (got.recording.start_us, got.codes, got.times[1]) == (None, ["no_start_time"], 10_000)
+
+
+def test_the_time_zone_is_taken_from_an_attribute(path: Path) -> None:
+    write(path, {"accel": counts()}, about(timezone="Europe/Berlin"))
+    assert read(path).recording.timezone == "Europe/Berlin"
+    write(path, {"accel": counts()}, about(timezone="Middle Earth"))
+    assert read(path).recording.timezone is None
+    assert "Middle Earth" in read(path).recording.notes[0]
+
+
+def stamped(
+    path: Path, values: np.ndarray, name: str = "time", unit: str | None = None, **changes: Any
+) -> Path:
+    write(path, {"accel": counts(len(values)), name: values}, about(**{"start_time": None, **changes}))
+    if unit is not None:
+        with h5py.File(path, "a") as file:
+            file[name].attrs["Units"] = unit
+    return path
+
+
+@pytest.mark.parametrize("unit", ["us", "ms", "s", "ns"])
+@pytest.mark.parametrize("told", ["attribute", "name", "size"])
+def test_stamps_in_any_unit(path: Path, unit: str, told: str) -> None:
+    times = START_US + 10_000 * np.arange(ROWS)
+    values = {"us": times, "ms": times // 1000, "s": times / 1e6, "ns": times * 1000}[unit]
+    name = f"time_{unit}" if told == "name" else "Timestamp"
+    stamped(path, values, name, unit if told == "attribute" else None, sample_rate=None)
+    got = read(path)
+    assert (got.times == times).all()
+    assert (got.recording.rate_hz, got.recording.start_us, got.breaks) == (100.0, START_US, [])
+    assert got.recording.duration_s == pytest.approx(5.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", None])
+def test_stamps_from_zero_count_from_the_start(path: Path, unit: str | None) -> None:
+    elapsed = np.arange(ROWS) / 100 * (1000 if unit == "ms" else 1)
+    got = read(stamped(path, elapsed, unit=unit, start_time=START))
+    assert (got.times == even_times(ROWS, 100.0)).all()
+    got = read(stamped(path, elapsed, unit=unit))
+    assert (got.times == even_times(ROWS, 100.0) - START_US).all()
+    assert got.codes == ["no_start_time"]
+
+
+def test_stamps_may_name_their_origin(path: Path) -> None:
+    got = read(stamped(path, np.arange(ROWS) * 10, unit="milliseconds since 2024-03-04 00:00:00"))
+    assert (got.times == even_times(ROWS, 100.0)).all()
+
+
+def test_jumps_of_the_stamps_are_breaks(path: Path) -> None:
+    times = START_US + 10_000 * np.arange(ROWS)
+    times[200:] += 30_000
+    times[300:] += 20_000
+    times[400:] -= 500_000
+    got = read(stamped(path, times))
+    assert (got.times == times).all()
+    assert got.breaks == [200, 400]
+    assert [(item.code, item.sample) for item in got.problems] == [("clock_gap", 200), ("clock_back", 400)]
+
+
+def test_stamps_of_whole_seconds_do_not_break_every_second(path: Path) -> None:
+    seconds = START_US // 1_000_000 + np.arange(6_000) // 100
+    seconds[250:] += 5
+    got = read(stamped(path, seconds, sample_rate=None))
+    assert (got.recording.rate_hz, got.breaks) == (pytest.approx(100.0, rel=0.01), [250])
+
+
+def test_rows_without_a_time_are_left_out(path: Path) -> None:
+    seconds = START_US / 1e6 + np.arange(ROWS) / 100
+    seconds[[5, 9]] = np.nan, -4
+    got = read(stamped(path, seconds))
+    assert (got.codes, got.breaks, len(got.counts)) == (["missing_value"] * 2, [5, 8], ROWS - 2)
+
+
+@pytest.mark.parametrize("values", [np.arange(ROWS) * 7.0, np.zeros(ROWS)])
+def test_times_of_an_unknown_unit_are_refused_and_can_be_left_aside(path: Path, values: np.ndarray) -> None:
+    stamped(path, values, start_time=START)
+    with pytest.raises(UnreadableError, match="--time-column none"):
+        read(path)
+    assert (read(path, time_column="none").times == even_times(ROWS, 100.0)).all()
+
+
+def test_several_time_datasets_are_refused_and_one_can_be_chosen(path: Path) -> None:
+    times = START_US + 10_000 * np.arange(ROWS)
+    write(path, {"accel": counts(), "time": times, "timestamp": times + 5}, about(start_time=None))
+    with pytest.raises(UnreadableError, match=r"/time, /timestamp.*--time-column"):
+        read(path)
+    assert read(path, time_column="timestamp").times[0] == START_US + 5
+    with pytest.raises(UsageError, match="one column"):
+        read(path, time_column="accel")
+
+
+# --- damage
+
+
+def corrupt(path: Path, name: str, chunk: int) -> int:
+    """Overwrite the middle of one HDF5 chunk; where it begins."""
+    with h5py.File(path, "r") as file:
+        info = file[name].id.get_chunk_info(chunk)
+    data = bytearray(path.read_bytes())
+    middle = info.byte_offset + info.size // 2
+    data[middle : middle + 8] = b"\xff" * 8
+    path.write_bytes(data)
+    return int(info.byte_offset)
+
+
+@pytest.mark.parametrize("shape", ["wide", "columns", "transposed"])
+def test_a_damaged_chunk_loses_its_rows_only(path: Path, shape: str) -> None:
+    values = counts().T if shape == "transposed" else counts()
+    chunks = {"wide": (50, 3), "columns": (50, 1), "transposed": (3, 50)}[shape]
+    write(path, {"accel": values}, about(), chunks=chunks, compression="gzip")
+    offset = corrupt(path, "accel", 3 if shape != "columns" else 9)
+    got = read(path)
+    kept = np.r_[0:150, 200:ROWS]
+    assert (got.counts == counts()[kept]).all()
+    assert (got.times == even_times(ROWS, 100.0)[kept]).all()
+    assert got.breaks == [150]
+    [problem] = got.problems
+    assert (problem.code, problem.sample, problem.count) == ("bad_page", 150, 50)
+    assert problem.byte_offset == offset
+
+
+def test_a_checksum_of_hdf5_is_heeded(path: Path) -> None:
+    write(path, {"accel": counts()}, about(), chunks=(50, 3), fletcher32=True)
+    corrupt(path, "accel", 9)
+    got = read(path)
+    assert (got.counts == counts()[:450]).all()
+    assert (got.codes, got.breaks) == (["bad_page"], [])
+
+
+def test_chunks_that_were_never_written_are_not_made_up(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("accel", (ROWS, 3), "i2", chunks=(100, 3))
+        dataset.attrs.update(about())
+        dataset[:100], dataset[300:] = counts()[:100], counts()[300:]
+    got = read(path)
+    assert (got.counts == counts()[np.r_[0:100, 300:ROWS]]).all()
+    assert (got.breaks, [item.count for item in got.problems]) == ([100], [200])
+
+
+@pytest.mark.parametrize("layout", [{}, {"chunks": (10, 3)}])
+def test_a_dataset_without_values_is_refused(path: Path, layout: dict[str, Any]) -> None:
+    with h5py.File(path, "w") as file:
+        file.create_dataset("accel", (ROWS, 3), "i2", **layout).attrs.update(about())
+    with pytest.raises(UnreadableError, match="never written"):
+        read(path)
+
+
+def test_a_claim_of_more_rows_than_the_file_can_hold_is_refused(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("accel", (10**12, 3), "i2", chunks=(100, 3))
+        dataset[:100] = counts()[:100]
+        dataset.attrs.update(about())
+    with pytest.raises(UnreadableError, match="more than the file can hold"):
+        read(path)
+
+
+def test_values_in_other_files_are_refused(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        layout = h5py.VirtualLayout((ROWS, 3), "i2")
+        layout[:] = h5py.VirtualSource("other.h5", "accel", (ROWS, 3))
+        file.create_virtual_dataset("accel", layout).attrs.update(about())
+    with pytest.raises(UnreadableError, match="other files"):
+        read(path)
+
+
+def test_a_file_cut_short_gives_what_is_left(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("accel", (ROWS, 3), "i2", chunks=(50, 3), compression="gzip")
+        dataset.attrs.update(about())
+        dataset[:] = counts()
+        place = dataset.id.get_chunk_info(6).byte_offset
+    size = path.stat().st_size
+    path.write_bytes(path.read_bytes()[: place + 20])
+    got = read(path, 64)
+    assert (got.counts == counts()[:300]).all()
+    assert got.codes == ["bad_page", "truncated"]
+    assert (got.problems[-1].count, got.problems[-1].sample) == (size - place - 20, 300)
+
+
+def test_a_file_cut_short_before_its_description_is_refused(path: Path) -> None:
+    write(path, {"accel": counts()}, about(), chunks=(50, 3), compression="gzip")
+    path.write_bytes(path.read_bytes()[:4000])
+    with pytest.raises(UnreadableError, match=r"byte 4000: is cut short, 4000 bytes .* copy the whole"):
+        read(path)
+
+
+def tiny(path: Path, rows: int, **layout: Any) -> bytes:
+    """A file of about 1 kB."""
+    block = 1024 if layout else 512
+    with h5py.File(path, "w", libver="latest", meta_block_size=block) as file:
+        dataset = file.create_dataset("accel", (rows, 3), "i2", **layout)
+        dataset.attrs.update(fs=100.0, lsb_per_g=256.0, start=START_US)
+        dataset[:] = counts(rows)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("layout", [{}, {"chunks": (16, 3), "compression": "gzip"}], ids=["plain", "packed"])
+def test_cut_at_every_byte_it_gives_true_rows_or_our_error(
+    path: Path, layout: dict[str, Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = tiny(path, 40, **layout)
+    whole = dict(zip(even_times(40, 100.0).tolist(), counts(40).tolist(), strict=True))
+    short = path.with_name("short.h5")
+    fates = set()
+    for size in range(1, len(data)):
+        short.write_bytes(data[:size])
+        try:
+            got = read(short)
+        except UnreadableError as error:
+            assert str(short) in str(error)
+            fates.add("refused")
+            continue
+        rows = zip(got.times.tolist(), got.counts.tolist(), strict=True)
+        assert all(whole[time] == row for time, row in rows)
+        assert got.codes[-1] == "truncated"
+        fates.add(f"shorter by {40 - len(got.counts)}")
+    assert {"refused", "shorter by 8"} <= fates
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_changed_byte_never_gives_anything_but_rows_or_our_error(
+    path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    extras = {"time": START_US + 10_000 * np.arange(40), "temperature": np.full(40, 20.0)}
+    numbers = about(units=None, start_time=START_US)
+    write(path, {"accel": counts(40), **extras}, numbers, chunks=(8, 3), compression="gzip")
+    data = path.read_bytes()
+    for place in range(0, len(data), 23):
+        mutant = bytearray(data)
+        mutant[place] ^= 0xFF
+        path.write_bytes(mutant)
+        try:
+            read(path)
+        except (UnreadableError, UsageError) as error:
+            assert str(path) in str(error)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_damaged_heap_of_texts_does_not_hang(path: Path) -> None:
+    write(path, {"accel": counts()}, about())
+    data = bytearray(path.read_bytes())
+    heap = data.index(b"GCOL")
+    data[heap + 24] = 0xFF
+    path.write_bytes(data)
+    got = read(path)
+    assert (got.counts == counts()).all()
+    assert got.codes == ["no_start_time", "damaged_header"]
+
+
+def test_sound_and_damaged_heaps() -> None:
+    def item(number: int, length: int, size: int) -> bytes:
+        return number.to_bytes(8, "little") + length.to_bytes(8, "little") + bytes(size)
+
+    def heap(*items: bytes) -> bytes:
+        return b"GCOL\1\0\0\0" + (4096).to_bytes(8, "little") + b"".join(items)
+
+    text = item(1, 6, 8)
+    assert heaps_are_sound(heap(text, item(0, 4096 - 16 - 24, 4040)))
+    assert heaps_are_sound(heap(item(1, 4064, 4064)))
+    assert not heaps_are_sound(bytes(99) + heap(text, item(0, 0, 4040)))
+    assert not heaps_are_sound(heap(item(1, 2**63, 4064)))
+
+
+# --- what is not read, and how
+
+
+def test_the_signature_is_found_at_the_places_where_it_may_be(path: Path) -> None:
+    for block, score in ((0, 90), (512, 90), (2048, 90)):
+        with h5py.File(path, "w", userblock_size=block) as file:
+            file.create_dataset("accel", data=counts()).attrs.update(about())
+        assert HDF5.sniff(probe_file(path, ReadOptions())) == score
+        assert (read(path).counts == counts()).all()
+    path.write_bytes(bytes(100) + b"\x89HDF\r\n\x1a\n")
+    assert HDF5.sniff(probe_file(path, ReadOptions())) == 0
+
+
+def test_it_is_recognised_whatever_its_suffix(tmp_path: Path) -> None:
+    path = write(tmp_path / "a.mat", {"accel": counts()}, about())
+    assert find_format(path, ReadOptions()).name == "hdf5"
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [(b"no HDF5 at all", "not an HDF5 file"), (gzip.compress(b"\x89HDF\r\n\x1a\n"), "gunzip")],
+    ids=["another content", "packed"],
+)
+def test_other_files_are_refused(path: Path, data: bytes, message: str) -> None:
+    path.write_bytes(data)
+    with pytest.raises(UnreadableError, match=message):
+        read(path)
+    with pytest.raises(UnreadableError, match="cannot be read"):
+        read(path.with_name("absent.h5"))
+
+
+def test_it_can_be_read_twice_and_previewed(path: Path) -> None:
+    write(path, {"accel": counts()}, about())
+    with HDF5.open(path, ReadOptions()) as reader:
+        one, two = (joined(reader.recording, reader.chunks(100)) for _ in range(2))
+        assert one.same_as(two)
+        pieces = list(reader.preview(20, 5))
+        assert len(list(reader.preview(200, 5))) == 3
+    assert [piece.first_sample for piece in pieces] == [0, 100, 200, 300, 400]
+    assert all(
+        (piece.counts == counts()[row : row + 20]).all()
+        for row, piece in zip(range(0, 500, 100), pieces, strict=True)
+    )
+    assert pieces[1].clock.times(0, 1)[0] == START_US + 1_000_000
+
+
+@pytest.mark.parametrize("shuffle", [False, True])
+@pytest.mark.parametrize("dtype", ["<i2", ">i4", "f8"])
+@pytest.mark.parametrize("shape", ["wide", "transposed", "columns"])
+def test_chunks_too_large_to_unpack_at_once_are_unpacked_bit_by_bit(
+    path: Path, monkeypatch: pytest.MonkeyPatch, shuffle: bool, dtype: str, shape: str
+) -> None:
+    monkeypatch.setattr(_hdf5_rows, "STREAM_ABOVE_BYTES", 100)
+    monkeypatch.setattr(_hdf5_rows, "BLOCK_ROWS", 64)
+    values = counts().astype(dtype)
+    packed: dict[str, Any] = {"compression": "gzip", "shuffle": shuffle}
+    if shape == "columns":
+        with h5py.File(path, "w") as file:
+            for name, column in columns(values, "x y z").items():
+                file.create_dataset(name, data=column, chunks=(300,), **packed).attrs.update(about())
+    elif shape == "transposed":
+        write(path, {"accel": values.T}, about(), chunks=(3, 300), **packed)
+    else:
+        write(path, {"accel": values}, about(), chunks=(300, 3), **packed)
+    monkeypatch.setattr(_hdf5_rows, "REFUSE_ABOVE_BYTES", 100)
+    with HDF5.open(path, ReadOptions()) as reader:
+        got = joined(reader.recording, reader.chunks(70))
+        pieces = list(reader.preview(10, 3))
+    assert (got.counts == counts()).all()
+    assert (pieces[2].counts == counts()[333:343]).all()
+
+
+def test_a_large_chunk_is_read_up_to_its_damage(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_hdf5_rows, "STREAM_ABOVE_BYTES", 100)
+    monkeypatch.setattr(_hdf5_rows, "BLOCK_ROWS", 64)
+    write(path, {"accel": counts()}, about(), chunks=(300, 3), compression="gzip")
+    corrupt(path, "accel", 0)
+    got = read(path)
+    lost = ROWS - len(got.counts)
+    assert 0 < lost < 300
+    assert (got.counts == counts()[np.r_[0 : 300 - lost, 300:ROWS]]).all()
+    assert (got.codes, got.breaks) == (["bad_page"], [300 - lost])
+
+
+def test_large_chunks_packed_otherwise_are_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_hdf5_rows, "STREAM_ABOVE_BYTES", 100)
+    monkeypatch.setattr(_hdf5_rows, "REFUSE_ABOVE_BYTES", 100)
+    write(path, {"accel": counts()}, about(), chunks=(300, 3), compression="lzf")
+    with pytest.raises(UnreadableError, match="h5repack"):
+        read(path)

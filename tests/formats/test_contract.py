@@ -1,0 +1,168 @@
+"""What every format must hold, on a file made by its `make_<name>.py`."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import AccelcalError
+from accelcal_cli.core.formats import Format, ReadOptions
+from accelcal_cli.core.recording import Chunk, Reader
+from accelcal_cli.formats import all_formats, find_format, open_recording
+from tests.formats.expected import Expected
+
+HERE = Path(__file__).parent
+RATE_HZ = 50.0
+LSB_PER_G = 256.0
+FORMATS = all_formats()
+
+
+def counts() -> np.ndarray:
+    random = np.random.RandomState(11)
+    return random.randint(-500, 500, (1200, 3)).astype(np.int16)
+
+
+@pytest.fixture(params=FORMATS, ids=lambda item: item.name)
+def made(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Format, Expected]:
+    maker = importlib.import_module(f"tests.formats.make_{request.param.name}")
+    return request.param, maker.make(tmp_path, counts(), RATE_HZ, LSB_PER_G)
+
+
+def whole(reader: Reader, chunk_samples: int) -> list[Chunk]:
+    return list(reader.chunks(chunk_samples))
+
+
+def rows(chunks: list[Chunk]) -> np.ndarray:
+    return np.concatenate([chunk.counts for chunk in chunks])
+
+
+def times(chunks: list[Chunk]) -> np.ndarray:
+    return np.concatenate([chunk.clock.times(0, len(chunk)) for chunk in chunks])
+
+
+def breaks(chunks: list[Chunk]) -> list[int]:
+    return [chunk.first_sample + int(row) for chunk in chunks for row in chunk.breaks]
+
+
+@pytest.mark.parametrize("item", FORMATS, ids=lambda item: item.name)
+def test_each_format_has_its_test_and_its_maker(item: Format) -> None:
+    assert list(HERE.glob(f"*/test_{item.name}.py"))
+    assert (HERE / f"make_{item.name}.py").exists()
+
+
+def test_its_content_is_recognised(made: tuple[Format, Expected]) -> None:
+    item, expected = made
+    assert find_format(expected.path, expected.options).name == item.name
+
+
+def test_every_sample_and_time_comes_back(made: tuple[Format, Expected]) -> None:
+    item, expected = made
+    with item.open(expected.path, expected.options) as reader:
+        chunks = whole(reader, 300)
+        lsb = reader.recording.lsb_per_g
+        assert reader.recording.rate_hz == expected.rate_hz
+        if expected.serial is not None:
+            assert reader.recording.device.serial == expected.serial
+    np.testing.assert_array_equal(rows(chunks) / lsb, expected.counts_g)
+    assert breaks(chunks) == []
+    if expected.times_us is not None:
+        assert np.abs(times(chunks) - expected.times_us).max() <= expected.tolerance_us
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 7, 80, 1000, 10**6])
+def test_the_rows_do_not_depend_on_the_chunk_size(made: tuple[Format, Expected], chunk_samples: int) -> None:
+    item, expected = made
+    with item.open(expected.path, expected.options) as reader:
+        one, other = whole(reader, 300), whole(reader, chunk_samples)
+    assert (rows(one) == rows(other)).all()
+    assert (times(one) == times(other)).all()
+    assert breaks(one) == breaks(other)
+    assert [p for c in one for p in c.problems] == [p for c in other for p in c.problems]
+
+
+@pytest.mark.parametrize("chunk_samples", [7, 1000])
+def test_the_rows_do_not_depend_on_the_threads(made: tuple[Format, Expected], chunk_samples: int) -> None:
+    _, expected = made
+    with open_recording(expected.path, expected.options) as one:
+        alone = whole(one, chunk_samples)
+    with open_recording(expected.path, expected.options, threads=3) as several:
+        together = whole(several, chunk_samples)
+        assert several.threads == 3
+    assert (rows(alone) == rows(together)).all()
+    assert (times(alone) == times(together)).all()
+    assert [len(chunk) for chunk in alone] == [len(chunk) for chunk in together]
+
+
+def test_chunks_follow_one_another(made: tuple[Format, Expected]) -> None:
+    item, expected = made
+    with item.open(expected.path, expected.options) as reader:
+        position, byte = 0, 0
+        for chunk in reader.chunks(100):
+            assert chunk.first_sample == position
+            assert chunk.end_byte >= byte
+            position, byte = position + len(chunk), chunk.end_byte
+            assert chunk.counts.dtype in (np.int16, np.int32)
+            assert chunk.counts.shape == (len(chunk), 3)
+        if reader.recording.samples is not None:
+            assert reader.recording.samples == position
+        assert byte <= reader.recording.total_bytes
+
+
+def test_chunks_do_not_share_memory_that_changes(made: tuple[Format, Expected]) -> None:
+    item, expected = made
+    with item.open(expected.path, expected.options) as reader:
+        kept = [(chunk, chunk.counts.copy()) for chunk in reader.chunks(64)]
+    assert all((chunk.counts == copy).all() for chunk, copy in kept)
+
+
+def test_a_preview_is_part_of_the_recording(made: tuple[Format, Expected]) -> None:
+    item, expected = made
+    with item.open(expected.path, expected.options) as reader:
+        everything = {tuple(row) for row in rows(whole(reader, 500)).tolist()}
+        pieces = list(reader.preview(50, 4))
+    assert 1 <= len(pieces) <= 4
+    assert {tuple(row) for row in rows(pieces).tolist()} <= everything
+
+
+def damaged(path: Path, seed: int) -> Iterator[bytes]:
+    data = path.read_bytes()
+    random = np.random.RandomState(seed)
+    for _ in range(60):
+        mutant = bytearray(data)
+        kind, at = random.randint(4), random.randint(len(data))
+        size = random.randint(1, 600)
+        if kind == 0:
+            mutant[at] ^= 1 << random.randint(8)
+        elif kind == 1:
+            del mutant[at : at + size]
+        elif kind == 2:
+            mutant[at:at] = mutant[at : at + size]
+        else:
+            mutant[at : at + size] = bytes(len(mutant[at : at + size]))
+        yield bytes(mutant)
+
+
+def test_damage_never_gives_anything_but_rows_or_an_error_of_ours(made: tuple[Format, Expected]) -> None:
+    item, expected = made
+    mutant = expected.path.with_name("mutant" + expected.path.suffix)
+    options = replace(expected.options, format=item.name)
+    for data in damaged(expected.path, 4):
+        mutant.write_bytes(data)
+        try:
+            with open_recording(mutant, options) as reader:
+                for chunk in reader.chunks(100):
+                    chunk.clock.times(0, len(chunk))
+        except AccelcalError as error:
+            assert str(mutant) in str(error)
+
+
+def test_a_file_of_no_format_is_refused_with_a_hint(tmp_path: Path) -> None:
+    path = tmp_path / "a.xyz"
+    path.write_bytes(bytes(range(256)) * 100)
+    with pytest.raises(AccelcalError, match="--format"):
+        open_recording(path, ReadOptions())

@@ -1,0 +1,140 @@
+"""Settings back from a report: complete, bounded, and honest about what was assumed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import (
+    DEFAULT,
+    PAPER,
+    STILLNESS,
+    Adaptive,
+    PoseSettings,
+    Settings,
+    with_stillness,
+)
+from accelcal_cli.output.report_reading import Document
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.pipeline.report_settings import ADAPTIVE_LIMITS, LIMITS, Rebuilt, rebuild
+from accelcal_cli.segment.adaptive import MOVING, NEVER
+from accelcal_cli.six_pose.run import PoseRequest
+
+
+def stored(request: Request) -> dict[str, Any]:
+    return json.loads(json.dumps(request.effective_settings(None)))
+
+
+def rebuilt(settings: Any) -> Rebuilt:
+    return rebuild(Document(Path("a.json"), "", {"settings": settings}))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        PAPER,
+        replace(DEFAULT, model="6", latitude=3.5),
+        *(with_stillness(DEFAULT, name) for name in STILLNESS),
+    ],
+)
+def test_everything_comes_back(settings: Settings) -> None:
+    options = ReadOptions(format="csv", rate_hz=30.0, unit="mg", columns=("a", "b", "c"), sensor="s")
+    made = rebuilt(stored(Request(options=options, settings=settings, report_only=True)))
+    assert made == Rebuilt(settings, options, True, None, None, (), ())
+
+
+def test_settings_of_a_session_come_back() -> None:
+    settings = PoseSettings(face_degrees=20.0, latitude=10.0)
+    made = rebuilt(json.loads(json.dumps(PoseRequest(settings=settings).effective_settings(None))))
+    assert made == Rebuilt(settings, ReadOptions(), True, None, None, (), ())
+
+
+def test_missing_and_unknown_settings_are_told() -> None:
+    held = stored(Request())
+    del held["cells_per_g"], held["report_only"], held["input"]["sensor"], held["input"]["layout_sha256"]
+    held["later"], held["input"]["more"] = 1, 2
+    made = rebuilt(held)
+    assert made.missing == ("cells_per_g", "report_only", "input.sensor", "input.layout_sha256")
+    assert made.unknown == ("later", "input.more")
+    assert made.settings == DEFAULT
+
+
+def test_every_number_has_its_limits() -> None:
+    """A setting without limits could bring a report that makes nonsense of them to a bug."""
+    read = ((record, LIMITS) for record in (DEFAULT, PoseSettings(), ReadOptions()))
+    for record, limits in (*read, (Adaptive(), ADAPTIVE_LIMITS)):
+        for name, field in record.__dataclass_fields__.items():
+            assert name in limits or not any(kind in str(field.type) for kind in ("int", "float")), name
+
+
+@pytest.mark.parametrize("name", sorted(LIMITS))
+@pytest.mark.parametrize("value", [-1e12, 1e12, "x", True, {}, [], [1e12]])
+def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
+    held = stored(Request())
+    if name not in {**held, **held["input"]}:
+        held = json.loads(json.dumps(PoseRequest().effective_settings(None)))
+    inside = held if name in held else held["input"]
+    inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
+    with pytest.raises(UnreadableError, match=rf"a\.json: .*{name} cannot be"):
+        rebuilt(held)
+
+
+@pytest.mark.parametrize("name", sorted(ADAPTIVE_LIMITS))
+@pytest.mark.parametrize("value", [-1, 0, 10**9, 1.5, "x", None])
+def test_numbers_of_the_adaptive_rule_that_cannot_be_are_refused(name: str, value: Any) -> None:
+    held = stored(Request(settings=with_stillness(DEFAULT, "adaptive")))
+    held["adaptive"][name] = value
+    with pytest.raises(UnreadableError, match=rf"a\.json: .*({name}|adaptive) cannot be"):
+        rebuilt(held)
+
+
+def test_the_largest_factors_do_not_overflow() -> None:
+    for name in ("acceleration_factor", "rotation_factor"):
+        assert ADAPTIVE_LIMITS[name][1] ** 2 * NEVER < MOVING < 1 << 63
+
+
+def test_the_adaptive_rule_needs_its_numbers_and_no_other_has_them() -> None:
+    held = stored(Request(settings=with_stillness(DEFAULT, "adaptive")))
+    for change in ({"stillness": "both"}, {"adaptive": None}, {"adaptive": {}}, {"adaptive": 3}):
+        with pytest.raises(UnreadableError, match=r"(stillness_axes|adaptive) cannot be"):
+            rebuilt(held | change)
+    with pytest.raises(UnreadableError, match="adaptive cannot be"):
+        rebuilt(stored(Request()) | {"adaptive": held["adaptive"]})
+    with pytest.raises(UnreadableError, match="adaptive cannot be"):
+        rebuilt(held | {"adaptive": held["adaptive"] | {"later": 1}})
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"profile": "x"}, "profile cannot be 'x'"),
+        ({"stillness": "x"}, "stillness cannot be 'x'"),
+        ({"model": "12"}, "model cannot be '12'"),
+        ({"optimizer": "x"}, "unknown optimizer 'x'"),
+        ({"report_only": "no"}, "report_only cannot be 'no'"),
+        ({"temperature": 1}, "temperature cannot be '1'"),
+        ({"input": None}, "does not say how"),
+        ({"input": []}, "does not say how"),
+        ({"input": {"format": "x"}}, "unknown format 'x'"),
+        ({"input": {"unit": "lbs"}}, "unit cannot be 'lbs'"),
+        ({"input": {"timezone": "Mars/North"}}, "unknown time zone"),
+        ({"input": {"layout": 5}}, "layout cannot be '5'"),
+        ({"input": {"columns": ["a", "b"]}}, "columns cannot be"),
+    ],
+)
+def test_unknown_names_are_refused(change: dict[str, Any], part: str) -> None:
+    with pytest.raises(UnreadableError) as caught:
+        rebuilt(stored(Request()) | change)
+    assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("settings", [None, [], 5, "x"])
+def test_settings_that_are_none(settings: Any) -> None:
+    with pytest.raises(UnreadableError, match="does not say how"):
+        rebuilt(settings)

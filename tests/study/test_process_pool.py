@@ -1,0 +1,118 @@
+"""The crew: what befalls one worker is its task's alone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.study.process_pool import Crew
+from accelcal_cli.study.records import Ended, Told
+
+
+def work(task: tuple[str, Any], told: Told) -> Any:
+    """Does what the task says."""
+    kind, value = task
+    if kind == "kill":
+        os.kill(os.getpid(), value)
+        time.sleep(10)
+    if kind == "leave":
+        os._exit(value)
+    if kind == "sleep":
+        time.sleep(value)
+    if kind == "part":
+        told(value)
+    if kind == "orphan":
+        Path(value).write_text(str(os.getpid()))
+        time.sleep(60)
+    return os.getpid() if kind == "pid" else (kind, value)
+
+
+def soon(look: Callable[[], Any]) -> None:
+    """Wait until there is something to see, at most 20 s."""
+    for _ in range(400):
+        if look():
+            return
+        time.sleep(0.05)
+    raise AssertionError("nothing came")
+
+
+def done(crew: Crew, *tasks: tuple[str, Any]) -> dict[tuple[str, Any], Ended]:
+    return {ended.task: ended for ended in crew.run(list(tasks))}
+
+
+def test_a_killed_worker_costs_its_task_alone() -> None:
+    tasks = [("echo", 1), ("kill", signal.SIGKILL), ("echo", 2), ("leave", 3), ("echo", 4)]
+    found = done(Crew(work, 2), *tasks)
+    assert set(found) == set(tasks)
+    assert [found["echo", n].answer for n in (1, 2, 4)] == [("echo", 1), ("echo", 2), ("echo", 4)]
+    killed, left = found["kill", signal.SIGKILL], found["leave", 3]
+    assert (
+        killed.fault is not None and "SIGKILL" in killed.fault and "memory" in killed.fault and killed.again
+    )
+    assert left.fault == "its process ended unexpectedly (code 3)" and not left.again
+
+
+@pytest.mark.parametrize(("number", "again"), [(signal.SIGTERM, True), (signal.SIGSEGV, False)])
+def test_the_signal_is_named(number: signal.Signals, again: bool) -> None:
+    ended = done(Crew(work, 1), ("kill", number))["kill", number]
+    assert ended.fault == f"its process was ended by {number.name}"
+    assert ended.again == again
+
+
+def test_a_task_that_takes_too_long_is_ended_and_the_next_is_done() -> None:
+    began = time.monotonic()
+    found = done(Crew(work, 1, timeout_s=1.5), ("sleep", 60), ("echo", 1))
+    assert found["sleep", 60].fault == "took more than 0.025 minutes and was ended"
+    assert found["echo", 1].answer == ("echo", 1)
+    assert time.monotonic() - began < 12
+
+
+def test_workers_are_used_again() -> None:
+    found = done(Crew(work, 1), *[("pid", number) for number in range(4)])
+    assert len({ended.answer for ended in found.values()}) == 1
+
+
+def test_the_parts_of_a_task_add_up_to_one() -> None:
+    moved: list[float] = []
+    crew = Crew(work, 1, moved=lambda _task, part: moved.append(part))
+    done(crew, ("part", 0.25))
+    assert moved == [0.25, 0.75]
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
+def test_no_worker_is_left_when_the_iteration_is_given_up(tmp_path: Path) -> None:
+    told = tmp_path / "pid"
+    running = Crew(work, 2).run([("orphan", str(told)), ("echo", 1)])
+    next(running)
+    soon(lambda: told.exists() and told.read_text())
+    running.close()
+    assert not Path(f"/proc/{told.read_text()}").exists()
+
+
+ALONE = """
+import sys
+from accelcal_cli.study.process_pool import Crew
+from tests.study.test_process_pool import work
+if __name__ == "__main__":
+    list(Crew(work, 1).run([("orphan", sys.argv[1])]))
+"""
+
+
+@pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
+def test_a_worker_does_not_outlive_the_process_that_started_it(tmp_path: Path) -> None:
+    told, script = tmp_path / "pid", tmp_path / "alone.py"
+    script.write_text(ALONE)
+    path = os.pathsep.join([str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")])
+    parent = subprocess.Popen([sys.executable, script, told], env={**os.environ, "PYTHONPATH": path})
+    soon(lambda: told.exists() and told.read_text())
+    parent.kill()
+    parent.wait()
+    soon(lambda: not Path(f"/proc/{told.read_text()}").exists())
