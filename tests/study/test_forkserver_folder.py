@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 SERVER_KILLED = """
 import multiprocessing.forkserver as server, os, signal
-from accelcal_cli.study import workers
+from accelcal_cli.study import process_pool
 from tests.study.test_process_pool import work
 
 def fatal(*words):
@@ -30,10 +30,10 @@ def fatal(*words):
         os.kill(number, signal.SIGKILL)
     return process
 
-killed, plain = [], workers._process
-workers._process = fatal
+killed, plain = [], process_pool._process
+process_pool._process = fatal
 if __name__ == "__main__":
-    for ended in workers.Crew(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
+    for ended in process_pool.Crew(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
         print(ended.answer)
     print(len(killed))
 """

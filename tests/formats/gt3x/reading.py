@@ -9,13 +9,13 @@ import numpy as np
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Problem, Reader
-from accelcal_cli.formats.gt3x import open_recording
+from accelcal_cli.formats.gt3x import FORMAT
 
 Found = tuple[str, int | None, int, int]
 
 
 def opened(path: Path, **options: object) -> Reader:
-    return open_recording(path, ReadOptions(**options))
+    return FORMAT.open(path, ReadOptions(**options))
 
 
 def random_counts(rows: int, seed: int = 1) -> np.ndarray:
