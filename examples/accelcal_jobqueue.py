@@ -1,6 +1,6 @@
 """A study on as many Slurm jobs as it needs, up to 20: `python accelcal_jobqueue.py FOLDER OUT [OPTION...]`.
 
-Needs `pip install 'accelcal[dask]' dask-jobqueue`. Run it on a login node or in a job until the study is done.
+Needs `pip install 'accelcal[dask]' dask-jobqueue`. Runs until the study is done, on a login node or in a job.
 """
 
 import subprocess
