@@ -207,9 +207,9 @@ class RecordingRun:
         with hashing(self.bytes_at) as digest:
             facts = self.survey(method)
             points = method.procedure.result()
-            seen = coverage(points)
-            damage = damage_verdict(facts, self.request.settings.max_damage_percent, seen)
-            verdict = judge.verdict(self, Survey(recording, facts, method, points, seen, damage))
+            where = coverage(points)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, where)
+            verdict = judge.verdict(self, Survey(recording, facts, method, points, where, damage))
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows
