@@ -7,7 +7,7 @@ of which damage has left too little. Coefficients that were not found from the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import fsum
 
 import numpy as np
@@ -19,21 +19,10 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet, in_standard_g
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.errors import deviations_mg, interval95, mean, per_posture, uncertainty
-from accelcal_cli.judge.model_ladder import (
-    LADDER,
-    Evidence,
-    FitFunction,
-    Sample,
-    choose,
-    control,
-    of_postures,
-    one_sided_axes,
-    postures,
-    temperature_blocks,
-    try_models,
-)
+from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sample, postures
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
@@ -79,8 +68,8 @@ def judge(
     if number < settings.min_postures:
         text = f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
-    sample = Sample(points, label, temperature_blocks(points, label, settings.temperature_block_c))
-    trials = try_models(Evidence(sample, coverage, models), settings, fit)
+    blocks = model_ladder.temperature_blocks(points, label, settings.temperature_block_c)
+    trials = model_ladder.try_models(Evidence(Sample(points, label, blocks), coverage, models), settings, fit)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, coverage, settings)
     if outcome is Outcome.REFUSED or chosen.holdout is None:
@@ -90,7 +79,7 @@ def judge(
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
     verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
-    return complete(verdict, Fitted(chosen.model, points, label, fitted), settings.gravity)
+    return _complete(verdict, chosen.model, fitted, points, label, settings.gravity)
 
 
 def judge_paper(
@@ -117,7 +106,7 @@ def judge_paper(
         fitted = fit(fit_points, MODELS[name])
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
-    trial = Trial(name, control(control_points, fitted.parameters), None)
+    trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None)
     others = (
         () if name == "9" else (Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment"),)
     )
@@ -126,35 +115,30 @@ def judge_paper(
     if outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
-    return complete(verdict, Fitted(name, fit_points, label, fitted), settings.gravity)
+    return _complete(verdict, name, fitted, fit_points, label, settings.gravity)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """A model fitted to points.
+def _complete(
+    verdict: Judgement, model: str, fit: Fit, points: PointSet, label: NDArray[np.int64], gravity: Gravity
+) -> Judgement:
+    """A verdict with its calibration, in standard g, and what is known of it.
 
-    Attributes:
-        label: (n,) posture numbers of the points.
+    Args:
+        fit: of the model to the points, whose posture numbers are `label`.
     """
-
-    model: str
-    points: PointSet
-    label: NDArray[np.int64]
-    fit: Fit
-
-
-def complete(verdict: Judgement, fitted: Fitted, gravity: Gravity) -> Judgement:
-    """A verdict with its calibration, in standard g, and what is known of it."""
-    model, parameters = MODELS[fitted.model], fitted.fit.parameters
-    scale = fitted.points.temperature if model.has_temperature else None
+    scale = points.temperature if MODELS[model].has_temperature else None
     local_g = gravity.local_g()
+    before, after = (
+        mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
+        for p in (IDENTITY, fit.parameters)
+    )
     completed = replace(
         verdict,
-        calibration=Calibration(fitted.model, in_standard_g(parameters, local_g), scale, gravity),
-        fit=fitted.fit,
-        fit_errors=_errors(fitted),
+        calibration=Calibration(model, in_standard_g(fit.parameters, local_g), scale, gravity),
+        fit=fit,
+        fit_errors=FitErrors(len(points), len(set(label.tolist())), before, after),
     )
-    precision = uncertainty(fitted.points, parameters, model)
+    precision = uncertainty(points, fit.parameters, MODELS[model])
     if precision is None:
         return completed
     with_uncertainty = replace(
@@ -167,21 +151,13 @@ def complete(verdict: Judgement, fitted: Fitted, gravity: Gravity) -> Judgement:
     return replace(completed, coverage=with_uncertainty, standard_errors=scaled)
 
 
-def _errors(fitted: Fitted) -> FitErrors:
-    before, after = (
-        mean(list(per_posture(deviations_mg(fitted.points, p), fitted.points.weights, fitted.label).values()))
-        for p in (IDENTITY, fitted.fit.parameters)
-    )
-    return FitErrors(len(fitted.points), len(set(fitted.label.tolist())), before, after)
-
-
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
     """The ladder's choice; of the models the user insists on where there is one."""
     if settings.model == "auto":
-        return choose(trials)
+        return model_ladder.choose(trials)
     named = tuple(trial for trial in trials if trial.model != "0")
     able = tuple(trial for trial in named if trial.holdout is not None)
-    return choose(able) if able else named[0]
+    return model_ladder.choose(able) if able else named[0]
 
 
 def _outcome(
@@ -232,7 +208,7 @@ def _unseen(holdout: Holdout) -> str:
 
 
 def _advice(coverage: Coverage, settings: Settings) -> str:
-    missing = one_sided_axes(coverage, settings.coverage_g)
+    missing = model_ladder.one_sided_axes(coverage, settings.coverage_g)
     return f"there is no stillness with {', '.join(missing)}" if missing else LONGER
 
 
@@ -285,7 +261,7 @@ def held_out(
     before = per_posture(_deviations_mg(raw), points.weights, label)
     after = per_posture(_deviations_mg(applied(points, calibration, rest)), points.weights, label)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
-    return of_postures(method, len(points), pairs)
+    return model_ladder.of_postures(method, len(points), pairs)
 
 
 def better(borrowed: Holdout, own: Holdout) -> bool:
