@@ -19,7 +19,6 @@ from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
-from accelcal_cli.pipeline.survey import with_clipping
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
     from accelcal_cli.output.parquet import Columns, ParquetSink
@@ -105,11 +104,10 @@ def applier(calibration: Calibration, lsb_per_g: float, precision_mg: float | No
 
 
 def calibrated(
-    recording: Recording, chunks: Iterable[Chunk], apply: Applier, progress: Progress
+    chunks: Iterable[Chunk], apply: Applier, progress: Progress
 ) -> Iterator[tuple[Chunk, list[NDArray[np.float32]]]]:
     """A recording's chunks, none of them empty, each with its calibrated x, y, z [g]."""
-    for raw in chunks:
-        chunk = with_clipping(raw, recording)
+    for chunk in chunks:
         if len(chunk):
             yield chunk, apply.apply(chunk)
         progress(chunk.end_byte)
@@ -202,7 +200,7 @@ def write_calibrated(
         OutputError: the output cannot be written.
     """
     total, names = 0, target.sink.schema.names
-    for chunk, xyz in ahead(calibrated(recording, chunks, target.apply, progress), target.threads):
+    for chunk, xyz in ahead(calibrated(chunks, target.apply, progress), target.threads):
         total += beyond(xyz, recording.range_g)
         target.sink.write(rows(chunk, xyz, recording, names, target.offset_s))
     return total
