@@ -60,10 +60,10 @@ def candidates(blocks: Blocks, spreads: dict[str, NDArray[np.int64]]) -> Candida
     """Blocks as candidates; `spreads` holds norm, turn, least_norm and least_turn, each (m,)."""
     made = np.zeros(len(blocks), CANDIDATE)
     made["run"] = blocks.run
-    made["first"] = blocks.first_samples()
+    made["first"] = blocks.first_samples
     made["sums"], made["low"], made["high"] = blocks.sums.T, blocks.low.T, blocks.high.T
-    if blocks.temperature_sums is not None:
-        made["warm"], made["warm_known"] = blocks.temperature_sums, True
+    if (temperature_sums := blocks.temperature_sums) is not None:
+        made["warm"], made["warm_known"] = temperature_sums, True
     for name, values in spreads.items():
         made[name] = values
     return made
@@ -325,8 +325,8 @@ def _turns(blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[Any]]:
 
     Without a gyroscope nothing turns.
     """
-    if blocks.rotation is None:
+    if blocks.rows.gyro_counts is None:
         return np.zeros(len(blocks), np.int64), np.zeros((3, len(blocks), 1), np.int64)
-    columns = np.ascontiguousarray(blocks.rotation.T).reshape(3, len(blocks), blocks.length)
+    columns = np.ascontiguousarray(blocks.rows.gyro_counts.T).reshape(3, len(blocks), blocks.length)
     each = np.stack([squares(axis, WIDEST_TURN) for axis in columns])
     return np.where((each == MOVING).any(axis=0), MOVING, np.minimum(each, MOVING // 4).sum(axis=0)), columns
