@@ -65,6 +65,11 @@ SECTOR = np.dtype(
         ("checksum", "<u2"),
     ]
 )
+HEADER = struct.Struct("<4sBHIHIIIBB8sBBIBh20s448s512s")
+"""Fields of the file's header, those of `cwa.h` in order: magic and length, hardware type, device number
+(low half), session, device number (high half), start and end of logging, and so on; rate and range is
+number 12, the revision of the firmware number 14."""
+
 FIELDS = np.dtype([(name, "<u2") for name in ("low", "high")])
 """The two halves of a packed sample of 32 bits."""
 
@@ -72,7 +77,8 @@ Sectors = NDArray[Any]
 """(n,) of SECTOR."""
 
 PACKED = 0x30
-FULL_ROWS = {PACKED: 120, 0x32: 80, 0x62: 40, 0x92: 26}
+AXES_3X16 = 0x32
+FULL_ROWS = {PACKED: 120, AXES_3X16: 80, 0x62: 40, 0x92: 26}
 """Samples in a full sector, by the byte that tells axes and packing: packed x y z; 16-bit x y z;
 gyroscope and accelerometer; gyroscope, accelerometer and magnetometer."""
 
@@ -212,9 +218,8 @@ def parse_header(head: bytes) -> Header:
     if not head.startswith(HEADER_MAGIC) or len(head) < HEADER_BYTES:
         found = (at for at in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, at))
         return Header(next(found, HEADER_BYTES), False)
-    hardware, low = struct.unpack_from("<BH", head, 4)
-    (high,) = struct.unpack_from("<H", head, 11)
-    rate, firmware = head[36], head[41]
+    _, hardware, low, _, high, *fields = HEADER.unpack(head[:HEADER_BYTES])
+    rate, firmware = fields[7], fields[9]
     number = low | (0 if high == UNSET_WORD else high << 16)
     device = Device(
         model=MODELS.get(hardware),

@@ -20,7 +20,6 @@ from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Counts, Recording
 from accelcal_cli.formats._writing import (
     OTHER_FORMAT,
-    Rows,
     check_bits,
     fixed_offset,
     full_pages,
@@ -28,6 +27,7 @@ from accelcal_cli.formats._writing import (
     known_scale,
     new_file,
     number_of,
+    page_means_mc,
     remark,
     start_us,
 )
@@ -166,7 +166,7 @@ def header(path: Path, recording: Recording, pages: int) -> bytes:
     return lines(text)
 
 
-def data_pages(path: Path, rows: Rows, recording: Recording, sequence: int) -> bytes:
+def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> bytes:
     """Whole pages, numbered from `sequence`."""
     check_bits(path, rows, BITS)
     digits = sample_digits(rows.counts)
@@ -209,9 +209,9 @@ def stamps(path: Path, time_us: NDArray[np.int64]) -> list[str]:
     return [text.replace("T", " ").replace(".", ":") for text in texts.tolist()]
 
 
-def temperatures(rows: Rows) -> list[str]:
+def temperatures(rows: Chunk) -> list[str]:
     """Mean temperature of each page; empty where none was measured."""
-    means_mc = rows.mean_mc(SAMPLES)
+    means_mc = page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return [""] * (len(rows) // SAMPLES)
     return [f"{mean / 1000:.1f}" for mean in means_mc.tolist()]
