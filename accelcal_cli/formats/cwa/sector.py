@@ -41,6 +41,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
+from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
 SAMPLE_BYTES = 480
@@ -292,8 +293,9 @@ def day_table() -> NDArray[np.int64]:
     return np.where((month >= 1) & (month <= 12) & (day >= 1), days * 86_400, -1)
 
 
-GOOD, EMPTY, OTHER, FOREIGN, CHECKSUM, NONSENSE, RATE, SETTINGS = range(8)
-"""What a sector is: OTHER is a kind without acceleration, FOREIGN no sector at all."""
+EMPTY, OTHER, SETTINGS = ERASED, 50, 51
+"""What a sector may be beside GOOD and the kinds of BAD_KINDS: without anything written, of a kind without
+acceleration (FOREIGN is no sector at all), or recorded with other settings."""
 
 KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
 OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.recording import cut_columns, joined_columns
 from accelcal_cli.formats.cwa.sector import SectorBlock
 
 RATE_TOLERANCE = 0.1
@@ -254,22 +255,12 @@ class _Window:
         return len(self.row)
 
     def extended(self, links: Links) -> _Window:
-        return _Window(
-            np.concatenate((self.row, links.row)),
-            np.concatenate((self.rows, links.rows)),
-            np.concatenate((self.anchor_row, links.anchor_row)),
-            np.concatenate((self.anchor_us, links.anchor_us)),
-            np.concatenate((self.fresh, links.fresh)),
-        )
+        """The same with these sectors after it."""
+        return _Window(**joined_columns((self, links), self.__dataclass_fields__))
 
-    def cut(self, first: int) -> _Window:
-        return _Window(
-            self.row[first:],
-            self.rows[first:],
-            self.anchor_row[first:],
-            self.anchor_us[first:],
-            self.fresh[first:],
-        )
+    def without(self, sectors: int) -> _Window:
+        """The same without so many sectors at its beginning."""
+        return _Window(**cut_columns(self, self.__dataclass_fields__, slice(sectors, None)))
 
 
 class _Lines:
@@ -319,7 +310,7 @@ class Timeline:
 
     def __init__(self, rate: Fraction) -> None:
         self._rate = rate
-        none = np.empty(0, np.int64)
+        none = NO_SPANS.time_us
         self._window = _Window(none, none, none, none, none.astype(np.bool_))
         self._done = 0
 
@@ -367,4 +358,4 @@ class Timeline:
         reached = window.row[settled - 1] + window.rows[settled - 1]
         before = begun + int(np.searchsorted(window.anchor_row[begun:], reached, side="right")) - 1
         first = max(begun, min(settled, before, len(window) - END_ANCHORS))
-        self._window, self._done = window.cut(first), settled - first
+        self._window, self._done = window.without(first), settled - first

@@ -17,7 +17,7 @@ From records to rows in the order of time: seconds that follow each other, gaps,
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -134,34 +134,7 @@ def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
         yield chunk
         return
     for start in range(0, len(chunk), most):
-        yield _part(chunk, start, min(start + most, len(chunk)))
-
-
-def _part(chunk: Chunk, start: int, stop: int) -> Chunk:
-    inside = (chunk.breaks >= start) & (chunk.breaks < stop)
-    return replace(
-        chunk,
-        first_sample=chunk.first_sample + start,
-        counts=chunk.counts[start:stop],
-        clock=_pages(chunk.clock, start, stop),
-        breaks=chunk.breaks[inside] - start,
-        temperature_mc=None if chunk.temperature_mc is None else chunk.temperature_mc[start:stop],
-        gyro_counts=None if chunk.gyro_counts is None else chunk.gyro_counts[start:stop],
-        validity=None if chunk.validity is None else chunk.validity[start:stop],
-        problems=() if start else chunk.problems,
-        used_bytes=0 if start else chunk.used_bytes,
-    )
-
-
-def _pages(clock: Any, start: int, stop: int) -> PageClock:
-    """The pages of a clock that rows start..stop-1 lie on."""
-    page = slice(
-        int(np.searchsorted(clock.first_row, start, side="right")) - 1,
-        int(np.searchsorted(clock.first_row, stop, side="left")),
-    )
-    return PageClock(
-        clock.first_row[page] - start, clock.time_us[page], clock.span_rows[page], clock.span_us[page]
-    )
+        yield chunk.part(start, min(start + most, len(chunk)))
 
 
 FELL_ASLEEP, WOKE = b"\x08", b"\x09"

@@ -319,7 +319,7 @@ class FrameDecoder:
             sequence=None if sequence is None else self._page_value(pages, sequence.offset, sequence.type),
             time_us=None if layout.stamp is None else self._stamps(pages, layout.stamp),
             temperature_mc=values.temperature_mc(records),
-            gyro=values.gyro(records, faulty),
+            gyro_counts=values.gyro(records, faulty),
             faulty=faulty if values.may_fail else None,
         )
 
