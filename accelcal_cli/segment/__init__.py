@@ -1,6 +1,6 @@
-"""Rules with fixed limits: max - min, standard deviation, or both; exact in integers.
+"""The rules with fixed limits, and the choice of the rule that the settings name.
 
-The rule of stillness that the settings name.
+A window is still by its max - min, its standard deviation, or both; all comparisons are of integers.
 """
 
 from __future__ import annotations

@@ -1,10 +1,4 @@
-"""Candidates that wait for their decision, and states made of neighbouring still windows.
-
-How much a window varies, and the least that was ever seen; exact in integers.
-
-Variances are compared as `n times the variance, rounded up`: equal windows have equal integers.
-
-The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
+"""The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
 
 Grammenos, Mascolo, Crowcroft 2018: a window is still where the standard deviation of |a| is below
 twice the smallest one of the recording, and that of the gyroscope below three times its smallest;
@@ -19,6 +13,8 @@ without any spread means. Here:
 - A first window that moves is given up at once, and so is one that the next does not agree with: G
   gathers w_min, then up to w_max; here states grow by w_min at a time (`States`).
 - The rotation's standard deviation is that of the three axes together, in counts.
+
+Variances are compared as `n times the variance, rounded up`: equal windows have equal integers.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Fixed-size pages of a file, a block of them at a time.
+"""Fixed-size pages of a file, a block at a time: the valid ones as columns, the others as runs.
 
-Pages after decoding: the valid ones as columns, the others as runs.
-
-What happens to single rows of a chunk: unusable ones go, unmeasured temperatures repeat.
+Unusable rows are taken out of chunks here, and a temperature that was not measured repeats the last one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
-"""What was wrong with pages, between pages and with rows, as events for the problem log.
+"""The reader of dumps of fixed-size pages, whatever says what a page holds.
 
-From blocks of decoded pages to chunks: times, breaks and problems across block borders.
-
-An open dump of fixed-size pages, whatever says what a page holds.
+Blocks of decoded pages become chunks, with times, breaks and problems across block borders. What is wrong
+with pages, between pages and with rows goes to the problem log as events.
 """
 
 from __future__ import annotations

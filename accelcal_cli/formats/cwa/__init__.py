@@ -1,8 +1,4 @@
-"""By what an Axivity .cwa file is known: how its header and its sectors begin.
-
-Source: `Docs/ax3/cwa.h` (github.com/digitalinteraction/openmovement).
-
-Axivity AX3 and AX6 recordings (.cwa): the device's own file, sector by sector.
+"""Axivity AX3 and AX6 recordings (.cwa), the device's own file: how they are recognised.
 
 Sources: the vendor's `Docs/ax3/cwa.h`, `ax3-technical.md` and `ax3-auxiliary.md`
 (github.com/digitalinteraction/openmovement). Times are the wall clock of the computer that set the

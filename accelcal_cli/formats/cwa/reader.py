@@ -1,10 +1,7 @@
-"""What was wrong with sectors and between them, as events for the problem log.
+"""An open .cwa file: what is known of the recording, and its rows.
 
-Sectors of a file, a block of them at a time.
-
-From sectors to chunks: samples wait until the anchors that tell their times are read.
-
-An open .cwa file: what is known of the recording, and its rows.
+Sectors are read a block at a time; their samples wait until the anchors that tell their times are read.
+What is wrong with sectors and between them goes to the problem log as events.
 """
 
 from __future__ import annotations

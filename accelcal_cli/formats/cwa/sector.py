@@ -1,24 +1,14 @@
-"""The 512-byte data sector of an Axivity .cwa file: its fields, settings and checksum.
+"""What the header and the 512-byte data sectors of an Axivity .cwa file hold, and their samples.
 
 Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it,
 `Docs/ax3/ax3-technical.md` and `ax3-auxiliary.md` (github.com/digitalinteraction/openmovement).
-All numbers are little-endian.
+All numbers are little-endian. Where header and data disagree, the data take precedence.
 
-The first 1024 bytes of a .cwa file: who recorded. What the data say goes before what they say.
+Time: the device notes the time, to 1/32768 s, and how many samples its buffer held at that moment: an
+anchor, that is a sample number and its time. For old software it stores the number as if the time were
+the whole second before, so that the two must be put together again (`ax3-technical.md`).
 
-Source: `Docs/ax3/cwa.h` (github.com/digitalinteraction/openmovement).
-
-When a data sector was written: an anchor, that is a sample number and its time.
-
-The device notes the time, to 1/32768 s, and how many samples its buffer held at that moment. For
-old software it stores the number as if the time were the whole second before, so that the two
-must be put together again. Source: `Docs/ax3/ax3-technical.md` (openmovement).
-
-From sectors as they lie in the file to samples, a block of them at a time.
-
-From a sector's temperature word to degrees C: which part the hardware carries.
-
-The word's low ten bits stand for 3 V. Sources, all in github.com/digitalinteraction/openmovement:
+Temperature: the low ten bits of a sector's word stand for 3 V. Which sensor the hardware carries:
 
 - `Docs/ax3/cwa.h` and `ax3-auxiliary.md` give raw * 75 / 256 - 50, an MCP9700 (500 mV at 0 C, 10 mV
   per degree). It holds for units that declare no hardware version (0x00, 0xff) and for the AX6

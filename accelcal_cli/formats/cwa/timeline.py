@@ -1,11 +1,9 @@
-"""How each sector goes on from the one before: lost sectors, restarts, jumps of the clock.
-
-Times of samples by straight lines between the anchors of their sectors.
+"""How each sector continues the one before (lost sectors, restarts, jumps of the clock), and its times.
 
 The sensor has its own oscillator, percents off its nominal rate and drifting with temperature, so
-that only the anchors tell when a sample was taken. Before the first and after the last anchor of
-an unbroken run the line goes on with the run's own rate at that end. Sectors begin and end on these
-lines; the samples of a sector are evenly spread.
+that only the anchors tell when a sample was taken: times lie on straight lines between them. Before the
+first and after the last anchor of an unbroken run the line goes on with the run's own rate at that end.
+Sectors begin and end on these lines; the samples of a sector are evenly spread.
 """
 
 from __future__ import annotations

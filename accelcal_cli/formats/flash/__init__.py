@@ -1,6 +1,6 @@
-"""By what a dump of flash pages is known: how its header and its pages begin. See docs/flash-format.md.
+"""The flash page format, our own dump of a wrist logger's memory: how its header and pages are recognised.
 
-The flash page format: our own dump of a wrist logger's memory, specified in docs/flash-format.md.
+Specified in docs/flash-format.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Pages that a file holds twice.
-
-From the text of pages to samples, many pages at a time.
-"""
+"""From the text of pages to samples, many pages at a time; pages that a file holds twice are left out."""
 
 from __future__ import annotations
 

@@ -1,14 +1,10 @@
-"""The factory's gain and offset of each axis, on one grid of whole counts for all three.
+"""The text before the first page of a GENEActiv .bin file: who recorded, and the factory's calibration.
 
-The device's documentation gives g = (raw * 100 - offset) / gain (Activinsights, GENEActiv
-instructions, "Understanding .bin files"). Counts are slope * raw - shift with one number of counts
-per g. They are exact where that takes no more than 2**24 counts per g, as with equal gains; else
-the values are rounded to a grid of 1 / 2**24 g, 0.03 micro-g at most.
-
-The text before the first page of a GENEActiv .bin file: who recorded, and the factory's calibration.
-
-It has 59 lines of `key:value` in sections; notes of several lines make it longer. Source:
-Activinsights, GENEActiv instructions, "Understanding .bin files".
+It has 59 lines of `key:value` in sections; notes of several lines make it longer. The factory's gain and
+offset of each axis give g = (raw * 100 - offset) / gain; all three axes are put on one grid of whole
+counts, slope * raw - shift with one number of counts per g. The counts are exact where that takes no more
+than 2**24 counts per g, as with equal gains; else the values are rounded to a grid of 1 / 2**24 g, 0.03
+micro-g at most. Source: Activinsights, GENEActiv instructions, "Understanding .bin files".
 """
 
 from __future__ import annotations

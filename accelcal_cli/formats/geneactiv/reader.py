@@ -1,8 +1,6 @@
-"""What the first pages of a file have in common.
+"""An open GENEActiv .bin file: what is known of the recording, and its rows.
 
-From the text of a file to chunks.
-
-An open GENEActiv .bin file: what is known of the recording, and its rows.
+What most of the first pages have in common describes the recording; pages that differ are left out.
 """
 
 from __future__ import annotations

@@ -1,12 +1,9 @@
-"""The text of a page: nine lines of `key:value`, then 300 samples as one line of 3600 hexadecimal digits.
+"""Finding the pages in the text of a GENEActiv .bin file, damaged or not, a part of the file at a time.
 
-Source: Activinsights, GENEActiv instructions, "Understanding .bin files". Numbers have as many
-digits as they need, lines end in LF or CR LF, and the decimal sign may be a comma (as computers
-of some countries wrote it), so that pages differ in length.
-
-Finding the pages in the text of a file, damaged or not, a stretch of it at a time.
-
-A file as text with pages in it, read a part at a time.
+The text of a page is nine lines of `key:value`, then 300 samples as one line of 3600 hexadecimal digits.
+Numbers have as many digits as they need, lines end in LF or CR LF, and the decimal sign may be a comma (as
+computers of some countries wrote it), so that pages differ in length. Source: Activinsights, GENEActiv
+instructions, "Understanding .bin files".
 """
 
 from __future__ import annotations

@@ -1,6 +1,4 @@
-"""By what a .gt3x file is known: the parts that this zip file names.
-
-ActiGraph recordings (.gt3x): a zip file with info.txt and log.bin, or activity.bin in the older kind.
+"""ActiGraph recordings (.gt3x), zip files with info.txt and log.bin or activity.bin: how they are recognised.
 
 Sources: the vendor's format documents, github.com/actigraph/GT3X-File-Format and
 github.com/actigraph/NHANES-GT3X-File-Format; docs/gt3x-files.md says what was decided where they leave

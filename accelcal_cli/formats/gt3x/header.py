@@ -1,11 +1,9 @@
-"""info.txt: what the device's software wrote about a recording, one "key: value" a line.
+"""What is known of a recording before its samples are read: info.txt, and the beginning of log.bin.
 
-Source: github.com/actigraph/GT3X-File-Format and NHANES-GT3X-File-Format, info.txt.md. Times are
-.NET ticks, 100 ns since the year 1, on the device's clock.
-
-What is known of a recording before its samples are read: info.txt, and the beginning of log.bin.
-
-Scale, range and rate of a sensor: from info.txt, else from the parameters, else by the model.
+info.txt is what the device's software wrote, one "key: value" a line. Scale, range and rate of a sensor come
+from info.txt, else from the parameters in log.bin, else from the model. Source: info.txt.md of
+github.com/actigraph/GT3X-File-Format and NHANES-GT3X-File-Format. Times are .NET ticks, 100 ns since the
+year 1, on the device's clock.
 """
 
 from __future__ import annotations
@@ -306,7 +304,7 @@ def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
     )
 
 
-def old_scale(info: Info) -> Scale:
+def activity_bin_scale(info: Info) -> Scale:
     """Of the older kind; all devices of it are of one model."""
     if info.scale is None or info.scale < LEAST_SCALE:
         return SIX_G

@@ -10,10 +10,18 @@ from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream
 from accelcal_cli.formats.gt3x.records import Batch, Framer, Span
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
-from accelcal_cli.formats.gt3x.timeline import Piece, Place, Timeline, chunk_of, cut, fault_problem, groups
+from accelcal_cli.formats.gt3x.timeline import (
+    ChunkPlace,
+    RowSpan,
+    Timeline,
+    chunk_of,
+    cut,
+    fault_problem,
+    groups,
+)
 
 PIECE_BYTES = 3 << 18
-"""log.bin is taken in equal pieces, so that nothing depends on the size of the chunks."""
+"""log.bin is taken in equal spans, so that nothing depends on the size of the chunks."""
 
 MOST_ROWS = 1 << 18
 
@@ -57,25 +65,25 @@ class LogFile:
         rows = 0
         with MemberStream(self.archive, self.member) as source:
             for batch in batches(source, self.span):
-                pieces, samples, events = timeline.feed(batch)
+                spans, samples, events = timeline.feed(batch)
                 for event in events:
                     log.add(event)
                 problems = log.take(None if batch.page.last else timeline.position)
                 if batch.page.last and (fault := fault_problem(source, timeline.rows)) is not None:
                     problems += (fault,)
-                place = Place(rows, source.disk_position, batch.records.framed_bytes())
-                for chunk in chunks_of(pieces, samples, place, problems):
+                place = ChunkPlace(rows, source.disk_position, batch.records.framed_bytes())
+                for chunk in chunks_of(spans, samples, place, problems):
                     rows += len(chunk)
                     yield from cut(chunk, most)
 
 
 def chunks_of(
-    pieces: list[Piece], samples: Samples, place: Place, problems: tuple[Problem, ...]
+    spans: list[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...]
 ) -> Iterator[Chunk]:
-    """Chunks of a batch's pieces; problems and bytes go with the first, which may be empty."""
-    parts = list(groups(pieces, MOST_ROWS)) or ([[]] if problems or place.used_bytes else [])
+    """Chunks of a batch's spans; problems and bytes go with the first, which may be empty."""
+    parts = list(groups(spans, MOST_ROWS)) or ([[]] if problems or place.used_bytes else [])
     rows, used = place.first_sample, place.used_bytes
     for part in parts:
-        chunk = chunk_of(part, samples, Place(rows, place.end_byte, used), problems)
+        chunk = chunk_of(part, samples, ChunkPlace(rows, place.end_byte, used), problems)
         problems, used, rows = (), 0, rows + len(chunk)
         yield chunk

@@ -11,15 +11,15 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 from accelcal_cli.formats.gt3x import ACTIVITY, LOG
-from accelcal_cli.formats.gt3x.activity import OldFile, has_samples
+from accelcal_cli.formats.gt3x.activity import ActivityFile, has_samples
 from accelcal_cli.formats.gt3x.archive import Archive, open_archive
 from accelcal_cli.formats.gt3x.header import (
     COPY_AGAIN,
     NO_IMU,
     Info,
+    activity_bin_scale,
     imu_of,
     look_inside,
-    old_scale,
     primary_of,
     read_info,
     span_of,
@@ -36,7 +36,7 @@ NO_START = "info.txt does not tell when the recording began: times count from it
 class Gt3xReader(Reader):
     """Streams a recording; each call of `chunks` reads the zip file from its beginning."""
 
-    def __init__(self, recording: Recording, file: LogFile | OldFile) -> None:
+    def __init__(self, recording: Recording, file: LogFile | ActivityFile) -> None:
         self.recording = recording
         self._file = file
 
@@ -62,7 +62,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if LOG in archive.members:
         return open_log(archive, info, options, archive.problems + problems)
     if ACTIVITY in archive.members:
-        return open_old(archive, info, options, archive.problems + problems)
+        return open_activity_bin(archive, info, options, archive.problems + problems)
     raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
 
 
@@ -98,7 +98,9 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     return Gt3xReader(recording, file)
 
 
-def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
+def open_activity_bin(
+    archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]
+) -> Reader:
     """Open the older kind.
 
     Raises:
@@ -107,13 +109,13 @@ def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     """
     if options.sensor == IMU:
         raise UsageError(NO_IMU, path=archive.path, hint="leave --sensor out")
-    rate = old_rate(info, options, archive.path)
+    rate = activity_bin_rate(info, options, archive.path)
     if info.start_us is None:
         problems += (Problem("no_start_time", NO_START, None, 0),)
-    file = OldFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
+    file = ActivityFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
     if not has_samples(file):
         raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
-    scale = old_scale(info)
+    scale = activity_bin_scale(info)
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -131,7 +133,7 @@ def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     return Gt3xReader(recording, file)
 
 
-def old_rate(info: Info, options: ReadOptions, path: Path) -> int:
+def activity_bin_rate(info: Info, options: ReadOptions, path: Path) -> int:
     """Samples in a second of the older kind, which only info.txt tells."""
     rate = info.rate_hz or options.rate_hz
     if rate is None or rate != int(rate):

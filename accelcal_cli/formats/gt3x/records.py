@@ -1,17 +1,11 @@
-"""What a record of log.bin looks like.
+"""Records of log.bin: what one looks like, cutting log.bin into them, and going on after damage.
 
 Eight bytes of header (separator 0x1E, kind, seconds since 1970, size of the payload, little-endian),
 the payload, and one byte that makes the exclusive or over the whole record 0xFF. Source:
 github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in
 the vendor's pygt3x.
 
-A piece of log.bin: records one after the other, and where one can be believed after damage.
-
-Cutting log.bin into records, and going on after damage.
-
-Records of log.bin that describe the recording: parameters, metadata.
-
-Sources: github.com/actigraph/GT3X-File-Format, LogRecords/Parameters.md (pairs of key and value,
+Records that describe the recording are read here too: LogRecords/Parameters.md (pairs of key and value,
 floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Initialized in UTC").
 """
 

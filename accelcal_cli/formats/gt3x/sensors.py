@@ -1,19 +1,13 @@
-"""What a sensor of the device is to the rest of the reader: which records hold its samples, and how.
+"""The sensors of a device: which records of log.bin hold their samples, and how.
 
-The second sensor of the GT9X: accelerometer, gyroscope and temperature in one record.
-
-A schema record lists the columns of the sensor records. Source: github.com/actigraph/GT3X-File-
-Format, LogRecords/SensorSchema.md and SensorData.md. Records hold 100 or 101 samples for a second.
-
-Samples of three values of twelve bits, two samples in nine bytes.
-
-Source: github.com/actigraph/GT3X-File-Format, LogRecords/Activity.md; the same in NHANES-GT3X-File-
-Format, fileformats/activity.bin.md.
-
-The main accelerometer: records of one second of samples, packed or of 16 bits.
-
-Source: github.com/actigraph/GT3X-File-Format, LogRecords/Activity.md and Activity2.md. Kind 27 is
+The main accelerometer has records of one second of samples, packed or of 16 bits. Packed samples are three
+values of twelve bits, two samples in nine bytes. Sources: github.com/actigraph/GT3X-File-Format,
+LogRecords/Activity.md and Activity2.md; fileformats/activity.bin.md of NHANES-GT3X-File-Format. Kind 27 is
 packed in the order x, y, z (the vendor's pygt3x).
+
+The second sensor of the GT9X (`Imu`) has accelerometer, gyroscope and temperature in one record, whose
+columns a schema record lists; a record holds 100 or 101 samples for a second. Source:
+LogRecords/SensorSchema.md and SensorData.md.
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
-"""What a layout file says, checked.
+"""Layout files: what the pages and frames of a raw dump hold. See docs/layout-files.md.
 
-Whether the sizes and offsets of a layout can be true together.
-
-Typed access to the tables of a layout file, with errors that name the key.
-
-The start time of a layout.
-
-Reading layout files: what the pages and frames of a raw dump hold. See docs/layout-files.md.
+A layout is read with errors that name the key, and checked: its sizes and offsets must fit together.
 """
 
 from __future__ import annotations

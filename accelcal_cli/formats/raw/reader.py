@@ -1,8 +1,6 @@
-"""The values within the frames of a raw dump: counts, temperature, gyroscope.
+"""An open raw dump: what its layout and its pages tell of the recording, and its rows.
 
-Decodes the pages of a raw dump as its layout says.
-
-An open raw dump: what its layout and its pages tell of the recording, and its rows.
+`FrameValues` takes counts, temperature and rotation out of frames, `FrameDecoder` frames out of pages.
 """
 
 from __future__ import annotations
