@@ -116,13 +116,13 @@ class PageEvents(EventMaker):
         """Rows without usable values, and samples without a temperature, page by page."""
         faults = per_page(block, block.faulty)
         measured = block.temperature_mc if self._has_temperature else None
-        cold = per_page(block, None if measured is None else measured == NO_TEMPERATURE)
+        unmeasured = per_page(block, None if measured is None else measured == NO_TEMPERATURE)
         after = rows_in + np.cumsum(page_rows(block))
-        for page in np.flatnonzero(faults + cold).tolist():
+        for page in np.flatnonzero(faults + unmeasured).tolist():
             position, sample = int(block.position[page]), int(after[page])
             for kind, count, lost in (
                 (FAULTY_ROWS, int(faults[page]), self._row_bytes),
-                (COLD_ROWS, int(cold[page]), 0),
+                (COLD_ROWS, int(unmeasured[page]), 0),
             ):
                 if count:
                     yield replace(self.event(position, kind, sample, count), lost_bytes=count * lost)
@@ -209,7 +209,7 @@ class PageJoiner:
         self._log = ProblemLog(start.problems)
         self._temperature = TemperatureHold(start.temperature_mc)
         self._filter = RowFilter()
-        self._held: Stretch | None = None
+        self._last: Stretch | None = None
         self._rows_in = start.sample
         self._rows_out = start.sample
 
@@ -224,7 +224,7 @@ class PageJoiner:
         if raw.last:
             events += self._events.ending(raw, decoded, self._rows_in)
         elif len(stretch.block):
-            stretch, self._held = stretch.cut(len(stretch.block) - 1)
+            stretch, self._last = stretch.cut(len(stretch.block) - 1)
         for event in sorted(events, key=lambda event: event.position):
             self._log.add(event)
         scanned = None if raw.last else raw.next_position
@@ -232,16 +232,16 @@ class PageJoiner:
 
     def _settled(self, block: PageBlock, events: list[Event]) -> Stretch:
         """Times of the held page and the new ones."""
-        held = self._held
-        pages = block if held is None else joined(held.block, block)
+        last = self._last
+        pages = block if last is None else joined(last.block, block)
         if not len(pages):
             return Stretch(pages, *(NO_PAGES,) * 3, NO_PAGES.astype(np.bool_))
-        start_us = self._timeline.start(pages) if held is None else int(held.time_us[0])
+        start_us = self._timeline.start(pages) if last is None else int(last.time_us[0])
         step = steps(pages, self._spacing)
         links = self._timeline.link(pages, step, start_us)
-        before = self._rows_in - (0 if held is None else int(page_rows(held.block).sum()))
+        before = self._rows_in - (0 if last is None else int(page_rows(last.block).sum()))
         events += self._events.links(pages, step, links, before)
-        return self._spread(pages, links, held is not None and bool(held.broken[0]))
+        return self._spread(pages, links, last is not None and bool(last.broken[0]))
 
     def _spread(self, pages: PageBlock, links: Links, broken: bool) -> Stretch:
         """Spread each page up to the next, or at the nominal rate where no next one limits it."""

@@ -21,7 +21,7 @@ def sniff(probe: Probe) -> int:
     if probe.head.startswith(HEADER_MAGIC):
         return 100
     places = range(0, len(probe.head), SECTOR_BYTES)
-    return 97 if any(probe.head.startswith(SECTOR_MAGIC, at) for at in places) else 0
+    return 97 if any(probe.head.startswith(SECTOR_MAGIC, place) for place in places) else 0
 
 
 FORMAT = Format(

@@ -127,7 +127,7 @@ class Settings:
 
     @property
     def gyro_dps_per_lsb(self) -> float | None:
-        """deg/s in one count, None without a gyroscope or where its range is not told."""
+        """deg/s in one count, None without a gyroscope or where its range is unknown."""
         gyro_bits = self.scale_bits & 7
         return 8000 / (1 << gyro_bits) / 32768 if self.width > 3 and gyro_bits else None
 
@@ -207,8 +207,8 @@ class Header:
 def parse_header(head: bytes) -> Header:
     """Look at the beginning of a file; without a header, the data may begin at once."""
     if not head.startswith(HEADER_MAGIC) or len(head) < HEADER_BYTES:
-        found = (at for at in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, at))
-        return Header(next(found, HEADER_BYTES), False)
+        starts = (start for start in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, start))
+        return Header(next(starts, HEADER_BYTES), False)
     _, hardware, low, _, high, *fields = HEADER.unpack(head[:HEADER_BYTES])
     rate, firmware = fields[7], fields[9]
     number = low | (0 if high == UNSET_WORD else high << 16)

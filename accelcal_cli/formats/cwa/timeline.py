@@ -286,14 +286,14 @@ class _Lines:
         nominal = self._rate.numerator, MICROSECONDS * self._rate.denominator
         return np.where(alone, nominal[0], over_rows), np.where(alone, nominal[1], over_us)
 
-    def at(self, sector: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
+    def times(self, sector: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
         """Times of samples `row` of the runs to which the sectors belong, rounded half up."""
         run = self._run[sector]
         key = (run << RUN_SHIFT) + (row + ROW_ORIGIN)
-        found = np.searchsorted(self._key, key, side="right") - 1
-        anchor = np.maximum(found, self._starts[run])
+        before = np.searchsorted(self._key, key, side="right") - 1
+        anchor = np.maximum(before, self._starts[run])
         over_rows, over_us = self._over_rows[anchor], self._over_us[anchor]
-        early = np.flatnonzero(found < anchor)
+        early = np.flatnonzero(before < anchor)
         over_rows[early], over_us[early] = self._head[0][run[early]], self._head[1][run[early]]
         into = (row - self._window.anchor_row[anchor]) * over_us
         return np.asarray(self._window.anchor_us[anchor] + (2 * into + over_rows) // (2 * over_rows))
@@ -344,7 +344,7 @@ class Timeline:
         apart = window.fresh[1:settled] | (ends[: settled - 1] != window.row[1:settled])
         lonely = np.append(np.flatnonzero(apart[self._done :]) + self._done, settled - 1)
         sector = np.append(np.arange(self._done, settled), lonely)
-        time_us = lines.at(sector, np.append(window.row[self._done : settled], ends[lonely]))
+        time_us = lines.times(sector, np.append(window.row[self._done : settled], ends[lonely]))
         begin, end = time_us[: settled - self._done], time_us[1 : settled - self._done + 1].copy()
         end[lonely - self._done] = time_us[settled - self._done :]
         self._forget(settled)

@@ -267,8 +267,8 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
             hint="give --rate and --lsb-per-g to read the data without it",
         )
     with closing(file.blocks(SEARCHED_PAGES)) as blocks:
-        found = (first_recording_id(raw.pages) for raw in blocks)
-        number = next((number for number in found if number is not None), 0)
+        numbers = (first_recording_id(raw.pages) for raw in blocks)
+        number = next((number for number in numbers if number is not None), 0)
     return FlashHeader(
         recording_id=number,
         rate=rate_fraction(options.rate_hz),
@@ -282,7 +282,7 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
 
 
 def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHeader:
-    """What the user says goes before what the file says.
+    """What the user says takes precedence over what the file says.
 
     Raises:
         UsageError: the rates contradict each other.

@@ -93,10 +93,10 @@ def zone_minutes(timezone: str | None) -> int:
     """Minutes east of UTC where the zone is a fixed offset."""
     if timezone == "UTC":
         return 0
-    found = re.fullmatch(r"([+-])(\d\d):(\d\d)", timezone or "")
-    if found is None:
+    match = re.fullmatch(r"([+-])(\d\d):(\d\d)", timezone or "")
+    if match is None:
         return ZONE_UNKNOWN
-    return int(found[1] + "1") * (60 * int(found[2]) + int(found[3]))
+    return int(match[1] + "1") * (60 * int(match[2]) + int(match[3]))
 
 
 def data_pages(path: Path, rows: Chunk, sequence: int) -> NDArray[np.void]:

@@ -164,15 +164,20 @@ def parse_header(head: bytes) -> Header:
     Args:
         head: the file's first HEADER_LIMIT bytes.
     """
-    found = _PAGE_LINE.search(head)
-    end = found.start() if found else 0
+    match = _PAGE_LINE.search(head)
+    end = match.start() if match else 0
     text = head[:end].decode("ascii", "replace")
     about, measured = _values(text), _values(text.rpartition(CALIBRATION)[2])
     factory = _factory(measured)
     rate = number(about.get("Measurement Frequency", "").encode("ascii", "replace"))
     range_g = _range_g(about.get("Accelerometer Range", ""))
     serial = about.get("Device Unique Serial Code")
-    told = {"serial number": serial, "measurement frequency": rate, "range": range_g, "calibration": factory}
+    needed = {
+        "serial number": serial,
+        "measurement frequency": rate,
+        "range": range_g,
+        "calibration": factory,
+    }
     return Header(
         data_start=end,
         device=_device(about, serial),
@@ -183,7 +188,7 @@ def parse_header(head: bytes) -> Header:
         pages=_whole(measured.get("Number of Pages", "")),
         reset=any(about.get(key, "").startswith(RESET_DATE) for key in ("Config Time", "Start Time")),
         drift_s=_first(_DRIFT, about.get("Extract Notes", "")),
-        missing=tuple(name for name, value in told.items() if value is None),
+        missing=tuple(name for name, value in needed.items() if value is None),
     )
 
 
@@ -219,19 +224,19 @@ def _whole(text: str) -> int | None:
 
 
 def _first(pattern: re.Pattern[str], text: str) -> str | None:
-    found = pattern.search(text)
-    return found[1] if found else None
+    match = pattern.search(text)
+    return match[1] if match else None
 
 
 def _range_g(text: str) -> float | None:
     """The range of `-8 to 8`; None where it is not symmetric."""
-    found = _RANGE.search(text)
-    return float(found[2]) if found and float(found[1]) == float(found[2]) > 0 else None
+    match = _RANGE.search(text)
+    return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
 
 
 def _zone(text: str) -> str | None:
-    """The zone of `GMT +01:00`; None where it is not told so."""
-    found = _ZONE.fullmatch(text)
-    if found is None or int(found[1][1:3]) > WIDEST_OFFSET_H:
+    """The zone of `GMT +01:00`; None where the text is none."""
+    match = _ZONE.fullmatch(text)
+    if match is None or int(match[1][1:3]) > WIDEST_OFFSET_H:
         return None
-    return "UTC" if found[1][1:] == "00:00" else found[1]
+    return "UTC" if match[1][1:] == "00:00" else match[1]

@@ -99,17 +99,17 @@ def _right_pages(part: Part) -> list[tuple[int, Head]]:
 
 
 def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
-    told = [(head[0], number(head[4])) for _, head in pages]
-    serial, rate = Counter(told).most_common(1)[0][0]
-    place, first = pages[told.index((serial, rate))]
-    warm = [temperature_mc(head[3]) for _, head in pages]
+    stated = [(head[0], number(head[4])) for _, head in pages]
+    serial, rate = Counter(stated).most_common(1)[0][0]
+    place, first = pages[stated.index((serial, rate))]
+    temperatures = [temperature_mc(head[3]) for _, head in pages]
     return FirstPages(
         serial=serial,
         rate=rate or Fraction(1),
         sequence=int(first[1]),
         missing=max(0, int(first[1]) - place),
         unit_us=_unit_us([head[2] for _, head in pages]),
-        temperature_mc=next((mc for mc in warm if mc != NO_TEMPERATURE), NO_TEMPERATURE),
+        temperature_mc=next((mc for mc in temperatures if mc != NO_TEMPERATURE), NO_TEMPERATURE),
     )
 
 
@@ -120,14 +120,14 @@ def _unit_us(stamps: Sequence[bytes]) -> int:
     return next(fits, FINEST_US)
 
 
-def true_rate(told: Fraction) -> Fraction:
+def true_rate(rate: Fraction) -> Fraction:
     """The rate whose rounded figure a page tells.
 
     A page of 300 samples lasts a whole number of half seconds: 3.5 s at what is called 85.7 Hz
     (600/7), 4.5 s at 66.7 Hz (200/3).
     """
-    exact = Fraction(HALF_SECONDS, max(1, round(HALF_SECONDS / told)))
-    return exact if abs(exact - told) <= RATE_ROUNDING else told
+    exact = Fraction(HALF_SECONDS, max(1, round(HALF_SECONDS / rate)))
+    return exact if abs(exact - rate) <= RATE_ROUNDING else rate
 
 
 BROKEN_OFF = "the compressed data is damaged or ends early"

@@ -39,7 +39,7 @@ RATES = [600 / halves for halves in range(6, 61)]
 """From 100 to 10 Hz: a page lasts a whole number of half seconds."""
 
 RATE_ROUNDING_HZ = 0.0501
-"""Rates are told with one decimal: 66.7 Hz stands for 200/3, 18.8 Hz for 18.75."""
+"""Rates are written with one decimal: 66.7 Hz stands for 200/3, 18.8 Hz for 18.75."""
 
 LSB_PER_G, RANGE_G = 256.0, 8.0
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
@@ -170,17 +170,17 @@ def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> 
     """Whole pages, numbered from `sequence`."""
     check_bits(path, rows, BITS)
     digits = sample_digits(rows.counts)
-    told = {"serial": number_of(recording.device), "rate": recording.rate_hz}
-    times, heats = stamps(path, rows.time_us[::SAMPLES]), temperatures(rows)
+    constants = {"serial": number_of(recording.device), "rate": recording.rate_hz}
+    times, means = stamps(path, rows.time_us[::SAMPLES]), temperatures(rows)
     pages = [
         PAGE.format(
             sequence=sequence + number,
             time=time,
-            temperature=heat,
+            temperature=mean,
             digits=digits[number * PAGE_DIGITS : (number + 1) * PAGE_DIGITS],
-            **told,
+            **constants,
         )
-        for number, (time, heat) in enumerate(zip(times, heats, strict=True))
+        for number, (time, mean) in enumerate(zip(times, means, strict=True))
     ]
     return lines("".join(pages))
 

@@ -133,27 +133,27 @@ def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
 
 def by_headers(file: BinaryIO) -> dict[str, Member]:
     """The parts whose own headers are found anywhere in the file; the first of each name."""
-    found: dict[str, Member] = {}
+    members: dict[str, Member] = {}
     base, data = 0, b""
     file.seek(0)
     while block := file.read(_SCAN_BYTES):
         base, data = base + max(0, len(data) - _LONGEST_MATCH), data[-_LONGEST_MATCH:] + block
         for match in NAMED.finditer(data):
             name = match[2].decode()
-            if int.from_bytes(match[1], "little") == len(name) and name not in found:
-                found[name] = _by_header(file, base + match.start(), name)
+            if int.from_bytes(match[1], "little") == len(name) and name not in members:
+                members[name] = _by_header(file, base + match.start(), name)
                 file.seek(base + len(data))
-    return found
+    return members
 
 
-def _by_header(file: BinaryIO, at: int, name: str) -> Member:
-    file.seek(at)
+def _by_header(file: BinaryIO, offset: int, name: str) -> Member:
+    file.seek(offset)
     fields = _LOCAL.unpack(file.read(_LOCAL.size))
     _, _, flags, method, _, _, crc, packed, unpacked, name_bytes, extra_bytes = fields
-    file.seek(at + _LOCAL.size + name_bytes)
+    file.seek(offset + _LOCAL.size + name_bytes)
     if _IN_EXTRA in (packed, unpacked):
         unpacked, packed = _long_sizes(file.read(extra_bytes))
-    start = at + _LOCAL.size + name_bytes + extra_bytes
+    start = offset + _LOCAL.size + name_bytes + extra_bytes
     method = ENCRYPTED if flags & 1 else method
     if flags & _SIZES_FOLLOW and not packed:
         return Member(name, method, start)
@@ -162,13 +162,13 @@ def _by_header(file: BinaryIO, at: int, name: str) -> Member:
 
 def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
     """Sizes of 64 bits, unpacked and packed, from a header's extra field."""
-    at = 0
-    while at + 4 <= len(extra):
-        kind, length = struct.unpack_from("<HH", extra, at)
-        if kind == 1 and length >= 16 and at + 20 <= len(extra):
-            unpacked, packed = struct.unpack_from("<QQ", extra, at + 4)
+    index = 0
+    while index + 4 <= len(extra):
+        kind, length = struct.unpack_from("<HH", extra, index)
+        if kind == 1 and length >= 16 and index + 20 <= len(extra):
+            unpacked, packed = struct.unpack_from("<QQ", extra, index + 4)
             return unpacked, packed
-        at += 4 + length
+        index += 4 + length
     return None, None
 
 
@@ -311,8 +311,8 @@ def salvaged(inflate: Any, packed: bytes) -> bytes:
     """What a decompressor still gives of bytes that are damaged somewhere."""
     parts: list[bytes] = []
     try:
-        for at in range(len(packed)):
-            parts.append(inflate.decompress(packed[at : at + 1]))
+        for index in range(len(packed)):
+            parts.append(inflate.decompress(packed[index : index + 1]))
     except zlib.error:
         pass
     return b"".join(parts)

@@ -175,11 +175,11 @@ class Beginning:
 
     def _take_samples(self, batch: Batch) -> None:
         records = batch.records
-        held = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
-        rows = samples_in(held)
+        with_samples = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
+        rows = samples_in(with_samples)
         if self.rate is None and rows.any():
             self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
-            self.first_s = int(held.second[rows > 0][0])
+            self.first_s = int(with_samples.second[rows > 0][0])
 
 
 def look_inside(archive: Archive, *, imu: bool) -> Beginning:
@@ -206,7 +206,7 @@ def span_of(info: Info, beginning: Beginning) -> Span:
 
 
 LEAST_SCALE = 10.0
-"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is told elsewhere."""
+"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is given elsewhere."""
 
 IMU_ZERO_C = 21.0
 WARMEST_C = 1000.0
@@ -255,8 +255,8 @@ def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Pat
     if beginning.rate is None:
         hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
         raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
-    told = number_of(beginning.parameters, ACCEL_SCALE)
-    scale = scale_of(info, told, options, path)
+    parameter = number_of(beginning.parameters, ACCEL_SCALE)
+    scale = scale_of(info, parameter, options, path)
     turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
     notes = [TURNED] if turned else []
     notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(SENSOR_CONFIGURATION) else []
@@ -272,9 +272,9 @@ def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Pa
     Raises:
         UnreadableError: nothing says it.
     """
-    told = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
+    scales = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
     model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
-    known = told[0] if told else model.lsb_per_g if model else options.lsb_per_g
+    known = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
     if known is None:
         raise UnreadableError(
             "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"

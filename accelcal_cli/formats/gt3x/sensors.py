@@ -130,18 +130,18 @@ class Schema:
 
     def axes(self, label: str) -> tuple[Column, ...]:
         """The columns of a sensor's three axes; none where one is missing."""
-        found = [self.columns.get(label + axis) for axis in _AXES]
-        return tuple(column for column in found if column) if all(found) else ()
+        axes = [self.columns.get(label + axis) for axis in _AXES]
+        return tuple(column for column in axes if column) if all(axes) else ()
 
 
 def parse_schema(data: bytes) -> Schema | None:
     """A schema record's payload; None where it makes no sense."""
     if len(data) < _HEAD.size:
         return None
-    number, columns, samples = _HEAD.unpack_from(data)
-    if columns * _COLUMN.size != len(data) - _HEAD.size:
+    number, column_count, samples = _HEAD.unpack_from(data)
+    if column_count * _COLUMN.size != len(data) - _HEAD.size:
         return None
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     row_bytes = 0
     for flags, offset, bits, scale, label in _COLUMN.iter_unpack(data[_HEAD.size :]):
         row_bytes += bits // 8
@@ -149,8 +149,8 @@ def parse_schema(data: bytes) -> Schema | None:
         plain = bits == 16 and flags & _SIGNED and offset % 8 == 0
         if plain and LEAST_SCALE <= per_unit <= LARGEST_SCALE:
             order = ">i2" if flags & _BIG_ENDIAN else "<i2"
-            found[label.decode("ascii", "replace").strip()] = Column(offset // 8, order, per_unit)
-    fitting = {name: column for name, column in found.items() if column.offset + 2 <= row_bytes}
+            columns[label.decode("ascii", "replace").strip()] = Column(offset // 8, order, per_unit)
+    fitting = {name: column for name, column in columns.items() if column.offset + 2 <= row_bytes}
     return Schema(number, samples or USUAL_RATE, row_bytes, fitting) if row_bytes else None
 
 

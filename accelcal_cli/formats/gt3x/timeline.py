@@ -282,13 +282,13 @@ def decode_batch(batch: Batch, sensor: Sensor) -> DecodedBatch:
 
 def log_events(batch: Batch) -> list[tuple[int, LogEvent]]:
     """Damage and events of sleep in file order, each with the number of the record that it is or precedes."""
-    found: list[tuple[int, LogEvent]] = [(damage.before, damage) for damage in batch.damage]
+    events: list[tuple[int, LogEvent]] = [(damage.before, damage) for damage in batch.damage]
     records = batch.records
     for number in np.flatnonzero((records.kind == EVENT) & (records.size == 1)).tolist():
         if (data := payload(batch, number)) in (FELL_ASLEEP, WOKE):
             byte = batch.page.base + int(records.start[number])
-            found.append((number, SleepEvent(int(records.second[number]), data == WOKE, byte)))
-    return sorted(found, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
+            events.append((number, SleepEvent(int(records.second[number]), data == WOKE, byte)))
+    return sorted(events, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
 
 
 Kind = tuple[str, str]

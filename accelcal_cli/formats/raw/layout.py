@@ -263,10 +263,10 @@ class Keys:
 
     def table(self, key: str) -> Keys:
         """A table that must be there."""
-        found = self.optional_table(key)
-        if found is None:
+        table = self.optional_table(key)
+        if table is None:
             raise self.error(key, "is missing")
-        return found
+        return table
 
     def optional_table(self, key: str) -> Keys | None:
         """A table, or None where absent."""
@@ -382,8 +382,8 @@ def load_layout(path: Path) -> Layout:
     except UnicodeDecodeError as error:
         raise UsageError("the layout is not UTF-8 text", path=path, byte_offset=error.start) from error
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        line = int(found[1]) if found else None
+        match = re.search(r"at line (\d+)", str(error))
+        line = int(match[1]) if match else None
         raise UsageError(f"the layout is not valid TOML ({error})", path=path, line=line) from error
     return parse_layout(document, path)
 
@@ -397,9 +397,9 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
     top = Keys(document, path, "")
     dump, fields, page = top.table("dump"), top.table("fields"), top.optional_table("page")
     top.finish()
-    found = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
+    parsed = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
     fields.finish()
-    check_fields(found, fields)
+    check_fields(parsed, fields)
     layout = Layout(
         rate_hz=dump.number("rate_hz", low=0.001, high=100_000),
         lsb_per_g=dump.number("lsb_per_g", low=1e-6, high=1e12),
@@ -413,8 +413,8 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
         page_bytes=dump.whole("page_bytes", 0, low=1),
         page_header_bytes=dump.whole("page_header_bytes", 0),
         page_trailer_bytes=dump.whole("page_trailer_bytes", 0),
-        frame_bytes=dump.whole("frame_bytes", max(field.end for field in found.values()), low=1),
-        fields=found,
+        frame_bytes=dump.whole("frame_bytes", max(field.end for field in parsed.values()), low=1),
+        fields=parsed,
         sequence=parse_sequence(page.optional_table("sequence")) if page else None,
         stamp=parse_stamp(page.optional_table("time")) if page else None,
         checksum=parse_checksum(page.optional_table("crc")) if page else None,
@@ -438,24 +438,24 @@ def parse_field(keys: Keys) -> Field:
     return field
 
 
-def check_fields(found: Mapping[str, Field], fields: Keys) -> None:
+def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
     """x, y and z must be there, the gyroscope whole, and scales where they mean something."""
     for name in AXES:
-        if name not in found:
+        if name not in parsed:
             raise fields.error(name, "is missing")
-        if found[name].per_unit is not None:
+        if parsed[name].per_unit is not None:
             raise fields.error(
                 f"{name}.per_unit", "is not for x, y and z; their scale is lsb_per_g in [dump]"
             )
-        if found[name].zero % 1 or abs(found[name].zero) > LARGEST_ZERO:
+        if parsed[name].zero % 1 or abs(parsed[name].zero) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "must be a whole number of counts")
-    present = [name for name in GYRO if name in found]
+    present = [name for name in GYRO if name in parsed]
     if 0 < len(present) < len(GYRO):
         raise fields.error(present[0], f"needs all of {', '.join(GYRO)}")
     for name in present:
-        if found[name].scale < SMALLEST_SCALE:
+        if parsed[name].scale < SMALLEST_SCALE:
             raise fields.error(f"{name}.per_unit", f"must be at least {SMALLEST_SCALE:g}")
-        if abs(found[name].zero / found[name].scale) > LARGEST_ZERO:
+        if abs(parsed[name].zero / parsed[name].scale) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "is too large for its per_unit")
 
 

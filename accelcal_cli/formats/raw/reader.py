@@ -265,10 +265,10 @@ class FrameDecoder:
     def _intact(self, pages: NDArray[np.uint8], crc: Checksum) -> NDArray[np.bool_]:
         """Which pages have the right checksum."""
         if crc.type == "crc32":
-            found: NDArray[np.unsignedinteger] = crc32_pages(pages, crc.start, crc.stop)
-            return np.asarray(found == self._page_value(pages, crc.offset, "uint32"))
-        found = crc16_pages(pages, crc.start, crc.stop)
-        return np.asarray(found == self._page_value(pages, crc.offset, "uint16"))
+            actual: NDArray[np.unsignedinteger] = crc32_pages(pages, crc.start, crc.stop)
+            return np.asarray(actual == self._page_value(pages, crc.offset, "uint32"))
+        actual = crc16_pages(pages, crc.start, crc.stop)
+        return np.asarray(actual == self._page_value(pages, crc.offset, "uint16"))
 
     def _page_value(self, pages: NDArray[np.uint8], offset: int, kind: str) -> NDArray[np.int64]:
         """A whole number at one place of every page, (p,)."""
@@ -359,8 +359,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
     """The dump's layout, with the user's rate and counts per g before the file's."""
-    found = find_layout(path, options)
-    if found is None:
+    layout_path = find_layout(path, options)
+    if layout_path is None:
         if options.rate_hz is None or options.lsb_per_g is None:
             raise UnreadableError(
                 "a raw dump does not say what it holds",
@@ -369,7 +369,7 @@ def layout_for(path: Path, options: ReadOptions) -> Layout:
                 "for plain int16 x, y, z, --rate and --lsb-per-g are enough",
             )
         return plain_layout(options.rate_hz, options.lsb_per_g)
-    layout = load_layout(found)
+    layout = load_layout(layout_path)
     return replace(
         layout,
         rate_hz=options.rate_hz or layout.rate_hz,
