@@ -51,6 +51,15 @@ the least ones their minima when it came, later those by which it was decided.""
 
 Candidates = NDArray[Any]
 
+MOVING = 1 << 62
+"""Instead of a variance, of a window that varies too much to look at."""
+NEVER = 1 << 52
+"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
+NORM_BITS = 17
+
+WIDEST_TURN = 1 << 18
+"""Counts; a window in which the gyroscope spreads as far is moving."""
+
 
 def candidates(blocks: Blocks, spreads: dict[str, NDArray[np.int64]]) -> Candidates:
     """Blocks as candidates; `spreads` holds norm, turn, least_norm and least_turn, each (m,)."""
@@ -162,13 +171,6 @@ def _only(part: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.bool_
     return mask
 
 
-MOVING = 1 << 62
-"""Instead of a variance, of a window that varies too much to look at."""
-NEVER = 1 << 52
-"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
-NORM_BITS = 17
-
-
 def norm_bits(lsb_per_g: float) -> int:
     """b, so that one g has between 2^16 and 2^17 units of 2^-b counts."""
     return NORM_BITS - int(np.frexp(lsb_per_g)[1])
@@ -255,10 +257,6 @@ class LeastSpread:
         whole = self.axes * self.length * step * step
         scaled = whole << 2 * self.bits if self.bits >= 0 else whole >> -2 * self.bits
         return max(1, min(NEVER, scaled // 12))
-
-
-WIDEST_TURN = 1 << 18
-"""Counts; a window in which the gyroscope spreads as far is moving."""
 
 
 class AdaptiveRule:

@@ -22,6 +22,8 @@ from numpy.typing import DTypeLike, NDArray
 from accelcal_cli.core.points import WindowCounts, Windows
 from accelcal_cli.core.recording import Chunk, Validity, joined
 
+_EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
@@ -84,9 +86,6 @@ class Rule(Protocol):
 
     def rest(self) -> list[Windows]:
         """What was held back; called once, after the last block."""
-
-
-_EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
 
 
 def exact_type(bound: int) -> DTypeLike:

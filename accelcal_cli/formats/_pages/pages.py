@@ -20,6 +20,29 @@ from accelcal_cli.formats._bytes import ByteSource
 
 SKIP_BYTES = 1 << 20
 
+NO_TEMPERATURE = int(np.iinfo(np.int32).min)
+"""Marks a sample whose temperature was not measured, until the last known one replaces it."""
+
+GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
+BAD_KINDS = {
+    ERASED: ("bad_page", "erased pages between pages with data, left out"),
+    CHECKSUM: ("checksum", "pages with a wrong checksum, left out"),
+    NONSENSE: ("bad_page", "pages without sensible content, left out"),
+    FOREIGN: ("bad_page", "pages of another recording, left out"),
+    RATE: ("rate_change", "pages recorded at another rate than the others, left out"),
+    REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
+    TEXT: ("bad_page", "pages whose own text is damaged, left out"),
+    LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
+    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
+    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
+}
+
+DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
+"""Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
+
+PER_PAGE = ("position", "rows", "sequence", "time_us", "fresh")
+PER_ROW = ("counts", "temperature_mc", "gyro_counts", "faulty")
+
 
 @dataclass(frozen=True, slots=True)
 class RawBlock:
@@ -190,27 +213,6 @@ def erased_pages(pages: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return erased
 
 
-NO_TEMPERATURE = int(np.iinfo(np.int32).min)
-"""Marks a sample whose temperature was not measured, until the last known one replaces it."""
-
-GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
-BAD_KINDS = {
-    ERASED: ("bad_page", "erased pages between pages with data, left out"),
-    CHECKSUM: ("checksum", "pages with a wrong checksum, left out"),
-    NONSENSE: ("bad_page", "pages without sensible content, left out"),
-    FOREIGN: ("bad_page", "pages of another recording, left out"),
-    RATE: ("rate_change", "pages recorded at another rate than the others, left out"),
-    REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
-    TEXT: ("bad_page", "pages whose own text is damaged, left out"),
-    LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
-    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
-    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
-}
-
-DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
-"""Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
-
-
 @dataclass(frozen=True, slots=True)
 class BadRun:
     """`pages` unusable pages in a row from `position` on; `kind` is a key of BAD_KINDS."""
@@ -263,10 +265,6 @@ class Decoded:
     bad: list[BadRun]
     leftover: bytes
     unused_end: bool = False
-
-
-PER_PAGE = ("position", "rows", "sequence", "time_us", "fresh")
-PER_ROW = ("counts", "temperature_mc", "gyro_counts", "faulty")
 
 
 def joined(first: PageBlock, second: PageBlock) -> PageBlock:

@@ -50,6 +50,11 @@ BLANK_BYTES = 16
 CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete page or frame, left out"
 
+NO_PAGES = np.empty(0, np.int64)
+
+LAST_PAGES = 64
+FIRST_ROWS = 1 << 16
+
 
 class EventMaker:
     """Turns findings into events with their place in the file.
@@ -154,9 +159,6 @@ class PageEvents(EventMaker):
         lost = len(decoded.leftover) + raw.undecoded
         event = Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
         yield replace(event, lost_bytes=lost)
-
-
-NO_PAGES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +281,6 @@ class PageJoiner:
     def _used_bytes(self, block: PageBlock) -> int:
         faults = 0 if block.faulty is None else int(block.faulty.sum())
         return len(block) * self._page_bytes - faults * self._row_bytes
-
-
-LAST_PAGES = 64
-FIRST_ROWS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)

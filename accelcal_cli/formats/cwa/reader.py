@@ -79,6 +79,13 @@ BACK = ("clock_back", "jumps of the device clock back")
 CUT_OFF = "bytes of an incomplete sector at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sector, left out"
 
+SEARCH_SECTORS = 2048
+LAST_SECTORS = 64
+START_SAMPLES = 8192
+COPY_AGAIN = "copy it again from the device"
+NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
+NO_START = "the device's clock was not set: times count from the recording's start"
+
 
 class SectorEvents(EventMaker):
     """Of sectors as the Assembler takes them."""
@@ -257,14 +264,6 @@ class Assembler:
         """Each sector's temperature for all of its samples, (n,)."""
         sensor = self._scheme.thermometer
         return None if sensor is None else np.repeat(sensor.temperature_mc(block.temperature), block.rows)
-
-
-SEARCH_SECTORS = 2048
-LAST_SECTORS = 64
-START_SAMPLES = 8192
-COPY_AGAIN = "copy it again from the device"
-NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
-NO_START = "the device's clock was not set: times count from the recording's start"
 
 
 @dataclass(frozen=True, slots=True)

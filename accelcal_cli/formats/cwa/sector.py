@@ -78,6 +78,25 @@ OVERFLOW_EVENTS = 0x30
 
 HIGHEST_RATE = 3200
 
+NO_DEVICE = Device()
+AX3, AX6 = "AX3", "AX6"
+MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
+UNSET_WORD = 0xFFFF
+UNSET_BYTE = 0xFF
+
+HAS_FRACTION = 0x8000
+
+EMPTY, OTHER, SETTINGS = ERASED, 50, 51
+"""What a sector may be beside GOOD and the kinds of BAD_KINDS: without anything written, of a kind without
+acceleration (FOREIGN is no sector at all), or recorded with other settings."""
+
+KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
+OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)
+
+TEMPERATURE_MASK = 0x3FF
+NO_SENSOR = (0, TEMPERATURE_MASK)
+"""Readings at either end of the converter: nothing is fitted."""
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -177,14 +196,6 @@ def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.b
     return proved, usable & old & (old_rate > 0) & (old_rate <= HIGHEST_RATE)
 
 
-NO_DEVICE = Device()
-AX3, AX6 = "AX3", "AX6"
-MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
-UNSET_WORD = 0xFFFF
-UNSET_BYTE = 0xFF
-FRACTION_FLAG = 0x8000
-
-
 @dataclass(frozen=True, slots=True)
 class Header:
     """What the header tells.
@@ -227,11 +238,8 @@ def device_of_sector(settings: Settings, fraction: int) -> Device:
         fraction: the word that holds either the fraction of the second or the device's number.
     """
     model = AX6 if settings.scale_bits >> 3 or settings.width > 3 else AX3
-    numbered = fraction and not fraction & FRACTION_FLAG
+    numbered = fraction and not fraction & HAS_FRACTION
     return Device(model, str(fraction) if numbered else None)
-
-
-HAS_FRACTION = 0x8000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -281,14 +289,6 @@ def day_table() -> NDArray[np.int64]:
     months = ((year + 30) * 12 + month - 1).astype("M8[M]")
     days = months.astype("M8[D]").astype(np.int64) + day - 1
     return np.where((month >= 1) & (month <= 12) & (day >= 1), days * 86_400, -1)
-
-
-EMPTY, OTHER, SETTINGS = ERASED, 50, 51
-"""What a sector may be beside GOOD and the kinds of BAD_KINDS: without anything written, of a kind without
-acceleration (FOREIGN is no sector at all), or recorded with other settings."""
-
-KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
-OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -434,11 +434,6 @@ def unpacked(sectors: Sectors) -> NDArray[np.int16]:
     for axis, top in enumerate((low << np.uint16(6), y, high << np.uint16(2))):
         np.multiply(top.view(np.int16) >> 6, factor, out=counts[:, :, axis])
     return counts
-
-
-TEMPERATURE_MASK = 0x3FF
-NO_SENSOR = (0, TEMPERATURE_MASK)
-"""Readings at either end of the converter: nothing is fitted."""
 
 
 @dataclass(frozen=True, slots=True)

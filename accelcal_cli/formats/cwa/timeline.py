@@ -31,6 +31,13 @@ LONGEST_BRIDGE = 100
 LONGEST_GAP_S = 365 * 86_400
 """A sequence number that jumps further is taken for a new numbering."""
 
+END_ANCHORS = 32
+"""The rate at the end of a run is measured over this many anchors."""
+
+RUN_SHIFT = 42
+ROW_ORIGIN = 1 << 20
+"""Run number and sample number together make a key that ascends: rows stay below 2**41."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
@@ -215,14 +222,6 @@ def _steps(column: NDArray[np.int64], last: int) -> NDArray[np.int64]:
 
 def _previous(last: int, column: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate(([last], column[:-1]))
-
-
-END_ANCHORS = 32
-"""The rate at the end of a run is measured over this many anchors."""
-
-RUN_SHIFT = 42
-ROW_ORIGIN = 1 << 20
-"""Run number and sample number together make a key that ascends: rows stay below 2**41."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -30,6 +30,23 @@ RAW_LIMIT = RAW_VALUES // 2
 GAINS = (6_400, 102_400)
 """Hundredths of a count per g that are possible: ranges of 32 g down to 2 g over 12 bits."""
 
+HEADER_LIMIT = 1 << 16
+CALIBRATION = "Calibration Data"
+RESET_DATE = "2010-09-16"
+"""Where the clock of a device stands after its battery was empty; the header then has lost its times."""
+
+NO_DEVICE = Device()
+_PAGE_LINE = re.compile(
+    rb"^(?:" + MARK + rb"[ \t]*\r?$|Sequence Number:|Page Time:|[0-9A-Fa-f]{256})", re.MULTILINE
+)
+"""A line of a page, whichever comes first: a damaged page must not pass for a part of the header."""
+
+_RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
+_DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
+_WHOLE = re.compile(r"-?\d{1,9}")
+_ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
+AXES = "xyz"
+
 
 @dataclass(frozen=True, slots=True)
 class Factory:
@@ -110,24 +127,6 @@ def _scale(lsb_per_g: float, table: NDArray[np.int64], *, exact: bool) -> Scale:
     narrow = np.abs(table).max() <= np.iinfo(np.int16).max
     stored: Counts = table.astype(np.int16) if narrow else table.astype(np.int32)
     return Scale(lsb_per_g, stored, exact, plain=bool((table == _raw_values()).all()))
-
-
-HEADER_LIMIT = 1 << 16
-CALIBRATION = "Calibration Data"
-RESET_DATE = "2010-09-16"
-"""Where the clock of a device stands after its battery was empty; the header then has lost its times."""
-
-NO_DEVICE = Device()
-_PAGE_LINE = re.compile(
-    rb"^(?:" + MARK + rb"[ \t]*\r?$|Sequence Number:|Page Time:|[0-9A-Fa-f]{256})", re.MULTILINE
-)
-"""A line of a page, whichever comes first: a damaged page must not pass for a part of the header."""
-
-_RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
-_DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
-_WHOLE = re.compile(r"-?\d{1,9}")
-_ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
-AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True)

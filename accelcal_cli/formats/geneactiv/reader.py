@@ -53,6 +53,15 @@ AGREEING = 0.9
 HALF_SECONDS = 600
 RATE_ROUNDING = Fraction(1, 20)
 
+BROKEN_OFF = "the compressed data is damaged or ends early"
+
+START_SAMPLES = 8192
+TAIL_BYTES = 1 << 16
+USUAL_RANGE_G = 8.0
+COPY_AGAIN = "copy it again from the device"
+NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
+HEADER_RESET = "the header's times are those of a device that was reset; the times are those of the pages"
+
 
 @dataclass(frozen=True, slots=True)
 class FirstPages:
@@ -128,9 +137,6 @@ def true_rate(rate: Fraction) -> Fraction:
     """
     exact = Fraction(HALF_SECONDS, max(1, round(HALF_SECONDS / rate)))
     return exact if abs(exact - rate) <= RATE_ROUNDING else rate
-
-
-BROKEN_OFF = "the compressed data is damaged or ends early"
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,14 +244,6 @@ def marked(chunk: Chunk, scale: Scale) -> Chunk:
         return chunk
     clipped = ((counts <= low) | (counts >= high)).any(axis=1)
     return replace(chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8))
-
-
-START_SAMPLES = 8192
-TAIL_BYTES = 1 << 16
-USUAL_RANGE_G = 8.0
-COPY_AGAIN = "copy it again from the device"
-NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
-HEADER_RESET = "the header's times are those of a device that was reset; the times are those of the pages"
 
 
 class GeneactivReader(Reader):

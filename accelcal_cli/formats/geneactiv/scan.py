@@ -59,6 +59,11 @@ STAMP_BYTES = 23
 NO_STAMP = int(np.iinfo(np.int64).min)
 """Marks a time that is none, such as the 31st of February."""
 
+_BLANK = re.compile(rb"\s+")
+CARRIAGE_RETURN = 13
+Head = tuple[bytes, ...]
+"""Serial number, sequence number, time, temperature and rate of a page, as they stand there."""
+
 
 def number(text: bytes) -> Fraction | None:
     """A decimal number, with a point or a comma; None where the text is none."""
@@ -93,12 +98,6 @@ def _padded(text: bytes) -> bytes:
     year, *numbers, milli = re.split(rb"[- :]", text)
     month, day, hour, minute, second = (part.zfill(2) for part in numbers)
     return b"%s-%s-%s %s:%s:%s:%s" % (year, month, day, hour, minute, second, milli)
-
-
-_BLANK = re.compile(rb"\s+")
-CARRIAGE_RETURN = 13
-Head = tuple[bytes, ...]
-"""Serial number, sequence number, time, temperature and rate of a page, as they stand there."""
 
 
 @dataclass(slots=True)

@@ -16,6 +16,8 @@ MAGIC = b"PK\x03\x04"
 NAMED = re.compile(rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin)", re.DOTALL)
 """A local header of one of the parts; the groups are the length of its name, and the name."""
 
+SUFFIXES = (".gt3x",)
+
 
 def names_in(head: bytes) -> set[str]:
     """Names of the parts that begin within the first bytes of a file."""
@@ -25,9 +27,6 @@ def names_in(head: bytes) -> set[str]:
 def holds_samples(names: set[str]) -> bool:
     """Whether one of the parts of either kind is among them."""
     return not names.isdisjoint((LOG, ACTIVITY))
-
-
-SUFFIXES = (".gt3x",)
 
 
 def sniff(probe: Probe) -> int:

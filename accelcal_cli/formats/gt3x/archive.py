@@ -44,6 +44,12 @@ _BROKEN = (
 
 LOST_DIRECTORY = "the zip file's directory is damaged or missing: its parts were found by their own headers"
 
+STEP_BYTES = 1 << 14
+MOST_BYTES = 1 << 19
+"""Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
+
+UNKNOWN_SIZE = 1 << 62
+
 
 @dataclass(frozen=True, slots=True)
 class Member:
@@ -170,13 +176,6 @@ def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
             return unpacked, packed
         index += 4 + length
     return None, None
-
-
-STEP_BYTES = 1 << 14
-MOST_BYTES = 1 << 19
-"""Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
-
-UNKNOWN_SIZE = 1 << 62
 
 
 class Fault(Enum):

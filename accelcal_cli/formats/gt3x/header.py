@@ -57,6 +57,23 @@ YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
 LATEST_US = (1 << 32) * 1_000_000
 HIGHEST_RATE_HZ = 1000
 
+INFO_BYTES = 1 << 20
+DAY_S = 86_400
+LONGEST_S = 366 * DAY_S
+NO_INFO = "info.txt is missing from the zip file"
+BAD_INFO = "info.txt in the zip file is damaged and was not used"
+
+LEAST_SCALE = 10.0
+"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is given elsewhere."""
+
+IMU_ZERO_C = 21.0
+WARMEST_C = 1000.0
+IMU_FULL_SCALE = 32_768
+COPY_AGAIN = "copy it again from the device"
+NO_IMU = "no second sensor (IMU) recorded in it"
+TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
+HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
+
 
 @dataclass(frozen=True, slots=True)
 class Info:
@@ -122,13 +139,6 @@ def _zone(text: str | None) -> str | None:
     if len(parts) != 3 or not all(part.isdigit() and len(part) == 2 for part in parts):
         return None
     return f"{'-' if text and text.startswith('-') else '+'}{parts[0]}:{parts[1]}"
-
-
-INFO_BYTES = 1 << 20
-DAY_S = 86_400
-LONGEST_S = 366 * DAY_S
-NO_INFO = "info.txt is missing from the zip file"
-BAD_INFO = "info.txt in the zip file is damaged and was not used"
 
 
 def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
@@ -203,18 +213,6 @@ def span_of(info: Info, beginning: Beginning) -> Span:
     start_s = beginning.parameters.get(START_TIME) if start_us is None else start_us // 1_000_000
     first_s = beginning.first_s if start_s is None else start_s
     return ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
-
-
-LEAST_SCALE = 10.0
-"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is given elsewhere."""
-
-IMU_ZERO_C = 21.0
-WARMEST_C = 1000.0
-IMU_FULL_SCALE = 32_768
-COPY_AGAIN = "copy it again from the device"
-NO_IMU = "no second sensor (IMU) recorded in it"
-TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
-HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,6 +52,24 @@ _KINDS = 31
 _SHORT = 255
 LONGEST_BELIEVED = FRAME_BYTES + 4096
 
+SEPARATOR_BYTE = bytes([SEPARATOR])
+PADDING_BYTES = FRAME_BYTES - 1
+"""So many zeros between records are padding, as the format's document allows; more hide a record."""
+
+FIRST_WALK, LONGEST_WALK = 64, 1 << 20
+LOOK_AHEAD = 2 * LONGEST_BELIEVED
+
+Key = tuple[int, int]
+"""Address space and number of a parameter."""
+
+IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
+ACCEL_SCALE = (0, 55)
+SAMPLE_RATE = (1, 10)
+START_TIME = (1, 12)
+SENSOR_CONFIGURATION = (1, 44)
+
+_PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Records:
@@ -111,11 +129,6 @@ def fits(records: Records) -> NDArray[np.bool_]:
 def telling(records: Records) -> NDArray[np.bool_]:
     """Whether the kind is one whose size tells it from other bytes, (k,)."""
     return _IS_FIXED[records.kind]
-
-
-SEPARATOR_BYTE = bytes([SEPARATOR])
-PADDING_BYTES = FRAME_BYTES - 1
-"""So many zeros between records are padding, as the format's document allows; more hide a record."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,10 +230,6 @@ def spoiled_records(data: bytes) -> int:
     """How many records the bytes are by their sizes, the first of which may lack its separator; or 0."""
     starts, reached = walk(SEPARATOR_BYTE + data[1:], 0, len(data))
     return len(starts) if reached == len(data) and any(data) else 0
-
-
-FIRST_WALK, LONGEST_WALK = 64, 1 << 20
-LOOK_AHEAD = 2 * LONGEST_BELIEVED
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,18 +352,6 @@ class Framer:
         if self._lost is not None:
             return max(index, len(page.data) - LOOK_AHEAD)
         return framed.starts.pop() if framed.starts else index
-
-
-Key = tuple[int, int]
-"""Address space and number of a parameter."""
-
-IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
-ACCEL_SCALE = (0, 55)
-SAMPLE_RATE = (1, 10)
-START_TIME = (1, 12)
-SENSOR_CONFIGURATION = (1, 44)
-
-_PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
 
 
 def payload(batch: Batch, number: int) -> bytes:

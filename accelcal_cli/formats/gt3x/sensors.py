@@ -29,6 +29,32 @@ from accelcal_cli.formats.gt3x.records import (
     float_of,
 )
 
+USUAL_RATE = 100
+"""What a schema that says 0 samples means, as in the vendor's example code."""
+
+ID_BYTES = 2
+UNEVEN = 0.1
+"""The IMU's own clock is off by so much at most, as a part of its rate."""
+
+LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
+"""Counts in one g, degree or degree per second that make sense."""
+
+_HEAD = struct.Struct("<HHH")
+_COLUMN = struct.Struct("<BBBI16s")
+_BIG_ENDIAN, _SIGNED = 1, 2
+_AXES = " X", " Y", " Z"
+ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperature"
+
+PAIR_BYTES = 9
+YXZ, XYZ = (1, 0, 2), (0, 1, 2)
+"""Columns of the result in which the values of a sample are, in the order of the file."""
+
+KINDS = (ACTIVITY, ACTIVITY2, ACTIVITY3)
+SAMPLE_BYTES = 6
+KIND_BITS = 8
+DOCKED_BYTES = 1
+"""A record with so short a payload says that the device was connected to a computer."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
@@ -84,23 +110,6 @@ def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) 
 def first_rows(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Where each record's samples begin, (k,)."""
     return np.cumsum(rows) - rows
-
-
-USUAL_RATE = 100
-"""What a schema that says 0 samples means, as in the vendor's example code."""
-
-ID_BYTES = 2
-UNEVEN = 0.1
-"""The IMU's own clock is off by so much at most, as a part of its rate."""
-
-LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
-"""Counts in one g, degree or degree per second that make sense."""
-
-_HEAD = struct.Struct("<HHH")
-_COLUMN = struct.Struct("<BBBI16s")
-_BIG_ENDIAN, _SIGNED = 1, 2
-_AXES = " X", " Y", " Z"
-ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperature"
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,11 +234,6 @@ def value_of(table: NDArray[np.uint8], column: Column) -> NDArray[np.int16]:
     return data.view(column.order)[:, 0].astype(np.int16)
 
 
-PAIR_BYTES = 9
-YXZ, XYZ = (1, 0, 2), (0, 1, 2)
-"""Columns of the result in which the values of a sample are, in the order of the file."""
-
-
 def packed_samples(size: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many whole samples so many bytes hold, (k,)."""
     return 2 * size // PAIR_BYTES
@@ -261,13 +265,6 @@ def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, in
 def _in_turn(even: NDArray[np.int16], odd: NDArray[np.int16]) -> list[NDArray[np.int16]]:
     """The six values of each pair of samples: each three bytes hold an even one and an odd one."""
     return [column for triple in range(3) for column in (even[:, :, triple], odd[:, :, triple])]
-
-
-KINDS = (ACTIVITY, ACTIVITY2, ACTIVITY3)
-SAMPLE_BYTES = 6
-KIND_BITS = 8
-DOCKED_BYTES = 1
-"""A record with so short a payload says that the device was connected to a computer."""
 
 
 @dataclass(frozen=True, slots=True)

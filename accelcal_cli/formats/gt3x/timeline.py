@@ -26,6 +26,32 @@ from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
 from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
 
+FELL_ASLEEP, WOKE = b"\x08", b"\x09"
+UNWRITTEN_S = 1
+"""The second in which a device falls asleep may be lost; the vendor's own export fills it as well."""
+
+LONGEST_SILENCE_S = 86_400
+"""Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
+
+JITTER_S = 2
+"""Records of other kinds may carry times a little before those of the records around them."""
+
+Kind = tuple[str, str]
+
+CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
+NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
+CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
+LENGTH: Kind = ("record_length", "activity records of more or less than one second")
+REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
+AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
+BACK: Kind = ("clock_back", "steps back in the times of activity records")
+RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
+
+FILL_S = 3600
+"""Filled rows come in spans of at most so many seconds."""
+
+FOREVER_S = 1 << 40
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RowSpan:
@@ -130,18 +156,6 @@ def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
         return
     for start in range(0, len(chunk), most):
         yield chunk.part(start, min(start + most, len(chunk)))
-
-
-FELL_ASLEEP, WOKE = b"\x08", b"\x09"
-UNWRITTEN_S = 1
-"""The second in which a device falls asleep may be lost; the vendor's own export fills it as well."""
-
-LONGEST_SILENCE_S = 86_400
-"""Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
-
-
-JITTER_S = 2
-"""Records of other kinds may carry times a little before those of the records around them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,18 +305,6 @@ def log_events(batch: Batch) -> list[tuple[int, LogEvent]]:
     return sorted(events, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
 
 
-Kind = tuple[str, str]
-
-CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
-NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
-CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
-LENGTH: Kind = ("record_length", "activity records of more or less than one second")
-REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
-AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
-BACK: Kind = ("clock_back", "steps back in the times of activity records")
-RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
-
-
 def damage_event(damage: Damage, position: int, sample: int) -> Event:
     """An event for bytes that gave no record."""
     if damage.records:
@@ -325,12 +327,6 @@ def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
     lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
     text = f"{name} breaks off, as {stream.fault.value}: {lost}"
     return Problem("truncated", text, stream.size, sample, max(1, missing), lost_bytes)
-
-
-FILL_S = 3600
-"""Filled rows come in spans of at most so many seconds."""
-
-FOREVER_S = 1 << 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)

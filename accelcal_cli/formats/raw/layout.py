@@ -29,6 +29,20 @@ CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
 STREAM_FRAMES = 256
 """An unbroken stream is taken in pages of so many frames."""
 
+LARGEST_FRAME = 1 << 16
+LARGEST_PAGE = 1 << 24
+
+Span = tuple[int, int, str]
+
+LARGEST_BYTES = 1 << 40
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
+
+LARGEST_NUMBER = 1e12
+LARGEST_ZERO = 2**31
+SMALLEST_SCALE = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -125,12 +139,6 @@ class Layout:
         return self.page_bytes or STREAM_FRAMES * self.frame_bytes
 
 
-LARGEST_FRAME = 1 << 16
-LARGEST_PAGE = 1 << 24
-
-Span = tuple[int, int, str]
-
-
 def check_geometry(layout: Layout, path: Path, *, paged: bool) -> None:
     """Refuse sizes that contradict each other.
 
@@ -224,9 +232,6 @@ def check_apart(spans: list[Span]) -> None:
     for (_, end, name), (start, _, other) in pairwise(sorted(spans)):
         if start < end:
             raise ImpossibleError(f"{name} and {other} overlap at byte {start}")
-
-
-LARGEST_BYTES = 1 << 40
 
 
 class Keys:
@@ -335,10 +340,6 @@ class Keys:
         return value[0], value[1]
 
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
-
-
 def parse_start(dump: Keys) -> StartTime | None:
     """`start_time` of [dump], as an ISO 8601 text or a TOML date and time."""
     value = dump.raw("start_time")
@@ -354,11 +355,6 @@ def parse_start(dump: Keys) -> StartTime | None:
     known = value.tzinfo is not None
     moment = value if known else value.replace(tzinfo=UTC)
     return StartTime((moment - EPOCH) // timedelta(microseconds=1), "UTC" if known else None)
-
-
-LARGEST_NUMBER = 1e12
-LARGEST_ZERO = 2**31
-SMALLEST_SCALE = 1e-9
 
 
 def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:

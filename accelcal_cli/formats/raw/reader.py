@@ -70,6 +70,11 @@ INT24 = "int24"
 INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
 SMALL, WIDE = np.iinfo(np.int16), np.iinfo(np.int32)
 
+UNUSED_FRAMES = 8
+"""So many erased frames in a row at the end of a page are unused memory, not measurements."""
+
+NO_START = "the layout gives no start time and no page time: times count from 1970-01-01"
+
 
 def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
     """The numpy type of a layout's number type."""
@@ -218,10 +223,6 @@ def on_grid(
     return counts
 
 
-UNUSED_FRAMES = 8
-"""So many erased frames in a row at the end of a page are unused memory, not measurements."""
-
-
 class FrameDecoder:
     """Decodes blocks of pages; makes no difference between pages and stretches of a stream."""
 
@@ -332,9 +333,6 @@ class FrameDecoder:
 def unit_us(stamp: Stamp) -> Fraction:
     """Microseconds in one unit of a stamp."""
     return (Fraction(repr(stamp.per_unit)) * MICROSECONDS).limit_denominator(1 << 20)
-
-
-NO_START = "the layout gives no start time and no page time: times count from 1970-01-01"
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
