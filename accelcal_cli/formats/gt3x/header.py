@@ -20,7 +20,6 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Problem
 from accelcal_cli.formats.gt3x import INFO, LOG
 from accelcal_cli.formats.gt3x.archive import Archive, MemberStream
-from accelcal_cli.formats.gt3x.log import batches
 from accelcal_cli.formats.gt3x.records import (
     ACCEL_SCALE,
     ANY_TIME,
@@ -33,6 +32,7 @@ from accelcal_cli.formats.gt3x.records import (
     Batch,
     Key,
     Span,
+    batches,
     in_utc,
     number_of,
     parameters_in,

@@ -12,12 +12,14 @@ floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Init
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from accelcal_cli.formats.gt3x.archive import MemberStream
 
 SEPARATOR = 0x1E
 HEADER_BYTES = 8
@@ -69,6 +71,9 @@ START_TIME = (1, 12)
 SENSOR_CONFIGURATION = (1, 44)
 
 _PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
+
+PIECE_BYTES = 3 << 18
+"""log.bin is read in equal pieces, so that nothing depends on the size of the chunks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -352,6 +357,20 @@ class Framer:
         if self._lost is not None:
             return max(index, len(page.data) - LOOK_AHEAD)
         return framed.starts.pop() if framed.starts else index
+
+
+def batches(stream: MemberStream, span: Span) -> Iterator[Batch]:
+    """All records of log.bin, piece by piece.
+
+    Raises:
+        UnreadableError: the disk fails.
+    """
+    framer = Framer(span)
+    last = False
+    while not last:
+        data = stream.read(PIECE_BYTES)
+        last = len(data) < PIECE_BYTES
+        yield framer.feed(data, last=last)
 
 
 def payload(batch: Batch, number: int) -> bytes:
