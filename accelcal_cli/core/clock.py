@@ -1,12 +1,11 @@
-"""Time zones of device clocks.
+"""Clocks of devices: their offsets from UTC, and the times of samples in whole microseconds.
 
 A device's clock is set once and then runs on: it keeps the offset from UTC that its zone had when
 the recording began, whatever daylight saving does in the meantime.
 
-Sample times in whole microseconds, computed only where they are wanted.
-
-Every clock answers `times(start, stop)` for rows of one chunk. All arithmetic is integer, so
-that the time of a sample does not depend on where the chunk that holds it begins.
+Sample times are computed only where they are wanted: a `Clock` answers `times(start, stop)` for rows
+of one chunk. All arithmetic is integer, so that the time of a sample does not depend on where the
+chunk that holds it begins.
 """
 
 from __future__ import annotations
@@ -145,6 +144,10 @@ class Clock(Protocol):
         """Times of rows start..stop-1 [us since 1970, device clock], shape (stop - start,)."""
         ...
 
+    def part(self, start: int, stop: int) -> Clock:
+        """The clock of rows start..stop-1, counted from 0."""
+        ...
+
 
 def rate_fraction(rate_hz: float) -> Fraction:
     """The sampling rate as a fraction small enough for exact 64-bit time arithmetic."""
@@ -170,6 +173,10 @@ class UniformClock:
         rows = np.arange(stop - start, dtype=np.int64)
         return self.start_us + whole + (rest + rows * step) // self.rate.numerator
 
+    def part(self, start: int, stop: int) -> UniformClock:
+        """The clock of rows start..stop-1, counted from 0."""
+        return UniformClock(self.start_us, self.first_index + start, self.rate)
+
 
 @dataclass(frozen=True, slots=True)
 class StampClock:
@@ -180,6 +187,10 @@ class StampClock:
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
         """Times of rows start..stop-1 [us], shape (stop - start,)."""
         return self.time_us[start:stop]
+
+    def part(self, start: int, stop: int) -> StampClock:
+        """The clock of rows start..stop-1, counted from 0."""
+        return StampClock(self.time_us[start:stop])
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,6 +220,13 @@ class PageClock:
         skipped = start - int(edges[0])
         rows[0] -= skipped
         return self._uneven(pages, rows, skipped)
+
+    def part(self, start: int, stop: int) -> PageClock:
+        """The clock of rows start..stop-1, counted from 0: the pages that they lie on."""
+        low = int(np.searchsorted(self.first_row, start, side="right")) - 1
+        pages = slice(max(low, 0), int(np.searchsorted(self.first_row, stop, side="left")))
+        first_row, columns = self.first_row[pages] - start, (self.time_us, self.span_rows, self.span_us)
+        return PageClock(first_row, *(column[pages] for column in columns))
 
     def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
         """Times of all rows of pages that hold `rows` rows each, one page after the other.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 from types import TracebackType
@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import Clock
+from accelcal_cli.core.clock import Clock, StampClock
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
@@ -28,6 +28,17 @@ class Validity(IntEnum):
     FILLED = 1
     CLIPPED = 2
     RECOVERED = 3
+
+
+CHANNELS: dict[str, np.generic | None] = {
+    "counts": None,
+    "temperature_mc": None,
+    "gyro_counts": None,
+    "validity": np.uint8(Validity.MEASURED),
+}
+"""Columns of a Chunk with a value or three for each row: all that slicing, masking, copying and joining
+need to know of a channel. The value stands for the rows of a chunk without the channel when it is joined
+to one that has it; None: the joined chunk is without the channel too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +139,92 @@ class Chunk:
 
     def __len__(self) -> int:
         return len(self.counts)
+
+    @property
+    def time_us(self) -> NDArray[np.int64]:
+        """(n,) times of all rows [us since 1970, device clock]."""
+        return self.clock.times(0, len(self))
+
+    @property
+    def is_fresh(self) -> bool:
+        """Whether the first row does not continue the chunk before."""
+        return len(self.breaks) > 0 and self.breaks[0] == 0
+
+    def part(self, start: int, stop: int) -> Chunk:
+        """Rows start..stop-1, as views; problems and used bytes go with row 0."""
+        low, high = np.searchsorted(self.breaks, (start, stop))
+        return replace(
+            self,
+            **cut_columns(self, CHANNELS, slice(start, stop)),
+            first_sample=self.first_sample + start,
+            clock=self.clock.part(start, stop),
+            breaks=self.breaks[low:high] - start,
+            problems=() if start else self.problems,
+            used_bytes=0 if start else self.used_bytes,
+        )
+
+    def keep(self, mask: NDArray[np.bool_]) -> Chunk:
+        """The rows of a mask (n,), which do not continue across those left out."""
+        broken = ~mask
+        broken[self.breaks] = True
+        return replace(
+            self,
+            **cut_columns(self, CHANNELS, mask),
+            clock=StampClock(self.time_us[mask]),
+            breaks=np.flatnonzero(np.diff(np.cumsum(broken)[mask], prepend=0)),
+        )
+
+    def copy(self) -> Chunk:
+        """The same rows in memory of their own, so that a few do not keep a whole chunk alive."""
+        return replace(
+            self,
+            **cut_columns(self, CHANNELS, np.arange(len(self))),
+            clock=StampClock(self.time_us.copy()),
+        )
+
+
+def joined(chunks: Sequence[Chunk]) -> Chunk:
+    """Chunks that follow one another, at least one, as a single one."""
+    if len(chunks) == 1:
+        return chunks[0]
+    with_rows = [chunk for chunk in chunks if len(chunk)] or chunks
+    lengths = np.array([len(chunk) for chunk in chunks])
+    first_rows = np.cumsum(lengths) - lengths
+    breaks = [chunk.breaks + row for chunk, row in zip(chunks, first_rows.tolist(), strict=True)]
+    return replace(
+        chunks[-1],
+        **{name: _joined_channel(with_rows, name) for name in CHANNELS},
+        first_sample=chunks[0].first_sample,
+        clock=StampClock(np.concatenate([chunk.time_us for chunk in chunks])),
+        breaks=np.concatenate(breaks),
+        problems=tuple(problem for chunk in chunks for problem in chunk.problems),
+        used_bytes=sum(chunk.used_bytes for chunk in chunks),
+    )
+
+
+def _joined_channel(chunks: Sequence[Chunk], name: str) -> Any:
+    """A channel of all chunks; where only some have it, filled up or left out as CHANNELS says."""
+    columns, missing = [getattr(chunk, name) for chunk in chunks], CHANNELS[name]
+    known = [column is not None for column in columns]
+    if not (all(known) if missing is None else any(known)):
+        return None
+    pairs = zip(chunks, columns, strict=True)
+    return np.concatenate([np.full(len(c), missing) if column is None else column for c, column in pairs])
+
+
+def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
+    """Some rows (a slice, a mask or numbers) of the columns that a record has, by name."""
+    columns = {name: getattr(record, name) for name in names}
+    return {name: column[rows] for name, column in columns.items() if column is not None}
+
+
+def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
+    """Columns of records one after the other, by name; None where one of the records has none."""
+    parts = {name: [getattr(record, name) for record in records] for name in names}
+    return {
+        name: None if any(column is None for column in columns) else np.concatenate(columns)
+        for name, columns in parts.items()
+    }
 
 
 class Reader:

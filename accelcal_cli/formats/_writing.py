@@ -1,8 +1,7 @@
-"""Rows of chunks, put together to pages of a fixed number of samples.
+"""What the writers of formats share: chunks cut into pages, what a device can record, files on the disk.
 
-What a recording must be like so that a vendor's device could have made it.
-
-Files whose failures are told in a user's words.
+A writer takes chunks of any length and puts them together to pages of a fixed number of samples. What a
+vendor's device could not have recorded (its rate, its scale, a gap) is refused with a hint.
 """
 
 from __future__ import annotations
@@ -10,103 +9,66 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import OutputError, UsageError
-from accelcal_cli.core.recording import Chunk, Counts, Device, Recording
+from accelcal_cli.core.recording import Chunk, Device, Recording, joined
 
 OTHER_FORMAT = "choose another format, such as csv"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Rows that continue each other: counts (n, 3), times [us] (n,), temperatures (n,) or None.
-
-    `fresh`: the first row does not continue what came before.
-    """
-
-    counts: Counts
-    time_us: NDArray[np.int64]
-    temperature_mc: NDArray[np.int32] | None
-    fresh: bool
-
-    def __len__(self) -> int:
-        return len(self.counts)
-
-    def cut(self, row: int) -> tuple[Rows, Rows]:
-        """Rows before `row`, and from it on."""
-        heat = self.temperature_mc
-        above, below = (None, None) if heat is None else (heat[:row], heat[row:])
-        return (
-            Rows(self.counts[:row], self.time_us[:row], above, self.fresh),
-            Rows(self.counts[row:], self.time_us[row:], below, self.fresh and row == 0),
-        )
-
-    def mean_mc(self, samples: int) -> NDArray[np.float64] | None:
-        """Mean temperature of each page of so many rows, (pages,); None without temperature."""
-        if self.temperature_mc is None:
-            return None
-        first = np.arange(0, len(self), samples)
-        sums = np.add.reduceat(self.temperature_mc, first, dtype=np.int64)
-        return np.asarray(sums / np.diff(first, append=len(self)))
-
-
-def page_runs(chunks: Iterable[Chunk], samples: int) -> Iterator[Rows]:
+def page_runs(chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
     """Rows of whole pages; a single page is shorter only before a break and at the end."""
-    kept: Rows | None = None
+    kept: Chunk | None = None
     for chunk in chunks:
-        for rows in stretches(chunk):
-            if kept is not None and rows.fresh:
+        for rows in unbroken(chunk):
+            if kept is not None and rows.is_fresh:
                 yield kept
                 kept = None
-            joined = rows if kept is None else joined_rows(kept, rows)
-            ready, kept = joined.cut(len(joined) // samples * samples)
-            if len(ready):
-                yield ready
-            kept = kept if len(kept) else None
+            run = rows if kept is None else joined((kept, rows))
+            whole = len(run) // samples * samples
+            if whole:
+                yield run.part(0, whole)
+            kept = run.part(whole, len(run)) if whole < len(run) else None
     if kept is not None:
         yield kept
 
 
-def full_pages(path: Path, chunks: Iterable[Chunk], samples: int) -> Iterator[Rows]:
+def full_pages(path: Path, chunks: Iterable[Chunk], samples: int) -> Iterator[Chunk]:
     """Rows of whole pages only.
 
     Raises:
         OutputError: the recording has a gap, or ends within a page.
     """
     for rows in page_runs(chunks, samples):
-        if rows.fresh:
+        if rows.is_fresh:
             raise OutputError("the recording has a gap", path=path, hint=OTHER_FORMAT)
         if len(rows) % samples:
             raise OutputError(f"the recording ends within {samples} samples", path=path, hint=OTHER_FORMAT)
         yield rows
 
 
-def stretches(chunk: Chunk) -> Iterator[Rows]:
+def unbroken(chunk: Chunk) -> Iterator[Chunk]:
     """The chunk, cut at its breaks."""
     cuts = sorted({0, len(chunk), *chunk.breaks.tolist()})
-    broken = set(chunk.breaks.tolist())
-    for start, stop in pairwise(cuts):
-        heat = None if chunk.temperature_mc is None else chunk.temperature_mc[start:stop]
-        yield Rows(chunk.counts[start:stop], chunk.clock.times(start, stop), heat, start in broken)
+    return (chunk.part(start, stop) for start, stop in pairwise(cuts))
 
 
-def joined_rows(first: Rows, second: Rows) -> Rows:
-    """The rows of both."""
-    heat = None
-    if first.temperature_mc is not None and second.temperature_mc is not None:
-        heat = np.concatenate((first.temperature_mc, second.temperature_mc))
-    counts: Any = np.concatenate((first.counts, second.counts))
-    return Rows(counts, np.concatenate((first.time_us, second.time_us)), heat, first.fresh)
+def page_means_mc(rows: Chunk, samples: int) -> NDArray[np.float64] | None:
+    """Mean temperature of each page of so many rows, (pages,); None without temperature."""
+    if rows.temperature_mc is None:
+        return None
+    first = np.arange(0, len(rows), samples)
+    sums = np.add.reduceat(rows.temperature_mc, first, dtype=np.int64)
+    return np.asarray(sums / np.diff(first, append=len(rows)))
 
 
-def check_bits(path: Path, rows: Rows, bits: int) -> None:
+def check_bits(path: Path, rows: Chunk, bits: int) -> None:
     """Refuse counts that do not fit.
 
     Raises:
@@ -172,8 +134,7 @@ def number_of(device: Device) -> int:
 
 def remark(device: Device) -> str:
     """Model and serial number as given, in printable ASCII, for a field of remarks."""
-    told = " ".join(text for text in (device.model, device.serial) if text)
-    return re.sub(r"[^ -~]", "?", told)
+    return re.sub(r"[^ -~]", "?", " ".join(text for text in (device.model, device.serial) if text))
 
 
 @contextmanager

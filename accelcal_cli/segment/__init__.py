@@ -1,6 +1,6 @@
-"""Rules with fixed limits: max - min, standard deviation, or both; exact in integers.
+"""The rules with fixed limits, and the choice of the rule that the settings name.
 
-The rule of stillness that the settings name.
+A window is still by its max - min, its standard deviation, or both; all comparisons are of integers.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class StillRule:
             widest = isqrt(int(2 * columns.shape[2] * self.variance_limit))
             still &= (spread <= widest).all(axis=0)
             for axis in range(3):
-                at = np.flatnonzero(still)
-                still[at] = self._quiet(columns[axis][at], spread[axis][at], sums[axis][at])
+                index = np.flatnonzero(still)
+                still[index] = self._quiet(columns[axis][index], spread[axis][index], sums[axis][index])
         return still
 
     def _quiet(

@@ -1,10 +1,4 @@
-"""Candidates that wait for their decision, and states made of neighbouring still windows.
-
-How much a window varies, and the least that was ever seen; exact in integers.
-
-Variances are compared as `n times the variance, rounded up`: equal windows have equal integers.
-
-The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
+"""The rule that adapts to the sensor's own noise (G 4.4 and Algorithm 1), causal and exact.
 
 Grammenos, Mascolo, Crowcroft 2018: a window is still where the standard deviation of |a| is below
 twice the smallest one of the recording, and that of the gyroscope below three times its smallest;
@@ -19,6 +13,8 @@ without any spread means. Here:
 - A first window that moves is given up at once, and so is one that the next does not agree with: G
   gathers w_min, then up to w_max; here states grow by w_min at a time (`States`).
 - The rotation's standard deviation is that of the three axes together, in counts.
+
+Variances are compared as `n times the variance, rounded up`: equal windows have equal integers.
 """
 
 from __future__ import annotations
@@ -42,8 +38,8 @@ CANDIDATE = np.dtype(
         ("sums", np.int64, 3),
         ("low", np.int64, 3),
         ("high", np.int64, 3),
-        ("warm", np.int64),
-        ("warm_known", np.bool_),
+        ("temperature_sum", np.int64),
+        ("temperature_known", np.bool_),
         ("norm", np.int64),
         ("turn", np.int64),
         ("least_norm", np.int64),
@@ -55,29 +51,38 @@ the least ones their minima when it came, later those by which it was decided.""
 
 Candidates = NDArray[Any]
 
+MOVING = 1 << 62
+"""Instead of a variance, of a window that varies too much to look at."""
+NEVER = 1 << 52
+"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
+NORM_BITS = 17
+
+WIDEST_TURN = 1 << 18
+"""Counts; a window in which the gyroscope spreads as far is moving."""
+
 
 def candidates(blocks: Blocks, spreads: dict[str, NDArray[np.int64]]) -> Candidates:
     """Blocks as candidates; `spreads` holds norm, turn, least_norm and least_turn, each (m,)."""
-    made = np.zeros(len(blocks), CANDIDATE)
-    made["run"] = blocks.run
-    made["first"] = blocks.first_samples()
-    made["sums"], made["low"], made["high"] = blocks.sums.T, blocks.low.T, blocks.high.T
-    if blocks.temperature_sums is not None:
-        made["warm"], made["warm_known"] = blocks.temperature_sums, True
+    table = np.zeros(len(blocks), CANDIDATE)
+    table["run"] = blocks.run
+    table["first"] = blocks.first_samples
+    table["sums"], table["low"], table["high"] = blocks.sums.T, blocks.low.T, blocks.high.T
+    if (temperature_sums := blocks.temperature_sums) is not None:
+        table["temperature_sum"], table["temperature_known"] = temperature_sums, True
     for name, values in spreads.items():
-        made[name] = values
-    return made
+        table[name] = values
+    return table
 
 
-def constant(held: Candidates) -> NDArray[np.bool_]:
+def constant(windows: Candidates) -> NDArray[np.bool_]:
     """Which windows hold one value only."""
-    return np.asarray((held["low"] == held["high"]).all(axis=1))
+    return np.asarray((windows["low"] == windows["high"]).all(axis=1))
 
 
-def passing(held: Candidates, numbers: Adaptive) -> NDArray[np.bool_]:
+def passing(windows: Candidates, numbers: Adaptive) -> NDArray[np.bool_]:
     """G 4.4: standard deviations below so many times their minima."""
-    calm = held["norm"] < numbers.acceleration_factor**2 * held["least_norm"]
-    return np.asarray(calm & (held["turn"] < numbers.rotation_factor**2 * held["least_turn"]))
+    calm = windows["norm"] < numbers.acceleration_factor**2 * windows["least_norm"]
+    return np.asarray(calm & (windows["turn"] < numbers.rotation_factor**2 * windows["least_turn"]))
 
 
 class States:
@@ -97,30 +102,32 @@ class States:
 
     def add(self, still: Candidates) -> list[Windows]:
         """Take still windows in; returns the states that are complete."""
-        held = np.concatenate([self._open, still])
-        starts = list(self._starts(held))
+        windows = np.concatenate([self._open, still])
+        starts = list(self._starts(windows))
         if not starts:
             return []
-        self._open = held[starts[-1] :].copy()
-        return self._windows(held[: starts[-1]], np.array(starts))
+        self._open = windows[starts[-1] :].copy()
+        return self._windows(windows[: starts[-1]], np.array(starts))
 
     def rest(self) -> list[Windows]:
         """The last state."""
-        held, self._open = self._open, self._open[:0]
-        return self._windows(held, np.array([0, len(held)]))
+        windows, self._open = self._open, self._open[:0]
+        return self._windows(windows, np.array([0, len(windows)]))
 
-    def _starts(self, held: Candidates) -> Iterator[int]:
+    def _starts(self, windows: Candidates) -> Iterator[int]:
         """Where states begin."""
-        new = np.ones(len(held), np.bool_)
-        alone = constant(held)
-        new[1:] = (np.diff(held["first"]) != self.length) | (np.diff(held["run"]) != 0)
-        new[1:] |= alone[1:] | alone[:-1] | (held["warm_known"][1:] != held["warm_known"][:-1])
-        edges = [*np.flatnonzero(new).tolist(), len(held)]
+        new = np.ones(len(windows), np.bool_)
+        alone = constant(windows)
+        new[1:] = (np.diff(windows["first"]) != self.length) | (np.diff(windows["run"]) != 0)
+        new[1:] |= (
+            alone[1:] | alone[:-1] | (windows["temperature_known"][1:] != windows["temperature_known"][:-1])
+        )
+        edges = [*np.flatnonzero(new).tolist(), len(windows)]
         for low, high in pairwise(edges):
             start = low
             while start < high:
                 yield start
-                start = self._end(held[start : min(high, start + self.numbers.max_windows)], start)
+                start = self._end(windows[start : min(high, start + self.numbers.max_windows)], start)
 
     def _end(self, reach: Candidates, start: int) -> int:
         """Where the state of the first of these windows ends."""
@@ -137,24 +144,24 @@ class States:
         scaled = (square - 1) >> 2 * self.bits if self.bits >= 0 else (square << -2 * self.bits) - 1
         return isqrt(scaled)
 
-    def _windows(self, held: Candidates, starts: NDArray[np.int64]) -> list[Windows]:
+    def _windows(self, windows: Candidates, starts: NDArray[np.int64]) -> list[Windows]:
         """States between consecutive starts, in batches that all have temperatures or none."""
-        at, number = starts[:-1], np.diff(starts)
-        if not len(held):
+        first, number = starts[:-1], np.diff(starts)
+        if not len(windows):
             return []
-        enough = (number >= self.numbers.min_windows) | constant(held[at])
-        known = held["warm_known"][at]
-        warm = np.add.reduceat(held["warm"], at)
-        spread = np.maximum.reduceat(held["high"], at) - np.minimum.reduceat(held["low"], at)
-        sums = np.add.reduceat(held["sums"], at)
-        made = Windows(number * self.length, held["first"][at], sums, spread, warm)
+        enough = (number >= self.numbers.min_windows) | constant(windows[first])
+        known = windows["temperature_known"][first]
+        warm = np.add.reduceat(windows["temperature_sum"], first)
+        spread = np.maximum.reduceat(windows["high"], first) - np.minimum.reduceat(windows["low"], first)
+        sums = np.add.reduceat(windows["sums"], first)
+        states = Windows(number * self.length, windows["first"][first], sums, spread, warm)
         return [
-            self._with_temperature(made.select(_only(part, enough)), known=bool(known[part[0]]))
-            for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(known)) + 1)
+            self._with_temperature(states.select(_only(part, enough)), known=bool(known[part[0]]))
+            for part in np.split(np.arange(len(first)), np.flatnonzero(np.diff(known)) + 1)
         ]
 
-    def _with_temperature(self, made: Windows, *, known: bool) -> Windows:
-        return made if known else Windows(made.samples, made.first_sample, made.sums, made.spread)
+    def _with_temperature(self, states: Windows, *, known: bool) -> Windows:
+        return states if known else Windows(states.samples, states.first_sample, states.sums, states.spread)
 
 
 def _only(part: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -162,13 +169,6 @@ def _only(part: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.bool_
     mask = np.zeros(len(which), np.bool_)
     mask[part] = which[part]
     return mask
-
-
-MOVING = 1 << 62
-"""Instead of a variance, of a window that varies too much to look at."""
-NEVER = 1 << 52
-"""Instead of a minimum, before there is one: up to 30^2 times it is below MOVING."""
-NORM_BITS = 17
 
 
 def norm_bits(lsb_per_g: float) -> int:
@@ -189,13 +189,13 @@ def norms(columns: NDArray[Any], bits: int) -> NDArray[np.int64]:
 def squares(blocks: NDArray[Any], widest: int) -> NDArray[np.int64]:
     """n times the variance of (m, n) values, rounded up; MOVING where max - min reaches `widest`."""
     spread = blocks.max(axis=1).astype(np.int64) - blocks.min(axis=1)
-    found = np.full(len(blocks), MOVING, np.int64)
-    at = np.flatnonzero(spread < widest)
-    if len(at):
-        near = blocks[at].astype(np.int64)
-        centred, r = centred_squares(near, spread[at], near.sum(axis=1))
-        found[at] = centred - r * r // blocks.shape[1]
-    return found
+    scaled = np.full(len(blocks), MOVING, np.int64)
+    index = np.flatnonzero(spread < widest)
+    if len(index):
+        near = blocks[index].astype(np.int64)
+        centred, r = centred_squares(near, spread[index], near.sum(axis=1))
+        scaled[index] = centred - r * r // blocks.shape[1]
+    return scaled
 
 
 def steps(columns: NDArray[Any], widest: int) -> NDArray[np.int64]:
@@ -227,40 +227,36 @@ class LeastSpread:
         return max(self._least, self._floor(self.step))
 
     def follow(
-        self, found: NDArray[np.int64], columns: NDArray[Any], at: NDArray[np.int64]
+        self, values: NDArray[np.int64], columns: NDArray[Any], index: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """The minimum after each of m windows, (m,).
 
         Args:
-            found: (m,) n times the variance of each; 0 and MOVING are no minimum.
+            values: (m,) n times the variance of each; 0 and MOVING are no minimum.
             columns: (axes, k, n) the readings, in counts, of the k windows that have a part in it.
-            at: (k,) their numbers.
+            index: (k,) their numbers.
         """
-        counted = np.full(len(found), NEVER)
-        counted[at] = np.where((found[at] > 0) & (found[at] < NEVER), found[at], NEVER)
+        counted = np.full(len(values), NEVER)
+        counted[index] = np.where((values[index] > 0) & (values[index] < NEVER), values[index], NEVER)
         least = np.minimum(np.minimum.accumulate(counted), self._least)
-        step = self._steps(columns, at, len(found))
-        floors = {value: self._floor(value) for value in set(step.tolist())}
-        held = np.array([floors[value] for value in step.tolist()], np.int64)
+        step = self._steps(columns, index, len(values))
+        floors = {step_size: self._floor(step_size) for step_size in set(step.tolist())}
+        allowed = np.array([floors[step_size] for step_size in step.tolist()], np.int64)
         self._least, self.step = int(least[-1]), int(step[-1])
-        return np.maximum(least, held)
+        return np.maximum(least, allowed)
 
     def _steps(self, columns: NDArray[Any], at: NDArray[np.int64], number: int) -> NDArray[np.int64]:
         """The sensor's step after each window, (m,); it cannot be less than a count."""
-        found = np.full(number, self.step)
+        observed = np.full(number, self.step)
         if self.step > 1:
-            found[at] = steps(columns, self.widest)
-        return np.minimum(np.minimum.accumulate(found), self.step)
+            observed[at] = steps(columns, self.widest)
+        return np.minimum(np.minimum.accumulate(observed), self.step)
 
     def _floor(self, step: int) -> int:
         """n times the variance of rounding to steps, at least 1, at most NEVER."""
         whole = self.axes * self.length * step * step
         scaled = whole << 2 * self.bits if self.bits >= 0 else whole >> -2 * self.bits
         return max(1, min(NEVER, scaled // 12))
-
-
-WIDEST_TURN = 1 << 18
-"""Counts; a window in which the gyroscope spreads as far is moving."""
 
 
 class AdaptiveRule:
@@ -278,45 +274,45 @@ class AdaptiveRule:
 
     def take(self, blocks: Blocks) -> list[Windows]:
         """Take windows in; returns the states that are decided by now."""
-        found = candidates(blocks, self._spreads(blocks))
-        found = found[blocks.usable & passing(found, self.numbers)]
-        return self._states.add(self._decided(found))
+        new = candidates(blocks, self._spreads(blocks))
+        new = new[blocks.usable & passing(new, self.numbers)]
+        return self._states.add(self._decided(new))
 
     def rest(self) -> list[Windows]:
         """The candidates that wait, decided by the minima of the whole recording."""
-        held = np.concatenate(self._waiting)
-        self._waiting = [held[:0]]
-        held["least_norm"], held["least_turn"] = self.least_norm.now(), self.least_turn.now()
-        return [*self._states.add(held[passing(held, self.numbers)]), *self._states.rest()]
+        waiting = np.concatenate(self._waiting)
+        self._waiting = [waiting[:0]]
+        waiting["least_norm"], waiting["least_turn"] = self.least_norm.now(), self.least_turn.now()
+        return [*self._states.add(waiting[passing(waiting, self.numbers)]), *self._states.rest()]
 
-    def _decided(self, found: Candidates) -> Candidates:
+    def _decided(self, new: Candidates) -> Candidates:
         """Still windows among the candidates that enough others have followed.
 
         They are looked at a quarter of the waiting ones at a time, which saves copying.
         """
-        self._waiting.append(found)
+        self._waiting.append(new)
         wait = self.numbers.held_windows
         due = sum(map(len, self._waiting)) - wait
         if due <= wait // 4:
-            return found[:0]
-        held = np.concatenate(self._waiting)
-        self._waiting = [held[due:].copy()]
+            return new[:0]
+        waiting = np.concatenate(self._waiting)
+        self._waiting = [waiting[due:].copy()]
         for name in ("least_norm", "least_turn"):
-            held[name][:due] = held[name][wait:].copy()
-        return held[:due][passing(held[:due], self.numbers)]
+            waiting[name][:due] = waiting[name][wait:].copy()
+        return waiting[:due][passing(waiting[:due], self.numbers)]
 
     def _spreads(self, blocks: Blocks) -> dict[str, NDArray[np.int64]]:
         """What the windows are judged by; those that were not measured have no part in the minima."""
-        at = np.flatnonzero(blocks.usable & (blocks.low != blocks.high).any(axis=0))
-        columns = blocks.columns[:, at]
+        index = np.flatnonzero(blocks.usable & (blocks.low != blocks.high).any(axis=0))
+        columns = blocks.columns[:, index]
         norm = np.zeros(len(blocks), np.int64)
-        norm[at] = squares(norms(columns, self.bits), self.widest)
+        norm[index] = squares(norms(columns, self.bits), self.widest)
         turn, turning = _turns(blocks)
         return {
             "norm": norm,
             "turn": turn,
-            "least_norm": self.least_norm.follow(norm, columns, at),
-            "least_turn": self.least_turn.follow(turn, turning[:, at], at),
+            "least_norm": self.least_norm.follow(norm, columns, index),
+            "least_turn": self.least_turn.follow(turn, turning[:, index], index),
         }
 
 
@@ -325,8 +321,8 @@ def _turns(blocks: Blocks) -> tuple[NDArray[np.int64], NDArray[Any]]:
 
     Without a gyroscope nothing turns.
     """
-    if blocks.rotation is None:
+    if blocks.rows.gyro_counts is None:
         return np.zeros(len(blocks), np.int64), np.zeros((3, len(blocks), 1), np.int64)
-    columns = np.ascontiguousarray(blocks.rotation.T).reshape(3, len(blocks), blocks.length)
+    columns = np.ascontiguousarray(blocks.rows.gyro_counts.T).reshape(3, len(blocks), blocks.length)
     each = np.stack([squares(axis, WIDEST_TURN) for axis in columns])
     return np.where((each == MOVING).any(axis=0), MOVING, np.minimum(each, MOVING // 4).sum(axis=0)), columns

@@ -1,15 +1,12 @@
-"""Windows before the decision, and what every rule of stillness must do with them.
+"""The online segmenter: chunks in, still windows out, in bounded memory.
 
-Exact integer sums at floating-point speed.
+Windows do not overlap and start anew after every break, so that none spans a gap; what is left of a
+run when it breaks is not used. The windows do not depend on how the rows are chunked. A `Rule` decides
+which windows, handed to it as `Blocks`, are still.
 
-A float holds every integer up to 2**24 (single) or 2**53 (double); a sum of integers whose
-absolute values add up to less than that is exact in any order, so that the fast matrix product
-gives the same integers as a slow integer loop.
-
-The online segmenter: chunks in, still windows out, in bounded memory.
-
-Windows are non-overlapping and start anew after every break, so that none spans a gap; what is
-left of a run when it breaks is not used. The windows do not depend on how the rows are chunked.
+Integer sums are computed at floating-point speed: a float holds every integer up to 2**24 (single) or
+2**53 (double), and a sum of integers whose absolute values add up to less than that is exact in any
+order, so that the fast matrix product gives the same integers as a slow integer loop.
 """
 
 from __future__ import annotations
@@ -23,7 +20,9 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from accelcal_cli.core.points import WindowCounts, Windows
-from accelcal_cli.core.recording import Chunk, Counts, Validity
+from accelcal_cli.core.recording import Chunk, Validity, joined
+
+_EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,24 +31,20 @@ class Blocks:
 
     Attributes:
         run: number of the unbroken stretch that they are part of, rising with time.
-        first_sample: number of the first window's first sample in the recording.
-        columns: (3, m, n) raw counts.
+        rows: the m n rows.
+        columns: (3, m, n) their counts.
         low, high: (3, m) int64, smallest and largest count.
         sums: (3, m) int64, sums of counts.
         usable: (m,) whether every row was measured.
-        temperature_sums: (m,) int64, sums of thousandths of a degree C, or None.
-        rotation: (m n, 3) gyroscope counts, or None.
     """
 
     run: int
-    first_sample: int
+    rows: Chunk
     columns: NDArray[Any]
     low: NDArray[np.int64]
     high: NDArray[np.int64]
     sums: NDArray[np.int64]
     usable: NDArray[np.bool_]
-    temperature_sums: NDArray[np.int64] | None = None
-    rotation: Counts | None = None
 
     def __len__(self) -> int:
         return len(self.usable)
@@ -59,17 +54,24 @@ class Blocks:
         """Samples in a window."""
         return int(self.columns.shape[2])
 
+    @property
     def first_samples(self) -> NDArray[np.int64]:
-        """(m,) number of each window's first sample."""
-        return self.first_sample + self.length * np.arange(len(self), dtype=np.int64)
+        """(m,) number of each window's first sample in the recording."""
+        return self.rows.first_sample + self.length * np.arange(len(self), dtype=np.int64)
+
+    @property
+    def temperature_sums(self) -> NDArray[np.int64] | None:
+        """(m,) sums of thousandths of a degree C, or None."""
+        temperature_mc = self.rows.temperature_mc
+        if temperature_mc is None:
+            return None
+        return np.asarray(temperature_mc.reshape(len(self), -1).sum(axis=1, dtype=np.int64))
 
     def windows(self, which: NDArray[np.bool_]) -> Windows:
         """The windows of a mask."""
         samples = np.full(len(self), self.length, np.int64)
         spread = (self.high - self.low).T
-        return Windows(samples, self.first_samples(), self.sums.T, spread, self.temperature_sums).select(
-            which
-        )
+        return Windows(samples, self.first_samples, self.sums.T, spread, self.temperature_sums).select(which)
 
 
 class Rule(Protocol):
@@ -84,9 +86,6 @@ class Rule(Protocol):
 
     def rest(self) -> list[Windows]:
         """What was held back; called once, after the last block."""
-
-
-_EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
 
 
 def exact_type(bound: int) -> DTypeLike:
@@ -138,27 +137,6 @@ def _from_first(blocks: NDArray[Any]) -> NDArray[Any]:
     return values
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Consecutive rows without a break."""
-
-    first_sample: int
-    counts: Counts
-    temperature_mc: NDArray[np.int32] | None
-    validity: NDArray[np.uint8] | None
-    rotation: Counts | None = None
-
-    def __len__(self) -> int:
-        return len(self.counts)
-
-    def part(self, start: int, stop: int) -> Rows:
-        """Rows start..stop-1, as views."""
-        warm = None if self.temperature_mc is None else self.temperature_mc[start:stop]
-        valid = None if self.validity is None else self.validity[start:stop]
-        turn = None if self.rotation is None else self.rotation[start:stop]
-        return Rows(self.first_sample + start, self.counts[start:stop], warm, valid, turn)
-
-
 class Segmenter:
     """Feed it chunks; it yields the still windows that are decided so far, the last from `finish`."""
 
@@ -167,21 +145,20 @@ class Segmenter:
         self.rule = rule
         self.counts = WindowCounts()
         self._run_number = 0
-        self._pending: Rows | None = None
+        self._pending: Chunk | None = None
 
     def feed(self, chunk: Chunk) -> Iterator[Windows]:
         """Still windows that are decided in this chunk, in batches."""
         edges = [0, *(int(row) for row in chunk.breaks if row > 0), len(chunk)]
-        whole = Rows(
-            chunk.first_sample, chunk.counts, chunk.temperature_mc, chunk.validity, chunk.gyro_counts
-        )
-        if len(chunk.breaks) and chunk.breaks[0] == 0:
+        if chunk.is_fresh:
             self._break()
-        for index, (start, stop) in enumerate(pairwise(edges)):
-            if index:
+        for start, stop in pairwise(edges):
+            if start:
                 self._break()
-            if stop > start:
-                yield from self._run(whole.part(start, stop))
+            if self._matters(start, stop, len(chunk)):
+                yield from self._run(chunk.part(start, stop))
+        if self._pending is not None:
+            self._pending = self._pending.copy()
 
     def finish(self) -> Iterator[Windows]:
         """Still windows that the rule held back; call once, after the last chunk."""
@@ -193,22 +170,27 @@ class Segmenter:
         self._run_number += 1
         self._pending = None
 
-    def _run(self, rows: Rows) -> Iterator[Windows]:
+    def _matters(self, start: int, stop: int, rows: int) -> bool:
+        """Whether these rows, up to a break or the end of a chunk of so many rows, may make a window."""
+        complete = stop - start >= self.length or self._pending is not None
+        return stop > start and (complete or stop == rows)
+
+    def _run(self, rows: Chunk) -> Iterator[Windows]:
+        """The windows in rows without a break inside."""
         if self._pending is not None:
             need = self.length - len(self._pending)
-            joined = join(self._pending, rows.part(0, min(need, len(rows))))
-            if len(joined) < self.length:
-                self._pending = joined
+            window = joined((self._pending, rows.part(0, min(need, len(rows)))))
+            if len(window) < self.length:
+                self._pending = window
                 return
-            yield from self._windows(joined)
+            yield from self._windows(window)
             rows = rows.part(need, len(rows))
         whole = len(rows) // self.length * self.length
         if whole:
             yield from self._windows(rows.part(0, whole))
-        rest = rows.part(whole, len(rows))
-        self._pending = _copy(rest) if len(rest) else None
+        self._pending = rows.part(whole, len(rows)) if whole < len(rows) else None
 
-    def _windows(self, rows: Rows) -> Iterator[Windows]:
+    def _windows(self, rows: Chunk) -> Iterator[Windows]:
         blocks = self._blocks(rows)
         self.counts += WindowCounts(complete=len(blocks), moving=int(blocks.usable.sum()))
         for windows in self.rule.take(blocks):
@@ -221,25 +203,14 @@ class Segmenter:
         still = len(windows)
         self.counts += WindowCounts(moving=-number, still=still, joined=number - still)
 
-    def _blocks(self, rows: Rows) -> Blocks:
+    def _blocks(self, rows: Chunk) -> Blocks:
         number = len(rows) // self.length
         columns = np.ascontiguousarray(rows.counts.T).reshape(3, number, self.length)
-        warm = None
-        if rows.temperature_mc is not None:
-            warm = rows.temperature_mc.reshape(number, self.length).sum(axis=1, dtype=np.int64)
-        return Blocks(
-            self._run_number,
-            rows.first_sample,
-            columns,
-            columns.min(axis=2).astype(np.int64),
-            columns.max(axis=2).astype(np.int64),
-            exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1)),
-            self._usable(rows, number),
-            warm,
-            rows.rotation,
-        )
+        low, high = columns.min(axis=2).astype(np.int64), columns.max(axis=2).astype(np.int64)
+        sums = exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1))
+        return Blocks(self._run_number, rows, columns, low, high, sums, self._usable(rows, number))
 
-    def _usable(self, rows: Rows, number: int) -> NDArray[np.bool_]:
+    def _usable(self, rows: Chunk, number: int) -> NDArray[np.bool_]:
         """Windows that the device measured throughout; the others are counted by their worst row."""
         if rows.validity is None:
             return np.ones(number, np.bool_)
@@ -251,31 +222,3 @@ class Segmenter:
             filled=int(filled.sum()), clipped=int(clipped.sum()), recovered=int(recovered.sum())
         )
         return np.asarray(~(filled | clipped | recovered))
-
-
-def join(first: Rows, second: Rows) -> Rows:
-    """Two stretches of rows, one after the other."""
-    counts: Counts = np.concatenate([first.counts, second.counts])
-    warm = _joined(first.temperature_mc, second.temperature_mc)
-    turn = _joined(first.rotation, second.rotation)
-    return Rows(first.first_sample, counts, warm, _joined_validity(first, second), turn)
-
-
-def _joined(first: NDArray[Any] | None, second: NDArray[Any] | None) -> NDArray[Any] | None:
-    """Values of both stretches; None where one has none."""
-    return None if first is None or second is None else np.concatenate([first, second])
-
-
-def _joined_validity(first: Rows, second: Rows) -> NDArray[np.uint8] | None:
-    if first.validity is None and second.validity is None:
-        return None
-    parts = [np.zeros(len(r), np.uint8) if r.validity is None else r.validity for r in (first, second)]
-    return np.concatenate(parts)
-
-
-def _copy(rows: Rows) -> Rows:
-    """Own memory, so that a few pending rows do not keep a whole chunk alive."""
-    warm = None if rows.temperature_mc is None else rows.temperature_mc.copy()
-    valid = None if rows.validity is None else rows.validity.copy()
-    turn = None if rows.rotation is None else rows.rotation.copy()
-    return Rows(rows.first_sample, rows.counts.copy(), warm, valid, turn)

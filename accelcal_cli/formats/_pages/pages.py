@@ -1,8 +1,6 @@
-"""Fixed-size pages of a file, a block of them at a time.
+"""Fixed-size pages of a file, a block at a time: the valid ones as columns, the others as runs.
 
-Pages after decoding: the valid ones as columns, the others as runs.
-
-What happens to single rows of a chunk: unusable ones go, unmeasured temperatures repeat.
+Unusable rows are taken out of chunks here, and a temperature that was not measured repeats the last one.
 """
 
 from __future__ import annotations
@@ -10,18 +8,40 @@ from __future__ import annotations
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
-from accelcal_cli.core.recording import Chunk, Counts
+from accelcal_cli.core.recording import Chunk, Counts, cut_columns, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
 
 SKIP_BYTES = 1 << 20
+
+NO_TEMPERATURE = int(np.iinfo(np.int32).min)
+"""Marks a sample whose temperature was not measured, until the last known one replaces it."""
+
+GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
+BAD_KINDS = {
+    ERASED: ("bad_page", "erased pages between pages with data, left out"),
+    CHECKSUM: ("checksum", "pages with a wrong checksum, left out"),
+    NONSENSE: ("bad_page", "pages without sensible content, left out"),
+    FOREIGN: ("bad_page", "pages of another recording, left out"),
+    RATE: ("rate_change", "pages recorded at another rate than the others, left out"),
+    REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
+    TEXT: ("bad_page", "pages whose own text is damaged, left out"),
+    LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
+    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
+    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
+}
+
+DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
+"""Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
+
+PER_PAGE = ("position", "rows", "sequence", "time_us", "fresh")
+PER_ROW = ("counts", "temperature_mc", "gyro_counts", "faulty")
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,27 +213,6 @@ def erased_pages(pages: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return erased
 
 
-NO_TEMPERATURE = int(np.iinfo(np.int32).min)
-"""Marks a sample whose temperature was not measured, until the last known one replaces it."""
-
-GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
-BAD_KINDS = {
-    ERASED: ("bad_page", "erased pages between pages with data, left out"),
-    CHECKSUM: ("checksum", "pages with a wrong checksum, left out"),
-    NONSENSE: ("bad_page", "pages without sensible content, left out"),
-    FOREIGN: ("bad_page", "pages of another recording, left out"),
-    RATE: ("rate_change", "pages recorded at another rate than the others, left out"),
-    REPEATED: ("repeated_page", "pages that the file holds a second time, left out"),
-    TEXT: ("bad_page", "pages whose own text is damaged, left out"),
-    LENGTH: ("bad_page", "pages with too few or too many digits, left out"),
-    DIGITS: ("bad_page", "pages with characters that are no digits among the samples, left out"),
-    NO_PAGE: ("bad_page", "stretches of the file that are no page, left out"),
-}
-
-DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
-"""Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
-
-
 @dataclass(frozen=True, slots=True)
 class BadRun:
     """`pages` unusable pages in a row from `position` on; `kind` is a key of BAD_KINDS."""
@@ -235,7 +234,7 @@ class PageBlock:
         time_us: (p,) int64 stamp of the first sample [us since 1970], or None.
         fresh: (p,) bool, the page itself says that it does not continue the one before; or None.
         temperature_mc: (n,) int32, NO_TEMPERATURE where not measured; or None.
-        gyro: (n, 3), or None.
+        gyro_counts: (n, 3), or None.
         faulty: (n,) bool, rows whose values are unusable, or None where every row is good.
     """
 
@@ -246,7 +245,7 @@ class PageBlock:
     time_us: NDArray[np.int64] | None = None
     fresh: NDArray[np.bool_] | None = None
     temperature_mc: NDArray[np.int32] | None = None
-    gyro: Counts | None = None
+    gyro_counts: Counts | None = None
     faulty: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
@@ -268,37 +267,23 @@ class Decoded:
     unused_end: bool = False
 
 
-PER_PAGE = ("position", "rows", "sequence", "time_us", "fresh")
-PER_ROW = ("counts", "temperature_mc", "gyro", "faulty")
-
-
 def joined(first: PageBlock, second: PageBlock) -> PageBlock:
     """The pages of both, in order."""
     if not len(first) or not len(second):
         return second if len(second) else first
-    columns: dict[str, Any] = {name: joined_column(first, second, name) for name in PER_PAGE + PER_ROW}
-    return PageBlock(**columns)
+    return PageBlock(**joined_columns((first, second), PER_PAGE + PER_ROW))
 
 
-def joined_column(first: PageBlock, second: PageBlock, name: str) -> NDArray[np.generic] | None:
-    """One column of both blocks."""
-    above, below = getattr(first, name), getattr(second, name)
-    return None if above is None or below is None else np.concatenate((above, below))
+def chosen(block: PageBlock, pages: slice | NDArray[np.bool_], rows: slice | NDArray[np.bool_]) -> PageBlock:
+    """Some pages, and the rows that they hold."""
+    return PageBlock(**cut_columns(block, PER_PAGE, pages), **cut_columns(block, PER_ROW, rows))
 
 
 def split(block: PageBlock, pages: int) -> tuple[PageBlock, PageBlock]:
     """The first `pages` pages, and the rest."""
     row = int(block.rows[:pages].sum())
-    cuts = dict.fromkeys(PER_PAGE, pages) | dict.fromkeys(PER_ROW, row)
-    above: dict[str, Any] = {name: cut_column(block, name, slice(None, at)) for name, at in cuts.items()}
-    below: dict[str, Any] = {name: cut_column(block, name, slice(at, None)) for name, at in cuts.items()}
-    return PageBlock(**above), PageBlock(**below)
-
-
-def cut_column(block: PageBlock, name: str, rows: slice) -> NDArray[np.generic] | None:
-    """Part of one column."""
-    column = getattr(block, name)
-    return None if column is None else column[rows]
+    above = chosen(block, slice(None, pages), slice(None, row))
+    return above, chosen(block, slice(pages, None), slice(row, None))
 
 
 def bad_runs(status: NDArray[np.uint8], first_position: int) -> list[BadRun]:
@@ -359,32 +344,17 @@ class RowFilter:
     """Takes faulty rows out of chunks; the row after them does not continue the one before."""
 
     def __init__(self) -> None:
-        self._pending = False
-        self._started = False
+        self._started = self._broken = False
 
     def apply(self, chunk: Chunk, faulty: NDArray[np.bool_] | None) -> Chunk:
         """The chunk without the rows marked in `faulty` (n,)."""
-        if faulty is not None and (self._pending or faulty.any()):
-            chunk = self._without(chunk, faulty)
-        self._started |= len(chunk) > 0
-        return chunk
-
-    def _without(self, chunk: Chunk, faulty: NDArray[np.bool_]) -> Chunk:
-        keep = ~faulty
-        return replace(
-            chunk,
-            counts=chunk.counts[keep],
-            clock=StampClock(chunk.clock.times(0, len(keep))[keep]),
-            breaks=self._breaks(chunk.breaks, faulty),
-            temperature_mc=None if chunk.temperature_mc is None else chunk.temperature_mc[keep],
-            gyro_counts=None if chunk.gyro_counts is None else chunk.gyro_counts[keep],
-        )
-
-    def _breaks(self, breaks: NDArray[np.int64], faulty: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Rows, counted without the faulty ones, that follow a break or a faulty row."""
-        broken = faulty.copy()
-        broken[breaks] = True
-        marks = np.concatenate(([-int(self._pending)], np.cumsum(broken)[~faulty]))
-        self._pending = int(broken.sum()) > int(marks[-1])
-        found = np.flatnonzero(np.diff(marks) > 0)
-        return found if self._started else found[found > 0]
+        if faulty is None or not len(chunk):
+            return chunk
+        kept = chunk.keep(~faulty) if faulty.any() else chunk
+        if len(kept):
+            inside = kept.breaks[int(kept.is_fresh) :]
+            fresh = self._started and (self._broken or kept.is_fresh)
+            kept = replace(kept, breaks=np.append(0, inside) if fresh else inside)
+        self._started |= len(kept) > 0
+        self._broken = bool(faulty[-1])
+        return kept

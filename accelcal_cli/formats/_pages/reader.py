@@ -1,13 +1,12 @@
-"""What was wrong with pages, between pages and with rows, as events for the problem log.
+"""The reader of dumps of fixed-size pages, whatever says what a page holds.
 
-From blocks of decoded pages to chunks: times, breaks and problems across block borders.
-
-An open dump of fixed-size pages, whatever says what a page holds.
+Blocks of decoded pages become chunks, with times, breaks and problems across block borders. What is wrong
+with pages, between pages and with rows goes to the problem log as events.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, cut_columns
 from accelcal_cli.formats._pages.pages import (
     BAD_KINDS,
     DAMAGED,
@@ -39,72 +38,99 @@ from accelcal_cli.formats._pages.pages import (
 from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
 
-MISSING_PAGES = "pages missing by their sequence numbers"
-SEQUENCE_BACK = "pages whose sequence number does not rise"
-CLOCK_AHEAD = "jumps of the device clock ahead"
-CLOCK_BACK = "jumps of the device clock back"
-FAULTY_ROWS = "samples without a usable value, left out"
-COLD_ROWS = "samples without a temperature, given the last one measured"
+MISSING_PAGES = "sequence_gap", "pages missing by their sequence numbers"
+SEQUENCE_BACK = "sequence_back", "pages whose sequence number does not rise"
+CLOCK_AHEAD = "clock_gap", "jumps of the device clock ahead"
+CLOCK_BACK = "clock_back", "jumps of the device clock back"
+FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
+COLD_ROWS = "missing_value", "samples without a temperature, given the last one measured"
 BLANK_BYTES = 16
 """A few bytes of 0xFF may belong to a number; so many, or after erased ones, were never written."""
 
 CUT_OFF = "bytes of an incomplete page or frame at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete page or frame, left out"
 
+NO_PAGES = np.empty(0, np.int64)
+
+LAST_PAGES = 64
+FIRST_ROWS = 1 << 16
+
 
 class EventMaker:
     """Turns findings into events with their place in the file.
 
     Args:
-        row_bytes: bytes of a page for each of its rows.
-        warm: the recording has a temperature at all.
+        kinds: code and text of the kinds of unusable pages; those of other kinds are no matter.
+        damaged: the kinds whose bytes are lost.
     """
 
-    def __init__(self, file: Places, row_bytes: int, *, warm: bool) -> None:
+    def __init__(self, file: Places, kinds: Mapping[int, tuple[str, str]], damaged: Collection[int]) -> None:
         self._file = file
-        self._row_bytes = row_bytes
-        self._warm = warm
+        self._kinds = kinds
+        self._damaged = damaged
         self._erased: BadRun | None = None
 
-    def bad_pages(self, block: PageBlock, bad: list[BadRun], rows_in: int) -> Iterator[Event]:
-        """Unusable pages. Erased ones are held back until anything else follows them."""
-        followed = max(
-            [*(run.position for run in bad if run.kind != ERASED), *block.position[-1:].tolist()], default=-1
-        )
-        rows_before = np.concatenate(([0], np.cumsum(page_rows(block)))) + rows_in
-        waiting = [] if self._erased is None else [self._erased]
-        self._erased = None
+    def bad_pages(
+        self, position: NDArray[np.int64], rows: NDArray[np.int64], bad: list[BadRun], rows_in: int
+    ) -> Iterator[Event]:
+        """Unusable pages. Erased ones are held back until anything else follows them.
+
+        Args:
+            position, rows: (p,) of the valid pages among them, and their usable rows.
+            bad: the unusable ones.
+            rows_in: number of the first row.
+        """
+        waiting, self._erased = [] if self._erased is None else [self._erased], None
+        if not bad and not waiting:
+            return
+        sound = [*(run.position for run in bad if run.kind != ERASED), *position[-1:].tolist()]
+        followed = max(sound, default=-1)
+        rows_before = np.concatenate(([0], np.cumsum(rows))) + rows_in
         for run in [*waiting, *bad]:
             if run.kind == ERASED and run.position > followed:
                 self._hold(run)
-                continue
-            code, text = BAD_KINDS[run.kind]
-            sample = int(rows_before[np.searchsorted(block.position, run.position)])
-            lost = self._file.length(run.position, run.pages) if run.kind in DAMAGED else 0
-            event = self._event(run.position, code, text, sample, run.pages)
-            yield replace(event, pages=run.pages, lost_bytes=lost)
+            elif run.kind in self._kinds:
+                sample = int(rows_before[np.searchsorted(position, run.position)])
+                lost = self._file.length(run.position, run.pages) if run.kind in self._damaged else 0
+                event = self.event(run.position, self._kinds[run.kind], sample, run.pages)
+                yield replace(event, pages=run.pages, lost_bytes=lost)
 
     def _hold(self, run: BadRun) -> None:
-        first, pages = (
-            (run.position, 0) if self._erased is None else (self._erased.position, self._erased.pages)
-        )
-        self._erased = BadRun(first, pages + run.pages, ERASED)
+        before = self._erased or BadRun(run.position, 0, ERASED)
+        self._erased = BadRun(before.position, before.pages + run.pages, ERASED)
+
+    def event(self, position: int, kind: tuple[str, str], sample: int, count: int = 1) -> Event:
+        """So many units at a page."""
+        return Event(position, 1, *kind, self._file.offset(position), sample, count)
+
+
+class PageEvents(EventMaker):
+    """Of pages as a PageJoiner takes them.
+
+    Args:
+        row_bytes: bytes of a page for each of its rows.
+        has_temperature: the recording has a temperature at all.
+    """
+
+    def __init__(self, file: Places, row_bytes: int, *, has_temperature: bool) -> None:
+        super().__init__(file, BAD_KINDS, DAMAGED)
+        self._row_bytes = row_bytes
+        self._has_temperature = has_temperature
 
     def rows(self, block: PageBlock, rows_in: int) -> Iterator[Event]:
         """Rows without usable values, and samples without a temperature, page by page."""
         faults = per_page(block, block.faulty)
-        heat = block.temperature_mc if self._warm else None
-        cold = per_page(block, None if heat is None else heat == NO_TEMPERATURE)
+        measured = block.temperature_mc if self._has_temperature else None
+        unmeasured = per_page(block, None if measured is None else measured == NO_TEMPERATURE)
         after = rows_in + np.cumsum(page_rows(block))
-        for page in np.flatnonzero(faults + cold).tolist():
+        for page in np.flatnonzero(faults + unmeasured).tolist():
             position, sample = int(block.position[page]), int(after[page])
-            for text, count, lost in (
-                (FAULTY_ROWS, faults[page], self._row_bytes),
-                (COLD_ROWS, cold[page], 0),
+            for kind, count, lost in (
+                (FAULTY_ROWS, int(faults[page]), self._row_bytes),
+                (COLD_ROWS, int(unmeasured[page]), 0),
             ):
                 if count:
-                    event = self._event(position, "missing_value", text, sample, int(count))
-                    yield replace(event, lost_bytes=int(count) * lost)
+                    yield replace(self.event(position, kind, sample, count), lost_bytes=count * lost)
 
     def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
         """What stands between pages."""
@@ -114,13 +140,13 @@ class EventMaker:
             place, sample = int(pages.position[page + 1]), int(samples[page])
             missing, back, ahead, behind = (int(column[page]) for column in columns)
             if missing:
-                yield self._event(place, "sequence_gap", MISSING_PAGES, sample, missing)
+                yield self.event(place, MISSING_PAGES, sample, missing)
             if back:
-                yield self._event(place, "sequence_back", SEQUENCE_BACK, sample)
+                yield self.event(place, SEQUENCE_BACK, sample)
             if ahead:
-                yield replace(self._event(place, "clock_gap", CLOCK_AHEAD, sample), amount_us=ahead)
+                yield replace(self.event(place, CLOCK_AHEAD, sample), amount_us=ahead)
             if behind:
-                yield replace(self._event(place, "clock_back", CLOCK_BACK, sample), amount_us=behind)
+                yield replace(self.event(place, CLOCK_BACK, sample), amount_us=behind)
 
     def ending(self, raw: Block, decoded: Decoded, rows_in: int) -> Iterator[Event]:
         """An incomplete page or frame at the end, unless it is erased flash."""
@@ -133,12 +159,6 @@ class EventMaker:
         lost = len(decoded.leftover) + raw.undecoded
         event = Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
         yield replace(event, lost_bytes=lost)
-
-    def _event(self, place: int, code: str, text: str, sample: int, count: int = 1) -> Event:
-        return Event(place, 1, code, text, self._file.offset(place), sample, count)
-
-
-NO_PAGES = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,10 +189,10 @@ class Stretch:
     def cut(self, pages: int) -> tuple[Stretch, Stretch]:
         """The first `pages` pages, and the rest."""
         above, below = split(self.block, pages)
-        columns = (self.time_us, self.span_rows, self.span_us, self.broken)
+        columns = ("time_us", "span_rows", "span_us", "broken")
         return (
-            Stretch(above, *(column[:pages] for column in columns)),  # type: ignore[arg-type]
-            Stretch(below, *(column[pages:] for column in columns)),  # type: ignore[arg-type]
+            Stretch(above, **cut_columns(self, columns, slice(None, pages))),
+            Stretch(below, **cut_columns(self, columns, slice(pages, None))),
         )
 
 
@@ -186,25 +206,27 @@ class PageJoiner:
         self._spacing = spacing
         self._timeline = timeline
         self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
-        self._events = EventMaker(file, self._row_bytes, warm=start.temperature_mc != NO_TEMPERATURE)
+        has_temperature = start.temperature_mc != NO_TEMPERATURE
+        self._events = PageEvents(file, self._row_bytes, has_temperature=has_temperature)
         self._log = ProblemLog(start.problems)
         self._temperature = TemperatureHold(start.temperature_mc)
         self._filter = RowFilter()
-        self._held: Stretch | None = None
+        self._last: Stretch | None = None
         self._rows_in = start.sample
         self._rows_out = start.sample
 
     def feed(self, raw: Block, decoded: Decoded) -> Chunk:
         """Add a block; the last one releases the held page too."""
         block = decoded.block
-        events = [*self._events.bad_pages(block, decoded.bad, self._rows_in)]
+        rows = page_rows(block)
+        events = [*self._events.bad_pages(block.position, rows, decoded.bad, self._rows_in)]
         events += self._events.rows(block, self._rows_in)
         stretch = self._settled(block, events)
-        self._rows_in += int(page_rows(block).sum())
+        self._rows_in += int(rows.sum())
         if raw.last:
             events += self._events.ending(raw, decoded, self._rows_in)
         elif len(stretch.block):
-            stretch, self._held = stretch.cut(len(stretch.block) - 1)
+            stretch, self._last = stretch.cut(len(stretch.block) - 1)
         for event in sorted(events, key=lambda event: event.position):
             self._log.add(event)
         scanned = None if raw.last else raw.next_position
@@ -212,16 +234,16 @@ class PageJoiner:
 
     def _settled(self, block: PageBlock, events: list[Event]) -> Stretch:
         """Times of the held page and the new ones."""
-        held = self._held
-        pages = block if held is None else joined(held.block, block)
+        last = self._last
+        pages = block if last is None else joined(last.block, block)
         if not len(pages):
             return Stretch(pages, *(NO_PAGES,) * 3, NO_PAGES.astype(np.bool_))
-        start_us = self._timeline.start(pages) if held is None else int(held.time_us[0])
+        start_us = self._timeline.start(pages) if last is None else int(last.time_us[0])
         step = steps(pages, self._spacing)
         links = self._timeline.link(pages, step, start_us)
-        before = self._rows_in - (0 if held is None else int(page_rows(held.block).sum()))
+        before = self._rows_in - (0 if last is None else int(page_rows(last.block).sum()))
         events += self._events.links(pages, step, links, before)
-        return self._spread(pages, links, held is not None and bool(held.broken[0]))
+        return self._spread(pages, links, last is not None and bool(last.broken[0]))
 
     def _spread(self, pages: PageBlock, links: Links, broken: bool) -> Stretch:
         """Spread each page up to the next, or at the nominal rate where no next one limits it."""
@@ -248,7 +270,7 @@ class PageJoiner:
             end_byte=end_byte,
             breaks=first_row[stretch.broken],
             temperature_mc=self._temperature.fill(block.temperature_mc),
-            gyro_counts=block.gyro,
+            gyro_counts=block.gyro_counts,
             problems=problems,
             used_bytes=self._used_bytes(block),
         )
@@ -259,10 +281,6 @@ class PageJoiner:
     def _used_bytes(self, block: PageBlock) -> int:
         faults = 0 if block.faulty is None else int(block.faulty.sum())
         return len(block) * self._page_bytes - faults * self._row_bytes
-
-
-LAST_PAGES = 64
-FIRST_ROWS = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,8 @@
 
 A timeline takes pages in file order, the last page of one call being the first of the next, so
 that the times do not depend on how many pages a call brings. Between two pages that continue
-each other the samples are spread evenly; a page before a break runs at the nominal rate.
-
-Times of pages whose stamps are coarser than a sample.
+each other the samples are spread evenly; a page before a break runs at the nominal rate. Stamps may
+be missing, finer than a sample, or coarser than one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""By what an Axivity .cwa file is known: how its header and its sectors begin.
-
-Source: `Docs/ax3/cwa.h` (github.com/digitalinteraction/openmovement).
-
-Axivity AX3 and AX6 recordings (.cwa): the device's own file, sector by sector.
+"""Axivity AX3 and AX6 recordings (.cwa), the device's own file: how they are recognised.
 
 Sources: the vendor's `Docs/ax3/cwa.h`, `ax3-technical.md` and `ax3-auxiliary.md`
 (github.com/digitalinteraction/openmovement). Times are the wall clock of the computer that set the
@@ -25,7 +21,7 @@ def sniff(probe: Probe) -> int:
     if probe.head.startswith(HEADER_MAGIC):
         return 100
     places = range(0, len(probe.head), SECTOR_BYTES)
-    return 97 if any(probe.head.startswith(SECTOR_MAGIC, at) for at in places) else 0
+    return 97 if any(probe.head.startswith(SECTOR_MAGIC, place) for place in places) else 0
 
 
 FORMAT = Format(

@@ -1,10 +1,7 @@
-"""What was wrong with sectors and between them, as events for the problem log.
+"""An open .cwa file: what is known of the recording, and its rows.
 
-Sectors of a file, a block of them at a time.
-
-From sectors to chunks: samples wait until the anchors that tell their times are read.
-
-An open .cwa file: what is known of the recording, and its rows.
+Sectors are read a block at a time; their samples wait until the anchors that tell their times are read.
+What is wrong with sectors and between them goes to the problem log as events.
 """
 
 from __future__ import annotations
@@ -22,19 +19,25 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording
+from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._pages.pages import BadRun, PagedFile, RawBlock, bad_runs, is_erased, paged_file
+from accelcal_cli.formats._pages.pages import (
+    CHECKSUM,
+    FOREIGN,
+    NONSENSE,
+    RATE,
+    PagedFile,
+    RawBlock,
+    bad_runs,
+    is_erased,
+    paged_file,
+)
+from accelcal_cli.formats._pages.reader import EventMaker
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES
 from accelcal_cli.formats.cwa.sector import (
-    CHECKSUM,
     EMPTY,
-    FOREIGN,
     NO_SENSOR,
-    NONSENSE,
-    OTHER,
-    RATE,
     SETTINGS,
     TEMPERATURE_MASK,
     Header,
@@ -76,54 +79,19 @@ BACK = ("clock_back", "jumps of the device clock back")
 CUT_OFF = "bytes of an incomplete sector at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sector, left out"
 
-
-@dataclass(frozen=True, slots=True)
-class Size:
-    """Units that an event concerns, sectors that it reaches over, the time it takes, bytes lost."""
-
-    count: int
-    sectors: int = 1
-    amount_us: int = 0
-    lost_bytes: int = 0
+SEARCH_SECTORS = 2048
+LAST_SECTORS = 64
+START_SAMPLES = 8192
+COPY_AGAIN = "copy it again from the device"
+NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
+NO_START = "the device's clock was not set: times count from the recording's start"
 
 
-class EventMaker:
-    """Turns findings into events with their place in the file."""
+class SectorEvents(EventMaker):
+    """Of sectors as the Assembler takes them."""
 
     def __init__(self, file: PagedFile) -> None:
-        self._file = file
-        self._empty: BadRun | None = None
-
-    def left_out(
-        self, raw: RawBlock, status: NDArray[np.uint8], block: SectorBlock, sample: int
-    ) -> Iterator[Event]:
-        """Unusable sectors. Empty ones are held back until anything else follows them.
-
-        Args:
-            status: (n,) what each sector is.
-            sample: number of the block's first sample.
-        """
-        if not status.any() and self._empty is None:
-            return
-        used = np.flatnonzero(status != EMPTY)
-        followed = raw.first_position + int(used[-1]) if len(used) else -1
-        samples = sample + np.concatenate(([0], np.cumsum(block.rows)))
-        waiting = [] if self._empty is None else [self._empty]
-        self._empty = None
-        for run in [*waiting, *bad_runs(status, raw.first_position)]:
-            if run.kind == EMPTY and run.position > followed:
-                self._hold(run)
-            elif run.kind != OTHER:
-                after = int(samples[np.searchsorted(block.position, run.position)])
-                lost = run.pages * SECTOR_BYTES if run.kind in DAMAGED else 0
-                size = Size(run.pages, run.pages, lost_bytes=lost)
-                yield self._event(run.position, LEFT_OUT[run.kind], after, size)
-
-    def _hold(self, run: BadRun) -> None:
-        first, before = (
-            (run.position, 0) if self._empty is None else (self._empty.position, self._empty.pages)
-        )
-        self._empty = BadRun(first, before + run.pages, EMPTY)
+        super().__init__(file, LEFT_OUT, DAMAGED)
 
     def links(self, block: SectorBlock, links: Links, sample: int) -> Iterator[Event]:
         """What stands between sectors."""
@@ -135,23 +103,19 @@ class EventMaker:
         samples = sample + np.cumsum(block.rows) - block.rows
         for kind, column in (counted | measured).items():
             for sector in np.flatnonzero(column).tolist():
-                amount = int(column[sector])
-                size = Size(1, amount_us=amount) if kind in measured else Size(amount)
-                yield self._event(int(block.position[sector]), kind, int(samples[sector]), size)
+                amount, position = int(column[sector]), int(block.position[sector])
+                if kind in measured:
+                    yield replace(self.event(position, kind, int(samples[sector])), amount_us=amount)
+                else:
+                    yield self.event(position, kind, int(samples[sector]), amount)
 
     def ending(self, raw: RawBlock, sample: int) -> Iterator[Event]:
         """An incomplete sector at the end, unless it is empty."""
         if not raw.broken and (is_erased(raw.tail) or not any(raw.tail)):
             return
-        position = raw.first_position + len(raw.pages)
-        text = BROKEN_OFF if raw.broken else CUT_OFF
-        size = Size(len(raw.tail), lost_bytes=len(raw.tail) + raw.undecoded)
-        yield self._event(position, ("truncated", text), sample, size)
-
-    def _event(self, position: int, kind: tuple[str, str], sample: int, size: Size) -> Event:
-        offset = self._file.offset(position)
-        amounts = (size.count, size.amount_us, size.lost_bytes)
-        return Event(position, size.sectors, *kind, offset, sample, *amounts)
+        kind = "truncated", BROKEN_OFF if raw.broken else CUT_OFF
+        event = self.event(raw.next_position, kind, sample, len(raw.tail))
+        yield replace(event, lost_bytes=len(raw.tail) + raw.undecoded)
 
 
 def sector_blocks(file: PagedFile, sectors: int, first_position: int = 0) -> Generator[RawBlock, None, None]:
@@ -232,7 +196,7 @@ class Assembler:
 
     def __init__(self, scheme: Scheme, sample: int, problems: tuple[Problem, ...]) -> None:
         self._scheme = scheme
-        self._events = EventMaker(scheme.file)
+        self._events = SectorEvents(scheme.file)
         self._linker = Linker(scheme.settings.rate, scheme.settings.rows)
         self._timeline = Timeline(scheme.settings.rate)
         self._log = ProblemLog(problems)
@@ -244,7 +208,8 @@ class Assembler:
     def feed(self, raw: RawBlock) -> Iterator[Chunk]:
         """Add a block; the last one releases everything."""
         block, status = decode(raw.pages, raw.first_position, self._scheme.settings)
-        events = list(self._events.left_out(raw, status, block, self._rows_in))
+        bad = bad_runs(status, raw.first_position)
+        events = list(self._events.bad_pages(block.position, block.rows, bad, self._rows_in))
         if len(block):
             self._place(block, raw.end_byte, events)
         if raw.last:
@@ -252,7 +217,7 @@ class Assembler:
             events += self._events.ending(raw, self._rows_in)
         for event in sorted(events, key=lambda event: event.position):
             self._log.add(event)
-        yield from self._ready(None if raw.last else raw.first_position + len(raw.pages), raw.end_byte)
+        yield from self._ready(None if raw.last else raw.next_position, raw.end_byte)
 
     def _place(self, block: SectorBlock, end_byte: int, events: list[Event]) -> None:
         links = self._linker.link(block)
@@ -262,10 +227,7 @@ class Assembler:
         self._rows_in += int(block.rows.sum())
 
     def _add_spans(self, new: Spans) -> None:
-        old = self._spans
-        self._spans = Spans(
-            np.concatenate((old.time_us, new.time_us)), np.concatenate((old.span_us, new.span_us))
-        )
+        self._spans = Spans(**joined_columns((self._spans, new), Spans.__dataclass_fields__))
 
     def _ready(self, scanned: int | None, end_byte: int) -> Iterator[Chunk]:
         """Chunks whose times are settled; problems left over go with an empty one."""
@@ -302,14 +264,6 @@ class Assembler:
         """Each sector's temperature for all of its samples, (n,)."""
         sensor = self._scheme.thermometer
         return None if sensor is None else np.repeat(sensor.temperature_mc(block.temperature), block.rows)
-
-
-SEARCH_SECTORS = 2048
-LAST_SECTORS = 64
-START_SAMPLES = 8192
-COPY_AGAIN = "copy it again from the device"
-NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
-NO_START = "the device's clock was not set: times count from the recording's start"
 
 
 @dataclass(frozen=True, slots=True)

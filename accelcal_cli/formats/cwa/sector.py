@@ -1,24 +1,14 @@
-"""The 512-byte data sector of an Axivity .cwa file: its fields, settings and checksum.
+"""What the header and the 512-byte data sectors of an Axivity .cwa file hold, and their samples.
 
 Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it,
 `Docs/ax3/ax3-technical.md` and `ax3-auxiliary.md` (github.com/digitalinteraction/openmovement).
-All numbers are little-endian.
+All numbers are little-endian. Where header and data disagree, the data take precedence.
 
-The first 1024 bytes of a .cwa file: who recorded. What the data say goes before what they say.
+Time: the device notes the time, to 1/32768 s, and how many samples its buffer held at that moment: an
+anchor, that is a sample number and its time. For old software it stores the number as if the time were
+the whole second before, so that the two must be put together again (`ax3-technical.md`).
 
-Source: `Docs/ax3/cwa.h` (github.com/digitalinteraction/openmovement).
-
-When a data sector was written: an anchor, that is a sample number and its time.
-
-The device notes the time, to 1/32768 s, and how many samples its buffer held at that moment. For
-old software it stores the number as if the time were the whole second before, so that the two
-must be put together again. Source: `Docs/ax3/ax3-technical.md` (openmovement).
-
-From sectors as they lie in the file to samples, a block of them at a time.
-
-From a sector's temperature word to degrees C: which part the hardware carries.
-
-The word's low ten bits stand for 3 V. Sources, all in github.com/digitalinteraction/openmovement:
+Temperature: the low ten bits of a sector's word stand for 3 V. Which sensor the hardware carries:
 
 - `Docs/ax3/cwa.h` and `ax3-auxiliary.md` give raw * 75 / 256 - 50, an MCP9700 (500 mV at 0 C, 10 mV
   per degree). It holds for units that declare no hardware version (0x00, 0xff) and for the AX6
@@ -41,6 +31,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
+from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
 SAMPLE_BYTES = 480
@@ -65,6 +56,11 @@ SECTOR = np.dtype(
         ("checksum", "<u2"),
     ]
 )
+HEADER = struct.Struct("<4sBHIHIIIBB8sBBIBh20s448s512s")
+"""Fields of the file's header, those of `cwa.h` in order: magic and length, hardware type, device number
+(low half), session, device number (high half), start and end of logging, and so on; rate and range is
+number 12, the revision of the firmware number 14."""
+
 FIELDS = np.dtype([(name, "<u2") for name in ("low", "high")])
 """The two halves of a packed sample of 32 bits."""
 
@@ -72,7 +68,8 @@ Sectors = NDArray[Any]
 """(n,) of SECTOR."""
 
 PACKED = 0x30
-FULL_ROWS = {PACKED: 120, 0x32: 80, 0x62: 40, 0x92: 26}
+AXES_3X16 = 0x32
+FULL_ROWS = {PACKED: 120, AXES_3X16: 80, 0x62: 40, 0x92: 26}
 """Samples in a full sector, by the byte that tells axes and packing: packed x y z; 16-bit x y z;
 gyroscope and accelerometer; gyroscope, accelerometer and magnetometer."""
 
@@ -80,6 +77,25 @@ OVERFLOW_EVENTS = 0x30
 """The sensor's (bit 4) or the firmware's (bit 5) buffer ran over: samples were lost."""
 
 HIGHEST_RATE = 3200
+
+NO_DEVICE = Device()
+AX3, AX6 = "AX3", "AX6"
+MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
+UNSET_WORD = 0xFFFF
+UNSET_BYTE = 0xFF
+
+HAS_FRACTION = 0x8000
+
+EMPTY, OTHER, SETTINGS = ERASED, 50, 51
+"""What a sector may be beside GOOD and the kinds of BAD_KINDS: without anything written, of a kind without
+acceleration (FOREIGN is no sector at all), or recorded with other settings."""
+
+KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
+OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)
+
+TEMPERATURE_MASK = 0x3FF
+NO_SENSOR = (0, TEMPERATURE_MASK)
+"""Readings at either end of the converter: nothing is fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +146,7 @@ class Settings:
 
     @property
     def gyro_dps_per_lsb(self) -> float | None:
-        """deg/s in one count, None without a gyroscope or where its range is not told."""
+        """deg/s in one count, None without a gyroscope or where its range is unknown."""
         gyro_bits = self.scale_bits & 7
         return 8000 / (1 << gyro_bits) / 32768 if self.width > 3 and gyro_bits else None
 
@@ -180,14 +196,6 @@ def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.b
     return proved, usable & old & (old_rate > 0) & (old_rate <= HIGHEST_RATE)
 
 
-NO_DEVICE = Device()
-AX3, AX6 = "AX3", "AX6"
-MODELS = {0x00: AX3, 0x16: AX3, 0x17: AX3, 0x18: AX3, 0xFF: AX3, 0x64: AX6}
-UNSET_WORD = 0xFFFF
-UNSET_BYTE = 0xFF
-FRACTION_FLAG = 0x8000
-
-
 @dataclass(frozen=True, slots=True)
 class Header:
     """What the header tells.
@@ -210,11 +218,10 @@ class Header:
 def parse_header(head: bytes) -> Header:
     """Look at the beginning of a file; without a header, the data may begin at once."""
     if not head.startswith(HEADER_MAGIC) or len(head) < HEADER_BYTES:
-        found = (at for at in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, at))
-        return Header(next(found, HEADER_BYTES), False)
-    hardware, low = struct.unpack_from("<BH", head, 4)
-    (high,) = struct.unpack_from("<H", head, 11)
-    rate, firmware = head[36], head[41]
+        starts = (start for start in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, start))
+        return Header(next(starts, HEADER_BYTES), False)
+    _, hardware, low, _, high, *fields = HEADER.unpack(head[:HEADER_BYTES])
+    rate, firmware = fields[7], fields[9]
     number = low | (0 if high == UNSET_WORD else high << 16)
     device = Device(
         model=MODELS.get(hardware),
@@ -231,11 +238,8 @@ def device_of_sector(settings: Settings, fraction: int) -> Device:
         fraction: the word that holds either the fraction of the second or the device's number.
     """
     model = AX6 if settings.scale_bits >> 3 or settings.width > 3 else AX3
-    numbered = fraction and not fraction & FRACTION_FLAG
+    numbered = fraction and not fraction & HAS_FRACTION
     return Device(model, str(fraction) if numbered else None)
-
-
-HAS_FRACTION = 0x8000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -285,13 +289,6 @@ def day_table() -> NDArray[np.int64]:
     months = ((year + 30) * 12 + month - 1).astype("M8[M]")
     days = months.astype("M8[D]").astype(np.int64) + day - 1
     return np.where((month >= 1) & (month <= 12) & (day >= 1), days * 86_400, -1)
-
-
-GOOD, EMPTY, OTHER, FOREIGN, CHECKSUM, NONSENSE, RATE, SETTINGS = range(8)
-"""What a sector is: OTHER is a kind without acceleration, FOREIGN no sector at all."""
-
-KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
-OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -437,11 +434,6 @@ def unpacked(sectors: Sectors) -> NDArray[np.int16]:
     for axis, top in enumerate((low << np.uint16(6), y, high << np.uint16(2))):
         np.multiply(top.view(np.int16) >> 6, factor, out=counts[:, :, axis])
     return counts
-
-
-TEMPERATURE_MASK = 0x3FF
-NO_SENSOR = (0, TEMPERATURE_MASK)
-"""Readings at either end of the converter: nothing is fitted."""
 
 
 @dataclass(frozen=True, slots=True)

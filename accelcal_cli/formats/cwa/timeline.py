@@ -1,11 +1,9 @@
-"""How each sector goes on from the one before: lost sectors, restarts, jumps of the clock.
-
-Times of samples by straight lines between the anchors of their sectors.
+"""How each sector continues the one before (lost sectors, restarts, jumps of the clock), and its times.
 
 The sensor has its own oscillator, percents off its nominal rate and drifting with temperature, so
-that only the anchors tell when a sample was taken. Before the first and after the last anchor of
-an unbroken run the line goes on with the run's own rate at that end. Sectors begin and end on these
-lines; the samples of a sector are evenly spread.
+that only the anchors tell when a sample was taken: times lie on straight lines between them. Before the
+first and after the last anchor of an unbroken run the line goes on with the run's own rate at that end.
+Sectors begin and end on these lines; the samples of a sector are evenly spread.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.recording import cut_columns, joined_columns
 from accelcal_cli.formats.cwa.sector import SectorBlock
 
 RATE_TOLERANCE = 0.1
@@ -31,6 +30,13 @@ LONGEST_BRIDGE = 100
 
 LONGEST_GAP_S = 365 * 86_400
 """A sequence number that jumps further is taken for a new numbering."""
+
+END_ANCHORS = 32
+"""The rate at the end of a run is measured over this many anchors."""
+
+RUN_SHIFT = 42
+ROW_ORIGIN = 1 << 20
+"""Run number and sample number together make a key that ascends: rows stay below 2**41."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,14 +224,6 @@ def _previous(last: int, column: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.concatenate(([last], column[:-1]))
 
 
-END_ANCHORS = 32
-"""The rate at the end of a run is measured over this many anchors."""
-
-RUN_SHIFT = 42
-ROW_ORIGIN = 1 << 20
-"""Run number and sample number together make a key that ascends: rows stay below 2**41."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Spans:
     """When sectors begin and how long they last [us], (p,) int64 each."""
@@ -254,22 +252,12 @@ class _Window:
         return len(self.row)
 
     def extended(self, links: Links) -> _Window:
-        return _Window(
-            np.concatenate((self.row, links.row)),
-            np.concatenate((self.rows, links.rows)),
-            np.concatenate((self.anchor_row, links.anchor_row)),
-            np.concatenate((self.anchor_us, links.anchor_us)),
-            np.concatenate((self.fresh, links.fresh)),
-        )
+        """The same with these sectors after it."""
+        return _Window(**joined_columns((self, links), self.__dataclass_fields__))
 
-    def cut(self, first: int) -> _Window:
-        return _Window(
-            self.row[first:],
-            self.rows[first:],
-            self.anchor_row[first:],
-            self.anchor_us[first:],
-            self.fresh[first:],
-        )
+    def without(self, sectors: int) -> _Window:
+        """The same without so many sectors at its beginning."""
+        return _Window(**cut_columns(self, self.__dataclass_fields__, slice(sectors, None)))
 
 
 class _Lines:
@@ -297,14 +285,14 @@ class _Lines:
         nominal = self._rate.numerator, MICROSECONDS * self._rate.denominator
         return np.where(alone, nominal[0], over_rows), np.where(alone, nominal[1], over_us)
 
-    def at(self, sector: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
+    def times(self, sector: NDArray[np.int64], row: NDArray[np.int64]) -> NDArray[np.int64]:
         """Times of samples `row` of the runs to which the sectors belong, rounded half up."""
         run = self._run[sector]
         key = (run << RUN_SHIFT) + (row + ROW_ORIGIN)
-        found = np.searchsorted(self._key, key, side="right") - 1
-        anchor = np.maximum(found, self._starts[run])
+        before = np.searchsorted(self._key, key, side="right") - 1
+        anchor = np.maximum(before, self._starts[run])
         over_rows, over_us = self._over_rows[anchor], self._over_us[anchor]
-        early = np.flatnonzero(found < anchor)
+        early = np.flatnonzero(before < anchor)
         over_rows[early], over_us[early] = self._head[0][run[early]], self._head[1][run[early]]
         into = (row - self._window.anchor_row[anchor]) * over_us
         return np.asarray(self._window.anchor_us[anchor] + (2 * into + over_rows) // (2 * over_rows))
@@ -319,7 +307,7 @@ class Timeline:
 
     def __init__(self, rate: Fraction) -> None:
         self._rate = rate
-        none = np.empty(0, np.int64)
+        none = NO_SPANS.time_us
         self._window = _Window(none, none, none, none, none.astype(np.bool_))
         self._done = 0
 
@@ -355,7 +343,7 @@ class Timeline:
         apart = window.fresh[1:settled] | (ends[: settled - 1] != window.row[1:settled])
         lonely = np.append(np.flatnonzero(apart[self._done :]) + self._done, settled - 1)
         sector = np.append(np.arange(self._done, settled), lonely)
-        time_us = lines.at(sector, np.append(window.row[self._done : settled], ends[lonely]))
+        time_us = lines.times(sector, np.append(window.row[self._done : settled], ends[lonely]))
         begin, end = time_us[: settled - self._done], time_us[1 : settled - self._done + 1].copy()
         end[lonely - self._done] = time_us[settled - self._done :]
         self._forget(settled)
@@ -367,4 +355,4 @@ class Timeline:
         reached = window.row[settled - 1] + window.rows[settled - 1]
         before = begun + int(np.searchsorted(window.anchor_row[begun:], reached, side="right")) - 1
         first = max(begun, min(settled, before, len(window) - END_ANCHORS))
-        self._window, self._done = window.cut(first), settled - first
+        self._window, self._done = window.without(first), settled - first

@@ -8,7 +8,6 @@ is full and where the recording has a break; the first one after a break says th
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -22,51 +21,34 @@ from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats._writing import (
     OTHER_FORMAT,
-    Rows,
     check_bits,
     known_rate,
     known_scale,
     new_file,
     number_of,
+    page_means_mc,
     page_runs,
     remark,
     start_us,
 )
-
-SAMPLES = 80
-SECTOR = np.dtype(
-    [
-        ("magic", "S2"),
-        ("length", "<u2"),
-        ("fraction", "<u2"),
-        ("session", "<u4"),
-        ("sequence", "<u4"),
-        ("stamp", "<u4"),
-        ("light", "<u2"),
-        ("temperature", "<u2"),
-        ("events", "u1"),
-        ("battery", "u1"),
-        ("rate", "u1"),
-        ("axes", "u1"),
-        ("offset", "<i2"),
-        ("count", "<u2"),
-        ("xyz", "<i2", (SAMPLES, 3)),
-        ("checksum", "<u2"),
-    ]
+from accelcal_cli.formats.cwa import HEADER_MAGIC
+from accelcal_cli.formats.cwa.sector import (
+    AXES_3X16,
+    FULL_ROWS,
+    HAS_FRACTION,
+    HEADER,
+    MAGIC,
+    SECTOR,
+    rate_of,
 )
-SECTOR_LENGTH = 508
-HEADER = struct.Struct("<2sHBHIHIIIBB8sBBIBh20s448s512s")
-HEADER_LENGTH = 1020
+
+SAMPLES = FULL_ROWS[AXES_3X16]
 HARDWARE, FIRMWARE = 0x17, 47
 SESSION = 1
 FULL_BATTERY = 205
-AXES = 0x32
-"""Three axes, 16 bits each."""
-
-HAS_FRACTION = 0x8000
 SAMPLES_LOST = 0x20
 TICKS_PER_S = 1 << 15
-RATE_CODES = {3200 / (1 << (15 - code)): code for code in range(6, 16)}
+RATE_CODES = {float(rate_of(code)): code for code in range(6, 16)}
 RANGE_CODES = {16.0: 0x00, 8.0: 0x40, 4.0: 0x80, 2.0: 0xC0}
 LSB_PER_G = 256.0
 NOT_MEASURED = 0
@@ -109,8 +91,7 @@ def header(path: Path, recording: Recording) -> bytes:
     number = number_of(recording.device)
     second = np.array([start_us(path, recording) // 1_000_000])
     return HEADER.pack(
-        b"MD",
-        HEADER_LENGTH,
+        HEADER_MAGIC,
         HARDWARE,
         number & 0xFFFF,
         SESSION,
@@ -137,19 +118,19 @@ def rate_code(recording: Recording) -> int:
     return RATE_CODES[recording.rate_hz] | RANGE_CODES[recording.range_g or 0.0]
 
 
-def data_sectors(path: Path, rows: Rows, recording: Recording) -> NDArray[np.void]:
+def data_sectors(path: Path, rows: Chunk, recording: Recording) -> NDArray[np.void]:
     """Full sectors, or a single one that is not full; without number and checksum."""
     check_bits(path, rows, 16)
     width = min(SAMPLES, len(rows))
     sectors = np.zeros(len(rows) // width, SECTOR)
-    sectors["magic"], sectors["length"] = b"AX", SECTOR_LENGTH
+    sectors["magic"] = MAGIC
     sectors["session"] = SESSION
     sectors["temperature"] = temperature_words(rows, len(sectors))
-    sectors["events"][0] = SAMPLES_LOST * rows.fresh
+    sectors["events"][0] = SAMPLES_LOST * rows.is_fresh
     sectors["battery"] = FULL_BATTERY
-    sectors["rate"], sectors["axes"] = rate_code(recording), AXES
+    sectors["rate"], sectors["axes"] = rate_code(recording), AXES_3X16
     sectors["count"] = width
-    sectors["xyz"][:, :width] = rows.counts.reshape(-1, width, 3)
+    sectors["data"].view("<i2")[:, : 3 * width] = rows.counts.reshape(-1, 3 * width)
     stamp(path, sectors, rows.time_us.reshape(-1, width), int(recording.rate_hz))
     return sectors
 
@@ -188,9 +169,9 @@ def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(date | of_day // 3600 << 12 | of_day // 60 % 60 << 6 | of_day % 60)
 
 
-def temperature_words(rows: Rows, sectors: int) -> NDArray[np.int64]:
+def temperature_words(rows: Chunk, sectors: int) -> NDArray[np.int64]:
     """Mean temperature of each sector in units of the sensor of hardware 1.7: C = raw * 0.15 - 20.5."""
-    means_mc = rows.mean_mc(SAMPLES)
+    means_mc = page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return np.full(sectors, NOT_MEASURED)
     return np.clip(np.rint((means_mc + 20_500) / 150), 1, WARMEST).astype(np.int64)

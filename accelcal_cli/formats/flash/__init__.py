@@ -1,6 +1,6 @@
-"""By what a dump of flash pages is known: how its header and its pages begin. See docs/flash-format.md.
+"""The flash page format, our own dump of a wrist logger's memory: how its header and pages are recognised.
 
-The flash page format: our own dump of a wrist logger's memory, specified in docs/flash-format.md.
+Specified in docs/flash-format.md.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ def sniff(probe: Probe) -> int:
     if probe.head.startswith(HEADER_MAGIC):
         return 100
     places = range(PAGE_BYTES, len(probe.head), PAGE_BYTES)
-    if not any(probe.head.startswith(PAGE_MAGIC, at) for at in places):
+    if not any(probe.head.startswith(PAGE_MAGIC, place) for place in places):
         return 0
     # Few files get as far as to need the checksum of a page.
     from accelcal_cli.formats.flash.reader import recording_id_in

@@ -61,6 +61,19 @@ PAGE = np.dtype(
     ]
 )
 
+VERSION = 1
+FLAG_TEMPERATURE = 1
+FLAG_CLOCK_NEVER_SET = 2
+ZONE_UNKNOWN = -32768
+LONGEST_ZONE_MINUTES = 18 * 60
+RATES_HZ = (Fraction(1, 1000), Fraction(100_000))
+
+LAYOUT = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
+
+SEARCHED_PAGES = 512
+COPY_AGAIN = "copy it again from the device"
+NO_START = "the device's clock was never set: times count from its start"
+
 
 class FlashDecoder:
     """Decodes blocks of data pages.
@@ -135,16 +148,6 @@ def recording_id_in(data: bytes) -> int | None:
     whole = len(data) // PAGE_BYTES
     pages = np.frombuffer(data, np.uint8, whole * PAGE_BYTES).reshape(whole, PAGE_BYTES)
     return first_recording_id(pages) if whole else None
-
-
-VERSION = 1
-FLAG_TEMPERATURE = 1
-FLAG_CLOCK_NEVER_SET = 2
-ZONE_UNKNOWN = -32768
-LONGEST_ZONE_MINUTES = 18 * 60
-RATES_HZ = (Fraction(1, 1000), Fraction(100_000))
-
-LAYOUT = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,11 +229,6 @@ def zone_name(minutes: int) -> str | None:
     return f"{'-' if minutes < 0 else '+'}{hours:02d}:{rest:02d}" if minutes else "UTC"
 
 
-SEARCHED_PAGES = 512
-COPY_AGAIN = "copy it again from the device"
-NO_START = "the device's clock was never set: times count from its start"
-
-
 def open_recording(path: Path, options: ReadOptions) -> Reader:
     """Open a dump.
 
@@ -267,8 +265,8 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
             hint="give --rate and --lsb-per-g to read the data without it",
         )
     with closing(file.blocks(SEARCHED_PAGES)) as blocks:
-        found = (first_recording_id(raw.pages) for raw in blocks)
-        number = next((number for number in found if number is not None), 0)
+        numbers = (first_recording_id(raw.pages) for raw in blocks)
+        number = next((number for number in numbers if number is not None), 0)
     return FlashHeader(
         recording_id=number,
         rate=rate_fraction(options.rate_hz),
@@ -282,7 +280,7 @@ def substitute(file: PagedFile, options: ReadOptions, error: HeaderDamageError) 
 
 
 def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHeader:
-    """What the user says goes before what the file says.
+    """What the user says takes precedence over what the file says.
 
     Raises:
         UsageError: the rates contradict each other.

@@ -7,7 +7,6 @@ time of its first sample; its temperature is the mean of its samples.
 from __future__ import annotations
 
 import re
-import struct
 import zlib
 from collections.abc import Iterable
 from fractions import Fraction
@@ -16,34 +15,25 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import rate_fraction
+from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.formats._writing import OTHER_FORMAT, Rows, check_bits, new_file, page_runs
-
-PAGE_BYTES = 512
-SAMPLES = 80
-HEADER = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
-PAGE = np.dtype(
-    [
-        ("magic", "S4"),
-        ("recording_id", "<u4"),
-        ("sequence", "<u4"),
-        ("seconds", "<u4"),
-        ("microseconds", "<u4"),
-        ("temperature", "<i2"),
-        ("samples", "<u2"),
-        ("flags", "<u4"),
-        ("xyz", "<i2", (SAMPLES, 3)),
-        ("crc", "<u4"),
-    ]
+from accelcal_cli.formats._writing import OTHER_FORMAT, check_bits, new_file, page_means_mc, page_runs
+from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC
+from accelcal_cli.formats.flash.reader import (
+    CRC_AT,
+    FLAG_CLOCK_NEVER_SET,
+    FLAG_FRESH,
+    FLAG_TEMPERATURE,
+    LAYOUT,
+    NOT_MEASURED,
+    PAGE,
+    SAMPLES,
+    VERSION,
+    ZONE_UNKNOWN,
 )
-HEADER_MAGIC, PAGE_MAGIC = b"\x89ACL\r\n\x1a\n", b"ACLP"
-VERSION = 1
-NOT_MEASURED = ZONE_UNKNOWN = -32768
-HAS_TEMPERATURE, CLOCK_NEVER_SET = 1, 2
-FRESH = 1
+
 RECORDING_ID = 1
 LARGEST = (1 << 32) - 1
 INT16 = np.iinfo(np.int16)
@@ -66,10 +56,10 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 def header_page(path: Path, recording: Recording) -> bytes:
     """Page 0."""
-    flags = HAS_TEMPERATURE * recording.has_temperature
-    flags |= CLOCK_NEVER_SET * (recording.start_us is None)
+    flags = FLAG_TEMPERATURE * recording.has_temperature
+    flags |= FLAG_CLOCK_NEVER_SET * (recording.start_us is None)
     device = recording.device
-    page = HEADER.pack(
+    page = LAYOUT.pack(
         HEADER_MAGIC,
         VERSION,
         PAGE_BYTES,
@@ -81,7 +71,7 @@ def header_page(path: Path, recording: Recording) -> bytes:
         zone_minutes(recording.timezone),
         0,
         *(ascii_field(text) for text in (device.serial, device.model, device.firmware)),
-    ).ljust(PAGE_BYTES - 4, b"\0")
+    ).ljust(CRC_AT, b"\0")
     return page + zlib.crc32(page).to_bytes(4, "little")
 
 
@@ -103,25 +93,25 @@ def zone_minutes(timezone: str | None) -> int:
     """Minutes east of UTC where the zone is a fixed offset."""
     if timezone == "UTC":
         return 0
-    found = re.fullmatch(r"([+-])(\d\d):(\d\d)", timezone or "")
-    if found is None:
+    match = re.fullmatch(r"([+-])(\d\d):(\d\d)", timezone or "")
+    if match is None:
         return ZONE_UNKNOWN
-    return int(found[1] + "1") * (60 * int(found[2]) + int(found[3]))
+    return int(match[1] + "1") * (60 * int(match[2]) + int(match[3]))
 
 
-def data_pages(path: Path, rows: Rows, sequence: int) -> NDArray[np.void]:
+def data_pages(path: Path, rows: Chunk, sequence: int) -> NDArray[np.void]:
     """Whole pages, or a single one that is not full, numbered from `sequence`."""
-    check_fit(path, rows)
-    count = len(rows.counts)
+    count, time_us = len(rows), rows.time_us
+    check_fit(path, rows, time_us)
     first = np.arange(0, count, SAMPLES)
     pages = np.zeros(len(first), PAGE)
     pages["magic"] = PAGE_MAGIC
     pages["recording_id"] = RECORDING_ID
     pages["sequence"] = sequence + np.arange(len(first))
-    pages["seconds"], pages["microseconds"] = np.divmod(rows.time_us[first], 1_000_000)
+    pages["seconds"], pages["microseconds"] = np.divmod(time_us[first], MICROSECONDS)
     pages["temperature"] = page_temperatures(rows, len(first))
     pages["samples"] = np.minimum(count - first, SAMPLES)
-    pages["flags"][0] = FRESH * rows.fresh
+    pages["flags"][0] = FLAG_FRESH * rows.is_fresh
     pages["xyz"] = -1
     whole = count // SAMPLES
     pages["xyz"][:whole] = rows.counts[: whole * SAMPLES].reshape(whole, SAMPLES, 3)
@@ -129,20 +119,20 @@ def data_pages(path: Path, rows: Rows, sequence: int) -> NDArray[np.void]:
         pages["xyz"][whole, : count % SAMPLES] = rows.counts[whole * SAMPLES :]
     data = pages.data.cast("B")
     starts = range(0, len(data), PAGE_BYTES)
-    pages["crc"] = [zlib.crc32(data[start : start + PAGE_BYTES - 4]) for start in starts]
+    pages["crc"] = [zlib.crc32(data[start : start + CRC_AT]) for start in starts]
     return pages
 
 
-def check_fit(path: Path, rows: Rows) -> None:
+def check_fit(path: Path, rows: Chunk, time_us: NDArray[np.int64]) -> None:
     """Refuse counts beyond 16 bits and times that a page cannot hold."""
     check_bits(path, rows, 16)
-    if rows.time_us.min() < 0 or rows.time_us.max() > LARGEST * 1_000_000:
+    if time_us.min() < 0 or time_us.max() > LARGEST * MICROSECONDS:
         raise OutputError("a time lies before 1970 or after 2106", path=path, hint=OTHER_FORMAT)
 
 
-def page_temperatures(rows: Rows, pages: int) -> NDArray[np.int16]:
+def page_temperatures(rows: Chunk, pages: int) -> NDArray[np.int16]:
     """Mean temperature of each page [1/128 C]."""
-    means_mc = rows.mean_mc(SAMPLES)
+    means_mc = page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return np.full(pages, NOT_MEASURED, np.int16)
     return np.clip(np.rint(means_mc * (128 / 1000)), -INT16.max, INT16.max).astype(np.int16)

@@ -1,10 +1,8 @@
-"""By what a GENEActiv .bin file is known: how its header and its pages begin.
-
-GENEActiv recordings (.bin): text with a header and pages of 300 samples in hexadecimal digits.
+"""GENEActiv recordings (.bin), text with pages of 300 samples in hexadecimal digits: how they are recognised.
 
 Sources: Activinsights, GENEActiv instructions, "Understanding .bin files"; what each field means
-to this reader stands in docs/geneactiv-files.md. Times are the device's clock, which shows the local time of
-the computer that set it up.
+to this reader is described in docs/geneactiv-files.md. Times are the device's clock, which shows the local
+time of the computer that set it up.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Pages that a file holds twice.
-
-From the text of pages to samples, many pages at a time.
-"""
+"""From the text of pages to samples, many pages at a time; pages that a file holds twice are left out."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ from binascii import Error, unhexlify
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,14 +15,13 @@ from accelcal_cli.formats._pages.pages import (
     DIGITS,
     FOREIGN,
     GOOD,
-    PER_PAGE,
-    PER_ROW,
     RATE,
     REPEATED,
     TEXT,
     Decoded,
     PageBlock,
     bad_runs,
+    chosen,
 )
 from accelcal_cli.formats.geneactiv.header import Scale
 from accelcal_cli.formats.geneactiv.scan import (
@@ -75,21 +70,6 @@ def page_marks(block: PageBlock) -> NDArray[np.uint64]:
     return np.asarray(marks)
 
 
-def chosen(block: PageBlock, pages: NDArray[np.bool_]) -> PageBlock:
-    """The pages marked in (p,)."""
-    if pages.all():
-        return block
-    keep = dict.fromkeys(PER_PAGE, pages) | dict.fromkeys(PER_ROW, np.repeat(pages, block.rows))
-    columns: dict[str, Any] = {name: picked(block, name, rows) for name, rows in keep.items()}
-    return PageBlock(**columns)
-
-
-def picked(block: PageBlock, name: str, rows: NDArray[np.bool_]) -> NDArray[np.generic] | None:
-    """Part of one column."""
-    column = getattr(block, name)
-    return None if column is None else column[rows]
-
-
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What all pages of a recording have in common.
@@ -131,7 +111,9 @@ class Decoder:
         again = self._repeats.among(block)
         verdict[keep[again]] = REPEATED
         status[places] = verdict
-        return Decoded(chosen(block, ~again), bad_runs(status, first_position), b"")
+        if again.any():
+            block = chosen(block, ~again, np.repeat(~again, block.rows))
+        return Decoded(block, bad_runs(status, first_position), b"")
 
     def _verdict(self, found: Found, time_us: NDArray[np.int64], *, all_digits: bool) -> NDArray[np.uint8]:
         """What each page is, (p,)."""

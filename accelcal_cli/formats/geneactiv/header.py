@@ -1,14 +1,10 @@
-"""The factory's gain and offset of each axis, on one grid of whole counts for all three.
+"""The text before the first page of a GENEActiv .bin file: who recorded, and the factory's calibration.
 
-The device's documentation gives g = (raw * 100 - offset) / gain (Activinsights, GENEActiv
-instructions, "Understanding .bin files"). Counts are slope * raw - shift with one number of counts
-per g. They are exact where that takes no more than 2**24 counts per g, as with equal gains; else
-the values are rounded to a grid of 1 / 2**24 g, 0.03 micro-g at most.
-
-The text before the first page of a GENEActiv .bin file: who recorded, and the factory's calibration.
-
-It has 59 lines of `key:value` in sections; notes of several lines make it longer. Source:
-Activinsights, GENEActiv instructions, "Understanding .bin files".
+It has 59 lines of `key:value` in sections; notes of several lines make it longer. The factory's gain and
+offset of each axis give g = (raw * 100 - offset) / gain; all three axes are put on one grid of whole
+counts, slope * raw - shift with one number of counts per g. The counts are exact where that takes no more
+than 2**24 counts per g, as with equal gains; else the values are rounded to a grid of 1 / 2**24 g, 0.03
+micro-g at most. Source: Activinsights, GENEActiv instructions, "Understanding .bin files".
 """
 
 from __future__ import annotations
@@ -33,6 +29,23 @@ RAW_LIMIT = RAW_VALUES // 2
 
 GAINS = (6_400, 102_400)
 """Hundredths of a count per g that are possible: ranges of 32 g down to 2 g over 12 bits."""
+
+HEADER_LIMIT = 1 << 16
+CALIBRATION = "Calibration Data"
+RESET_DATE = "2010-09-16"
+"""Where the clock of a device stands after its battery was empty; the header then has lost its times."""
+
+NO_DEVICE = Device()
+_PAGE_LINE = re.compile(
+    rb"^(?:" + MARK + rb"[ \t]*\r?$|Sequence Number:|Page Time:|[0-9A-Fa-f]{256})", re.MULTILINE
+)
+"""A line of a page, whichever comes first: a damaged page must not pass for a part of the header."""
+
+_RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
+_DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
+_WHOLE = re.compile(r"-?\d{1,9}")
+_ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
+AXES = "xyz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,24 +129,6 @@ def _scale(lsb_per_g: float, table: NDArray[np.int64], *, exact: bool) -> Scale:
     return Scale(lsb_per_g, stored, exact, plain=bool((table == _raw_values()).all()))
 
 
-HEADER_LIMIT = 1 << 16
-CALIBRATION = "Calibration Data"
-RESET_DATE = "2010-09-16"
-"""Where the clock of a device stands after its battery was empty; the header then has lost its times."""
-
-NO_DEVICE = Device()
-_PAGE_LINE = re.compile(
-    rb"^(?:" + MARK + rb"[ \t]*\r?$|Sequence Number:|Page Time:|[0-9A-Fa-f]{256})", re.MULTILINE
-)
-"""A line of a page, whichever comes first: a damaged page must not pass for a part of the header."""
-
-_RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
-_DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")
-_WHOLE = re.compile(r"-?\d{1,9}")
-_ZONE = re.compile(r"GMT\s*([+-]\d{2}:[0-5]\d)")
-AXES = "xyz"
-
-
 @dataclass(frozen=True, slots=True)
 class Header:
     """What the header tells; None where it does not.
@@ -168,15 +163,20 @@ def parse_header(head: bytes) -> Header:
     Args:
         head: the file's first HEADER_LIMIT bytes.
     """
-    found = _PAGE_LINE.search(head)
-    end = found.start() if found else 0
+    match = _PAGE_LINE.search(head)
+    end = match.start() if match else 0
     text = head[:end].decode("ascii", "replace")
     about, measured = _values(text), _values(text.rpartition(CALIBRATION)[2])
     factory = _factory(measured)
     rate = number(about.get("Measurement Frequency", "").encode("ascii", "replace"))
     range_g = _range_g(about.get("Accelerometer Range", ""))
     serial = about.get("Device Unique Serial Code")
-    told = {"serial number": serial, "measurement frequency": rate, "range": range_g, "calibration": factory}
+    needed = {
+        "serial number": serial,
+        "measurement frequency": rate,
+        "range": range_g,
+        "calibration": factory,
+    }
     return Header(
         data_start=end,
         device=_device(about, serial),
@@ -187,7 +187,7 @@ def parse_header(head: bytes) -> Header:
         pages=_whole(measured.get("Number of Pages", "")),
         reset=any(about.get(key, "").startswith(RESET_DATE) for key in ("Config Time", "Start Time")),
         drift_s=_first(_DRIFT, about.get("Extract Notes", "")),
-        missing=tuple(name for name, value in told.items() if value is None),
+        missing=tuple(name for name, value in needed.items() if value is None),
     )
 
 
@@ -223,19 +223,19 @@ def _whole(text: str) -> int | None:
 
 
 def _first(pattern: re.Pattern[str], text: str) -> str | None:
-    found = pattern.search(text)
-    return found[1] if found else None
+    match = pattern.search(text)
+    return match[1] if match else None
 
 
 def _range_g(text: str) -> float | None:
     """The range of `-8 to 8`; None where it is not symmetric."""
-    found = _RANGE.search(text)
-    return float(found[2]) if found and float(found[1]) == float(found[2]) > 0 else None
+    match = _RANGE.search(text)
+    return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
 
 
 def _zone(text: str) -> str | None:
-    """The zone of `GMT +01:00`; None where it is not told so."""
-    found = _ZONE.fullmatch(text)
-    if found is None or int(found[1][1:3]) > WIDEST_OFFSET_H:
+    """The zone of `GMT +01:00`; None where the text is none."""
+    match = _ZONE.fullmatch(text)
+    if match is None or int(match[1][1:3]) > WIDEST_OFFSET_H:
         return None
-    return "UTC" if found[1][1:] == "00:00" else found[1]
+    return "UTC" if match[1][1:] == "00:00" else match[1]

@@ -1,8 +1,6 @@
-"""What the first pages of a file have in common.
+"""An open GENEActiv .bin file: what is known of the recording, and its rows.
 
-From the text of a file to chunks.
-
-An open GENEActiv .bin file: what is known of the recording, and its rows.
+What most of the first pages have in common describes the recording; pages that differ are left out.
 """
 
 from __future__ import annotations
@@ -55,6 +53,15 @@ AGREEING = 0.9
 HALF_SECONDS = 600
 RATE_ROUNDING = Fraction(1, 20)
 
+BROKEN_OFF = "the compressed data is damaged or ends early"
+
+START_SAMPLES = 8192
+TAIL_BYTES = 1 << 16
+USUAL_RANGE_G = 8.0
+COPY_AGAIN = "copy it again from the device"
+NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
+HEADER_RESET = "the header's times are those of a device that was reset; the times are those of the pages"
+
 
 @dataclass(frozen=True, slots=True)
 class FirstPages:
@@ -101,17 +108,17 @@ def _right_pages(part: Part) -> list[tuple[int, Head]]:
 
 
 def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
-    told = [(head[0], number(head[4])) for _, head in pages]
-    serial, rate = Counter(told).most_common(1)[0][0]
-    place, first = pages[told.index((serial, rate))]
-    warm = [temperature_mc(head[3]) for _, head in pages]
+    stated = [(head[0], number(head[4])) for _, head in pages]
+    serial, rate = Counter(stated).most_common(1)[0][0]
+    place, first = pages[stated.index((serial, rate))]
+    temperatures = [temperature_mc(head[3]) for _, head in pages]
     return FirstPages(
         serial=serial,
         rate=rate or Fraction(1),
         sequence=int(first[1]),
         missing=max(0, int(first[1]) - place),
         unit_us=_unit_us([head[2] for _, head in pages]),
-        temperature_mc=next((mc for mc in warm if mc != NO_TEMPERATURE), NO_TEMPERATURE),
+        temperature_mc=next((mc for mc in temperatures if mc != NO_TEMPERATURE), NO_TEMPERATURE),
     )
 
 
@@ -122,17 +129,14 @@ def _unit_us(stamps: Sequence[bytes]) -> int:
     return next(fits, FINEST_US)
 
 
-def true_rate(told: Fraction) -> Fraction:
+def true_rate(rate: Fraction) -> Fraction:
     """The rate whose rounded figure a page tells.
 
     A page of 300 samples lasts a whole number of half seconds: 3.5 s at what is called 85.7 Hz
     (600/7), 4.5 s at 66.7 Hz (200/3).
     """
-    exact = Fraction(HALF_SECONDS, max(1, round(HALF_SECONDS / told)))
-    return exact if abs(exact - told) <= RATE_ROUNDING else told
-
-
-BROKEN_OFF = "the compressed data is damaged or ends early"
+    exact = Fraction(HALF_SECONDS, max(1, round(HALF_SECONDS / rate)))
+    return exact if abs(exact - rate) <= RATE_ROUNDING else rate
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,14 +244,6 @@ def marked(chunk: Chunk, scale: Scale) -> Chunk:
         return chunk
     clipped = ((counts <= low) | (counts >= high)).any(axis=1)
     return replace(chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8))
-
-
-START_SAMPLES = 8192
-TAIL_BYTES = 1 << 16
-USUAL_RANGE_G = 8.0
-COPY_AGAIN = "copy it again from the device"
-NO_START = "the device's clock was reset by an empty battery: its dates are not those of the recording"
-HEADER_RESET = "the header's times are those of a device that was reset; the times are those of the pages"
 
 
 class GeneactivReader(Reader):

@@ -1,12 +1,9 @@
-"""The text of a page: nine lines of `key:value`, then 300 samples as one line of 3600 hexadecimal digits.
+"""Finding the pages in the text of a GENEActiv .bin file, damaged or not, a part of the file at a time.
 
-Source: Activinsights, GENEActiv instructions, "Understanding .bin files". Numbers have as many
-digits as they need, lines end in LF or CR LF, and the decimal sign may be a comma (as computers
-of some countries wrote it), so that pages differ in length.
-
-Finding the pages in the text of a file, damaged or not, a stretch of it at a time.
-
-A file as text with pages in it, read a part at a time.
+The text of a page is nine lines of `key:value`, then 300 samples as one line of 3600 hexadecimal digits.
+Numbers have as many digits as they need, lines end in LF or CR LF, and the decimal sign may be a comma (as
+computers of some countries wrote it), so that pages differ in length. Source: Activinsights, GENEActiv
+instructions, "Understanding .bin files".
 """
 
 from __future__ import annotations
@@ -62,11 +59,16 @@ STAMP_BYTES = 23
 NO_STAMP = int(np.iinfo(np.int64).min)
 """Marks a time that is none, such as the 31st of February."""
 
+_BLANK = re.compile(rb"\s+")
+CARRIAGE_RETURN = 13
+Head = tuple[bytes, ...]
+"""Serial number, sequence number, time, temperature and rate of a page, as they stand there."""
+
 
 def number(text: bytes) -> Fraction | None:
     """A decimal number, with a point or a comma; None where the text is none."""
-    found = _NUMBER.fullmatch(text.strip())
-    return Fraction(found[1].replace(b",", b".").decode("ascii")) if found else None
+    match = _NUMBER.fullmatch(text.strip())
+    return Fraction(match[1].replace(b",", b".").decode("ascii")) if match else None
 
 
 @lru_cache(maxsize=4096)
@@ -96,12 +98,6 @@ def _padded(text: bytes) -> bytes:
     year, *numbers, milli = re.split(rb"[- :]", text)
     month, day, hour, minute, second = (part.zfill(2) for part in numbers)
     return b"%s-%s-%s %s:%s:%s:%s" % (year, month, day, hour, minute, second, milli)
-
-
-_BLANK = re.compile(rb"\s+")
-CARRIAGE_RETURN = 13
-Head = tuple[bytes, ...]
-"""Serial number, sequence number, time, temperature and rate of a page, as they stand there."""
 
 
 @dataclass(slots=True)
@@ -165,68 +161,68 @@ class Scanner:
         text, found = self._rest + data, Found()
         end = len(text) if last else len(text) - LONGEST_BYTES + 1
         end = end if stop is None else min(end, stop)
-        match, at = HEAD.match, 0
-        while at < end:
+        match, index = HEAD.match, 0
+        while index < end:
             if self._searching:
-                at = self._search(text, at, last=last)
+                index = self._search(text, index, last=last)
                 if not self._searching:
-                    self._close(at, found)
+                    self._close(index, found)
                 continue
-            head = match(text, at)
+            head = match(text, index)
             begin = len(text) if head is None else head.end()
             close = text.find(b"\n", begin, begin + BODY_DIGITS + 2)
             if head is None or not _is_whole(text, begin, close):
-                at = self._last(text, at, head, found) if last else self._other(text, at, head)
+                index = self._last(text, index, head, found) if last else self._other(text, index, head)
                 continue
             digits = text[begin : begin + BODY_DIGITS]
-            found.page(self._offset + at, self._offset + close + 1, head.groups(), digits)
-            at = close + 1
+            found.page(self._offset + index, self._offset + close + 1, head.groups(), digits)
+            index = close + 1
         if last:
-            self._close(at, found)
-        self._rest, self._offset = text[at:], self._offset + at
+            self._close(index, found)
+        self._rest, self._offset = text[index:], self._offset + index
         return found
 
-    def _close(self, at: int, found: Found) -> None:
+    def _close(self, index: int, found: Found) -> None:
         """What was no page reaches up to here."""
         if self._bad is not None:
-            found.place(*self._bad, self._offset + at)
+            found.place(*self._bad, self._offset + index)
         self._bad = None
 
-    def _search(self, text: bytes, at: int, *, last: bool) -> int:
+    def _search(self, text: bytes, index: int, *, last: bool) -> int:
         """Where the next page begins, or up to where none does."""
-        place = text.find(MARK, at)
+        place = text.find(MARK, index)
         self._searching = place < 0
         begun = 0 if last else len(MARK) - 1
-        return max(at, len(text) - begun) if self._searching else place
+        return max(index, len(text) - begun) if self._searching else place
 
-    def _last(self, text: bytes, at: int, head: re.Match[bytes] | None, found: Found) -> int:
+    def _last(self, text: bytes, index: int, head: re.Match[bytes] | None, found: Found) -> int:
         """Take in what is no whole page near the end of the file, which may have cut a page off."""
         if head is not None:
             digits = text[head.end() : head.end() + BODY_DIGITS + 2].removesuffix(b"\r")
             cut = len(digits) <= BODY_DIGITS and b"\n" not in digits
         else:
-            begun = text.startswith(MARK, at) or MARK.startswith(text[at : at + len(MARK)])
-            cut = begun and len(text) - at < SHORTEST_BYTES and text.find(MARK, at + 1) < 0
+            begun = text.startswith(MARK, index) or MARK.startswith(text[index : index + len(MARK)])
+            cut = begun and len(text) - index < SHORTEST_BYTES and text.find(MARK, index + 1) < 0
             digits = b""
         if not cut:
-            return self._other(text, at, head)
+            return self._other(text, index, head)
         samples = len(digits) // SAMPLE_DIGITS
         if samples < SAMPLES:
-            found.cut, found.cut_samples = self._offset + at, samples
+            found.cut, found.cut_samples = self._offset + index, samples
         if head is not None and samples:
-            begin, end = self._offset + at, self._offset + len(text)
+            begin, end = self._offset + index, self._offset + len(text)
             found.page(begin, end, head.groups(), digits[: samples * SAMPLE_DIGITS])
         return len(text)
 
-    def _other(self, text: bytes, at: int, head: re.Match[bytes] | None) -> int:
+    def _other(self, text: bytes, index: int, head: re.Match[bytes] | None) -> int:
         """Begin with what is no page; gives where to go on."""
-        blank = _BLANK.match(text, at)
+        blank = _BLANK.match(text, index)
         if blank:
             return blank.end()
-        begun = text.startswith(MARK, at)
-        self._bad = (NO_PAGE if not begun else TEXT if head is None else LENGTH), self._offset + at
+        begun = text.startswith(MARK, index)
+        self._bad = (NO_PAGE if not begun else TEXT if head is None else LENGTH), self._offset + index
         self._searching = True
-        return at + len(MARK) if begun else at
+        return index + len(MARK) if begun else index
 
 
 def _is_whole(text: bytes, begin: int, close: int) -> bool:

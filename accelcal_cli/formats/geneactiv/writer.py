@@ -20,7 +20,6 @@ from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Counts, Recording
 from accelcal_cli.formats._writing import (
     OTHER_FORMAT,
-    Rows,
     check_bits,
     fixed_offset,
     full_pages,
@@ -28,6 +27,7 @@ from accelcal_cli.formats._writing import (
     known_scale,
     new_file,
     number_of,
+    page_means_mc,
     remark,
     start_us,
 )
@@ -39,7 +39,7 @@ RATES = [600 / halves for halves in range(6, 61)]
 """From 100 to 10 Hz: a page lasts a whole number of half seconds."""
 
 RATE_ROUNDING_HZ = 0.0501
-"""Rates are told with one decimal: 66.7 Hz stands for 200/3, 18.8 Hz for 18.75."""
+"""Rates are written with one decimal: 66.7 Hz stands for 200/3, 18.8 Hz for 18.75."""
 
 LSB_PER_G, RANGE_G = 256.0, 8.0
 EARLIEST_US, LATEST_US = 946_684_800_000_000, 4_102_444_800_000_000
@@ -166,21 +166,21 @@ def header(path: Path, recording: Recording, pages: int) -> bytes:
     return lines(text)
 
 
-def data_pages(path: Path, rows: Rows, recording: Recording, sequence: int) -> bytes:
+def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> bytes:
     """Whole pages, numbered from `sequence`."""
     check_bits(path, rows, BITS)
     digits = sample_digits(rows.counts)
-    told = {"serial": number_of(recording.device), "rate": recording.rate_hz}
-    times, heats = stamps(path, rows.time_us[::SAMPLES]), temperatures(rows)
+    constants = {"serial": number_of(recording.device), "rate": recording.rate_hz}
+    times, means = stamps(path, rows.time_us[::SAMPLES]), temperatures(rows)
     pages = [
         PAGE.format(
             sequence=sequence + number,
             time=time,
-            temperature=heat,
+            temperature=mean,
             digits=digits[number * PAGE_DIGITS : (number + 1) * PAGE_DIGITS],
-            **told,
+            **constants,
         )
-        for number, (time, heat) in enumerate(zip(times, heats, strict=True))
+        for number, (time, mean) in enumerate(zip(times, means, strict=True))
     ]
     return lines("".join(pages))
 
@@ -209,9 +209,9 @@ def stamps(path: Path, time_us: NDArray[np.int64]) -> list[str]:
     return [text.replace("T", " ").replace(".", ":") for text in texts.tolist()]
 
 
-def temperatures(rows: Rows) -> list[str]:
+def temperatures(rows: Chunk) -> list[str]:
     """Mean temperature of each page; empty where none was measured."""
-    means_mc = rows.mean_mc(SAMPLES)
+    means_mc = page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return [""] * (len(rows) // SAMPLES)
     return [f"{mean / 1000:.1f}" for mean in means_mc.tolist()]

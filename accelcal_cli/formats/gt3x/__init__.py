@@ -1,6 +1,4 @@
-"""By what a .gt3x file is known: the parts that this zip file names.
-
-ActiGraph recordings (.gt3x): a zip file with info.txt and log.bin, or activity.bin in the older kind.
+"""ActiGraph recordings (.gt3x), zip files with info.txt and log.bin or activity.bin: how they are recognised.
 
 Sources: the vendor's format documents, github.com/actigraph/GT3X-File-Format and
 github.com/actigraph/NHANES-GT3X-File-Format; docs/gt3x-files.md says what was decided where they leave
@@ -18,6 +16,8 @@ MAGIC = b"PK\x03\x04"
 NAMED = re.compile(rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin)", re.DOTALL)
 """A local header of one of the parts; the groups are the length of its name, and the name."""
 
+SUFFIXES = (".gt3x",)
+
 
 def names_in(head: bytes) -> set[str]:
     """Names of the parts that begin within the first bytes of a file."""
@@ -27,9 +27,6 @@ def names_in(head: bytes) -> set[str]:
 def holds_samples(names: set[str]) -> bool:
     """Whether one of the parts of either kind is among them."""
     return not names.isdisjoint((LOG, ACTIVITY))
-
-
-SUFFIXES = (".gt3x",)
 
 
 def sniff(probe: Probe) -> int:

@@ -72,7 +72,7 @@ CUT_SAMPLE = "bytes of an incomplete sample at the end of activity.bin, left out
 
 
 @dataclass(frozen=True, slots=True)
-class OldFile:
+class ActivityFile:
     """An activity.bin whose settings are known.
 
     Attributes:
@@ -165,7 +165,7 @@ def samples_of(data: bytes) -> NDArray[np.int16]:
     return np.asarray(unpacked(np.frombuffer(data, np.uint8)[None], whole, YXZ)[0])
 
 
-def has_samples(file: OldFile) -> bool:
+def has_samples(file: ActivityFile) -> bool:
     """Whether there is one at all.
 
     Raises:

@@ -1,8 +1,7 @@
-"""Where the parts of a .gt3x file, which is a zip file, lie; also in one whose directory is lost.
+"""The parts of a .gt3x file, which is a zip file: where they lie, and their bytes as a stream.
 
+Both survive damage: a lost directory of the zip file, and parts that break off or have a wrong checksum.
 Source: PKWARE's APPNOTE.TXT 6.3, 4.3.7 (local headers) and 4.5.3 (sizes of 64 bits).
-
-The uncompressed bytes of one part of the zip file, as a stream that survives damage.
 """
 
 from __future__ import annotations
@@ -44,6 +43,12 @@ _BROKEN = (
 """What zipfile raises over a damaged directory; OSError where it seeks to impossible places."""
 
 LOST_DIRECTORY = "the zip file's directory is damaged or missing: its parts were found by their own headers"
+
+STEP_BYTES = 1 << 14
+MOST_BYTES = 1 << 19
+"""Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
+
+UNKNOWN_SIZE = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,27 +139,27 @@ def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
 
 def by_headers(file: BinaryIO) -> dict[str, Member]:
     """The parts whose own headers are found anywhere in the file; the first of each name."""
-    found: dict[str, Member] = {}
+    members: dict[str, Member] = {}
     base, data = 0, b""
     file.seek(0)
     while block := file.read(_SCAN_BYTES):
         base, data = base + max(0, len(data) - _LONGEST_MATCH), data[-_LONGEST_MATCH:] + block
         for match in NAMED.finditer(data):
             name = match[2].decode()
-            if int.from_bytes(match[1], "little") == len(name) and name not in found:
-                found[name] = _by_header(file, base + match.start(), name)
+            if int.from_bytes(match[1], "little") == len(name) and name not in members:
+                members[name] = _by_header(file, base + match.start(), name)
                 file.seek(base + len(data))
-    return found
+    return members
 
 
-def _by_header(file: BinaryIO, at: int, name: str) -> Member:
-    file.seek(at)
+def _by_header(file: BinaryIO, offset: int, name: str) -> Member:
+    file.seek(offset)
     fields = _LOCAL.unpack(file.read(_LOCAL.size))
     _, _, flags, method, _, _, crc, packed, unpacked, name_bytes, extra_bytes = fields
-    file.seek(at + _LOCAL.size + name_bytes)
+    file.seek(offset + _LOCAL.size + name_bytes)
     if _IN_EXTRA in (packed, unpacked):
         unpacked, packed = _long_sizes(file.read(extra_bytes))
-    start = at + _LOCAL.size + name_bytes + extra_bytes
+    start = offset + _LOCAL.size + name_bytes + extra_bytes
     method = ENCRYPTED if flags & 1 else method
     if flags & _SIZES_FOLLOW and not packed:
         return Member(name, method, start)
@@ -163,21 +168,14 @@ def _by_header(file: BinaryIO, at: int, name: str) -> Member:
 
 def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
     """Sizes of 64 bits, unpacked and packed, from a header's extra field."""
-    at = 0
-    while at + 4 <= len(extra):
-        kind, length = struct.unpack_from("<HH", extra, at)
-        if kind == 1 and length >= 16 and at + 20 <= len(extra):
-            unpacked, packed = struct.unpack_from("<QQ", extra, at + 4)
+    index = 0
+    while index + 4 <= len(extra):
+        kind, length = struct.unpack_from("<HH", extra, index)
+        if kind == 1 and length >= 16 and index + 20 <= len(extra):
+            unpacked, packed = struct.unpack_from("<QQ", extra, index + 4)
             return unpacked, packed
-        at += 4 + length
+        index += 4 + length
     return None, None
-
-
-STEP_BYTES = 1 << 14
-MOST_BYTES = 1 << 19
-"""Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
-
-UNKNOWN_SIZE = 1 << 62
 
 
 class Fault(Enum):
@@ -312,8 +310,8 @@ def salvaged(inflate: Any, packed: bytes) -> bytes:
     """What a decompressor still gives of bytes that are damaged somewhere."""
     parts: list[bytes] = []
     try:
-        for at in range(len(packed)):
-            parts.append(inflate.decompress(packed[at : at + 1]))
+        for index in range(len(packed)):
+            parts.append(inflate.decompress(packed[index : index + 1]))
     except zlib.error:
         pass
     return b"".join(parts)

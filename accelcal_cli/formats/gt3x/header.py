@@ -1,11 +1,9 @@
-"""info.txt: what the device's software wrote about a recording, one "key: value" a line.
+"""What is known of a recording before its samples are read: info.txt, and the beginning of log.bin.
 
-Source: github.com/actigraph/GT3X-File-Format and NHANES-GT3X-File-Format, info.txt.md. Times are
-.NET ticks, 100 ns since the year 1, on the device's clock.
-
-What is known of a recording before its samples are read: info.txt, and the beginning of log.bin.
-
-Scale, range and rate of a sensor: from info.txt, else from the parameters, else by the model.
+info.txt is what the device's software wrote, one "key: value" a line. Scale, range and rate of a sensor come
+from info.txt, else from the parameters in log.bin, else from the model. Source: info.txt.md of
+github.com/actigraph/GT3X-File-Format and NHANES-GT3X-File-Format. Times are .NET ticks, 100 ns since the
+year 1, on the device's clock.
 """
 
 from __future__ import annotations
@@ -22,7 +20,6 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Problem
 from accelcal_cli.formats.gt3x import INFO, LOG
 from accelcal_cli.formats.gt3x.archive import Archive, MemberStream
-from accelcal_cli.formats.gt3x.log import batches
 from accelcal_cli.formats.gt3x.records import (
     ACCEL_SCALE,
     ANY_TIME,
@@ -35,6 +32,7 @@ from accelcal_cli.formats.gt3x.records import (
     Batch,
     Key,
     Span,
+    batches,
     in_utc,
     number_of,
     parameters_in,
@@ -58,6 +56,23 @@ TICKS_PER_US = 10
 YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
 LATEST_US = (1 << 32) * 1_000_000
 HIGHEST_RATE_HZ = 1000
+
+INFO_BYTES = 1 << 20
+DAY_S = 86_400
+LONGEST_S = 366 * DAY_S
+NO_INFO = "info.txt is missing from the zip file"
+BAD_INFO = "info.txt in the zip file is damaged and was not used"
+
+LEAST_SCALE = 10.0
+"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is given elsewhere."""
+
+IMU_ZERO_C = 21.0
+WARMEST_C = 1000.0
+IMU_FULL_SCALE = 32_768
+COPY_AGAIN = "copy it again from the device"
+NO_IMU = "no second sensor (IMU) recorded in it"
+TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
+HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +141,6 @@ def _zone(text: str | None) -> str | None:
     return f"{'-' if text and text.startswith('-') else '+'}{parts[0]}:{parts[1]}"
 
 
-INFO_BYTES = 1 << 20
-DAY_S = 86_400
-LONGEST_S = 366 * DAY_S
-NO_INFO = "info.txt is missing from the zip file"
-BAD_INFO = "info.txt in the zip file is damaged and was not used"
-
-
 def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
     """info.txt, and what is wrong with it; a damaged one is not used at all."""
     member = archive.members.get(INFO)
@@ -177,11 +185,11 @@ class Beginning:
 
     def _take_samples(self, batch: Batch) -> None:
         records = batch.records
-        held = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
-        rows = samples_in(held)
+        with_samples = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
+        rows = samples_in(with_samples)
         if self.rate is None and rows.any():
             self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
-            self.first_s = int(held.second[rows > 0][0])
+            self.first_s = int(with_samples.second[rows > 0][0])
 
 
 def look_inside(archive: Archive, *, imu: bool) -> Beginning:
@@ -205,18 +213,6 @@ def span_of(info: Info, beginning: Beginning) -> Span:
     start_s = beginning.parameters.get(START_TIME) if start_us is None else start_us // 1_000_000
     first_s = beginning.first_s if start_s is None else start_s
     return ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
-
-
-LEAST_SCALE = 10.0
-"""Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is told elsewhere."""
-
-IMU_ZERO_C = 21.0
-WARMEST_C = 1000.0
-IMU_FULL_SCALE = 32_768
-COPY_AGAIN = "copy it again from the device"
-NO_IMU = "no second sensor (IMU) recorded in it"
-TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
-HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,8 +253,8 @@ def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Pat
     if beginning.rate is None:
         hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
         raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
-    told = number_of(beginning.parameters, ACCEL_SCALE)
-    scale = scale_of(info, told, options, path)
+    parameter = number_of(beginning.parameters, ACCEL_SCALE)
+    scale = scale_of(info, parameter, options, path)
     turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
     notes = [TURNED] if turned else []
     notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(SENSOR_CONFIGURATION) else []
@@ -274,9 +270,9 @@ def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Pa
     Raises:
         UnreadableError: nothing says it.
     """
-    told = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
+    scales = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
     model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
-    known = told[0] if told else model.lsb_per_g if model else options.lsb_per_g
+    known = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
     if known is None:
         raise UnreadableError(
             "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"
@@ -306,7 +302,7 @@ def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
     )
 
 
-def old_scale(info: Info) -> Scale:
+def activity_bin_scale(info: Info) -> Scale:
     """Of the older kind; all devices of it are of one model."""
     if info.scale is None or info.scale < LEAST_SCALE:
         return SIX_G

@@ -1,30 +1,48 @@
-"""An open .gt3x file of either kind: what is known of the recording, and its rows."""
+"""An open .gt3x file of either kind: what is known of the recording, and its rows.
+
+log.bin is read here as a stream of chunks; activity.bin, of the older kind, in a file of its own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import ACTIVITY, LOG
-from accelcal_cli.formats.gt3x.activity import OldFile, has_samples
-from accelcal_cli.formats.gt3x.archive import Archive, open_archive
+from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream, open_archive
 from accelcal_cli.formats.gt3x.header import (
     COPY_AGAIN,
     NO_IMU,
     Info,
+    activity_bin_scale,
     imu_of,
     look_inside,
-    old_scale,
     primary_of,
     read_info,
     span_of,
 )
-from accelcal_cli.formats.gt3x.log import LogFile
+from accelcal_cli.formats.gt3x.records import Span, batches
+from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
+from accelcal_cli.formats.gt3x.timeline import (
+    ChunkPlace,
+    RowSpan,
+    Timeline,
+    chunk_of,
+    cut,
+    fault_problem,
+    groups,
+)
+
+if TYPE_CHECKING:
+    from accelcal_cli.formats.gt3x.activity import ActivityFile
 
 IMU = "imu"
 SENSORS = ("accelerometer", IMU)
@@ -32,11 +50,13 @@ START_SAMPLES = 1
 UNPACK = "unpack the .gz; a .gt3x is a zip file already"
 NO_START = "info.txt does not tell when the recording began: times count from its start"
 
+MOST_ROWS = 1 << 18
+
 
 class Gt3xReader(Reader):
     """Streams a recording; each call of `chunks` reads the zip file from its beginning."""
 
-    def __init__(self, recording: Recording, file: LogFile | OldFile) -> None:
+    def __init__(self, recording: Recording, file: LogFile | ActivityFile) -> None:
         self.recording = recording
         self._file = file
 
@@ -62,7 +82,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if LOG in archive.members:
         return open_log(archive, info, options, archive.problems + problems)
     if ACTIVITY in archive.members:
-        return open_old(archive, info, options, archive.problems + problems)
+        return open_activity_bin(archive, info, options, archive.problems + problems)
     raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
 
 
@@ -98,22 +118,26 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     return Gt3xReader(recording, file)
 
 
-def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
+def open_activity_bin(
+    archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]
+) -> Reader:
     """Open the older kind.
 
     Raises:
         UnreadableError: it holds no sample, or nothing says the rate.
         UsageError: the rates contradict each other, or the wanted sensor is not in such devices.
     """
+    from accelcal_cli.formats.gt3x.activity import ActivityFile, has_samples  # few files are of this kind
+
     if options.sensor == IMU:
         raise UsageError(NO_IMU, path=archive.path, hint="leave --sensor out")
-    rate = old_rate(info, options, archive.path)
+    rate = activity_bin_rate(info, options, archive.path)
     if info.start_us is None:
         problems += (Problem("no_start_time", NO_START, None, 0),)
-    file = OldFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
+    file = ActivityFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
     if not has_samples(file):
         raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
-    scale = old_scale(info)
+    scale = activity_bin_scale(info)
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -131,7 +155,7 @@ def open_old(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     return Gt3xReader(recording, file)
 
 
-def old_rate(info: Info, options: ReadOptions, path: Path) -> int:
+def activity_bin_rate(info: Info, options: ReadOptions, path: Path) -> int:
     """Samples in a second of the older kind, which only info.txt tells."""
     rate = info.rate_hz or options.rate_hz
     if rate is None or rate != int(rate):
@@ -166,3 +190,52 @@ def zone_note(info: Info, options: ReadOptions) -> tuple[str, ...]:
     if info.zone is None or options.timezone is not None:
         return ()
     return (f"the clock shows local time, {info.zone} from UTC at the start (--timezone {info.zone})",)
+
+
+@dataclass(frozen=True, slots=True)
+class LogFile:
+    """A log.bin whose settings are known.
+
+    Attributes:
+        problems: what was found before any sample.
+    """
+
+    archive: Archive
+    member: Member
+    sensor: Sensor
+    span: Span
+    problems: tuple[Problem, ...] = ()
+
+    def stream(self, chunk_samples: int) -> Generator[Chunk, None, None]:
+        """All chunks, of at least a second.
+
+        Raises:
+            UnreadableError: the disk fails.
+        """
+        most = max(chunk_samples, self.sensor.rate)
+        timeline, log = Timeline(self.sensor, self.span), ProblemLog(self.problems)
+        rows = 0
+        with MemberStream(self.archive, self.member) as source:
+            for batch in batches(source, self.span):
+                spans, samples, events = timeline.feed(batch)
+                for event in events:
+                    log.add(event)
+                problems = log.take(None if batch.page.last else timeline.position)
+                if batch.page.last and (fault := fault_problem(source, timeline.rows)) is not None:
+                    problems += (fault,)
+                place = ChunkPlace(rows, source.disk_position, batch.records.framed_bytes())
+                for chunk in chunks_of(spans, samples, place, problems):
+                    rows += len(chunk)
+                    yield from cut(chunk, most)
+
+
+def chunks_of(
+    spans: list[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...]
+) -> Iterator[Chunk]:
+    """Chunks of a batch's spans; problems and bytes go with the first, which may be empty."""
+    parts = list(groups(spans, MOST_ROWS)) or ([[]] if problems or place.used_bytes else [])
+    rows, used = place.first_sample, place.used_bytes
+    for part in parts:
+        chunk = chunk_of(part, samples, ChunkPlace(rows, place.end_byte, used), problems)
+        problems, used, rows = (), 0, rows + len(chunk)
+        yield chunk

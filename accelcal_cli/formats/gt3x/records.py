@@ -1,29 +1,25 @@
-"""What a record of log.bin looks like.
+"""Records of log.bin: what one looks like, cutting log.bin into them, and going on after damage.
 
 Eight bytes of header (separator 0x1E, kind, seconds since 1970, size of the payload, little-endian),
 the payload, and one byte that makes the exclusive or over the whole record 0xFF. Source:
 github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in
 the vendor's pygt3x.
 
-A piece of log.bin: records one after the other, and where one can be believed after damage.
-
-Cutting log.bin into records, and going on after damage.
-
-Records of log.bin that describe the recording: parameters, metadata.
-
-Sources: github.com/actigraph/GT3X-File-Format, LogRecords/Parameters.md (pairs of key and value,
+Records that describe the recording are read here too: LogRecords/Parameters.md (pairs of key and value,
 floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Initialized in UTC").
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from accelcal_cli.formats.gt3x.archive import MemberStream
 
 SEPARATOR = 0x1E
 HEADER_BYTES = 8
@@ -57,6 +53,27 @@ _LOOSE = {METADATA: 4096, 17: 4096, 18: 4096, 20: 4096, PARAMETERS: 4096, 22: 40
 _KINDS = 31
 _SHORT = 255
 LONGEST_BELIEVED = FRAME_BYTES + 4096
+
+SEPARATOR_BYTE = bytes([SEPARATOR])
+PADDING_BYTES = FRAME_BYTES - 1
+"""So many zeros between records are padding, as the format's document allows; more hide a record."""
+
+FIRST_WALK, LONGEST_WALK = 64, 1 << 20
+LOOK_AHEAD = 2 * LONGEST_BELIEVED
+
+Key = tuple[int, int]
+"""Address space and number of a parameter."""
+
+IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
+ACCEL_SCALE = (0, 55)
+SAMPLE_RATE = (1, 10)
+START_TIME = (1, 12)
+SENSOR_CONFIGURATION = (1, 44)
+
+_PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
+
+PIECE_BYTES = 3 << 18
+"""log.bin is read in equal pieces, so that nothing depends on the size of the chunks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,11 +136,6 @@ def telling(records: Records) -> NDArray[np.bool_]:
     return _IS_FIXED[records.kind]
 
 
-SEPARATOR_BYTE = bytes([SEPARATOR])
-PADDING_BYTES = FRAME_BYTES - 1
-"""So many zeros between records are padding, as the format's document allows; more hide a record."""
-
-
 @dataclass(frozen=True, slots=True)
 class Span:
     """Seconds since 1970 between which a recording's records are expected."""
@@ -172,32 +184,32 @@ class Page:
         return np.asarray(records.start[followed | (near & telling(records))])
 
     def _candidates(self) -> Records:
-        room = max(0, len(self.data) - FRAME_BYTES + 1)
-        records = records_at(self.buffer, np.flatnonzero(self.buffer[:room] == SEPARATOR))
+        end = max(0, len(self.data) - FRAME_BYTES + 1)
+        records = records_at(self.buffer, np.flatnonzero(self.buffer[:end] == SEPARATOR))
         inside = records.start + records.size + FRAME_BYTES <= len(self.data)
         return records.select(inside & fits(records))
 
-    def incomplete(self, at: int) -> bool:
+    def incomplete(self, index: int) -> bool:
         """Whether what is at `at` could be a record that goes on beyond the piece."""
-        left = len(self.data) - at
-        return left < FRAME_BYTES or (self.data[at] == SEPARATOR and left < self.length(at))
+        left = len(self.data) - index
+        return left < FRAME_BYTES or (self.data[index] == SEPARATOR and left < self.length(index))
 
-    def length(self, at: int) -> int:
+    def length(self, index: int) -> int:
         """Bytes of the record at `at`, by its header."""
-        return FRAME_BYTES + (self.data[at + 6] | self.data[at + 7] << 8)
+        return FRAME_BYTES + (self.data[index + 6] | self.data[index + 7] << 8)
 
-    def after_padding(self, at: int) -> int:
+    def after_padding(self, index: int) -> int:
         """Where a record or the end of the data follows after a few zeros; `at` where that is not so."""
-        ahead = self.data[at : at + FRAME_BYTES]
+        ahead = self.data[index : index + FRAME_BYTES]
         zeros = len(ahead) - len(ahead.lstrip(b"\0"))
-        ends = self.last and at + zeros == len(self.data) and zeros <= PADDING_BYTES
-        return at + zeros if ends or ahead[zeros : zeros + 1] == SEPARATOR_BYTE else at
+        ends = self.last and index + zeros == len(self.data) and zeros <= PADDING_BYTES
+        return index + zeros if ends or ahead[zeros : zeros + 1] == SEPARATOR_BYTE else index
 
-    def follow(self, at: int, most: int) -> tuple[list[int], int]:
+    def follow(self, index: int, most: int) -> tuple[list[int], int]:
         """Sound records one after the other from `at` on, up to `most`; where the next should be."""
-        starts, end = walk(self.data, at, most)
+        starts, end = walk(self.data, index, most)
         if not starts:
-            return starts, at
+            return starts, index
         start = np.array(starts, np.int64)
         sound = np.bitwise_xor.reduceat(self.buffer[:end], start) == SOUND
         goes_on = end == len(self.data) or self.data[end] == SEPARATOR
@@ -206,27 +218,23 @@ class Page:
         return starts[:good], end if good == len(starts) else starts[good]
 
 
-def walk(data: bytes, at: int, most: int) -> tuple[list[int], int]:
+def walk(data: bytes, index: int, most: int) -> tuple[list[int], int]:
     """Where complete records begin, by their sizes alone, and where the last of them ends."""
     starts: list[int] = []
-    room = len(data) - FRAME_BYTES
-    while at <= room and data[at] == SEPARATOR and len(starts) < most:
-        after = at + FRAME_BYTES + (data[at + 6] | data[at + 7] << 8)
+    last = len(data) - FRAME_BYTES
+    while index <= last and data[index] == SEPARATOR and len(starts) < most:
+        after = index + FRAME_BYTES + (data[index + 6] | data[index + 7] << 8)
         if after > len(data):
             break
-        starts.append(at)
-        at = after
-    return starts, at
+        starts.append(index)
+        index = after
+    return starts, index
 
 
 def spoiled_records(data: bytes) -> int:
     """How many records the bytes are by their sizes, the first of which may lack its separator; or 0."""
     starts, reached = walk(SEPARATOR_BYTE + data[1:], 0, len(data))
     return len(starts) if reached == len(data) and any(data) else 0
-
-
-FIRST_WALK, LONGEST_WALK = 64, 1 << 20
-LOOK_AHEAD = 2 * LONGEST_BELIEVED
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +272,7 @@ class Batch:
 
 
 @dataclass(slots=True)
-class _Found:
+class _Framed:
     starts: list[int] = field(default_factory=list)
     doubtful: list[int] = field(default_factory=list)
     damage: list[Damage] = field(default_factory=list)
@@ -289,46 +297,46 @@ class Framer:
     def feed(self, data: bytes, *, last: bool) -> Batch:
         """Records of which it is clear what follows them."""
         page = Page(self._rest + data, self._base, last, self._span)
-        found, at = _Found(), 0
-        while at < len(page.data) and (more := self._step(page, at, found)) is not None:
-            at = more
-        at = self._kept(page, at, found)
-        self._rest, self._base = page.data[at:], page.base + at
-        return found.batch(page)
+        framed, index = _Framed(), 0
+        while index < len(page.data) and (more := self._step(page, index, framed)) is not None:
+            index = more
+        index = self._kept(page, index, framed)
+        self._rest, self._base = page.data[index:], page.base + index
+        return framed.batch(page)
 
-    def _step(self, page: Page, at: int, found: _Found) -> int | None:
+    def _step(self, page: Page, index: int, framed: _Framed) -> int | None:
         """Go on from `at`; gives where to, or None where more bytes are needed."""
         if self._lost is not None:
-            return self._search(page, at, found)
-        starts, end = page.follow(at, self._most)
-        found.starts += starts
+            return self._search(page, index, framed)
+        starts, end = page.follow(index, self._most)
+        framed.starts += starts
         if len(starts) == self._most:
             self._most = min(2 * self._most, LONGEST_WALK)
             return end
         if (after := page.after_padding(end)) > end:
             return after
         if end < len(page.data) and (page.last or not page.incomplete(end)):
-            self._lose(page, end, found)
+            self._lose(page, end, framed)
             return end
         return end if starts else None
 
-    def _lose(self, page: Page, at: int, found: _Found) -> None:
+    def _lose(self, page: Page, index: int, framed: _Framed) -> None:
         """What should begin at `at` is no sound record."""
-        self._lost, self._most = page.base + at, FIRST_WALK
-        if found.starts and page.data[at] != SEPARATOR:
-            found.doubtful.append(len(found.starts) - 1)
+        self._lost, self._most = page.base + index, FIRST_WALK
+        if framed.starts and page.data[index] != SEPARATOR:
+            framed.doubtful.append(len(framed.starts) - 1)
 
-    def _search(self, page: Page, at: int, found: _Found) -> int | None:
+    def _search(self, page: Page, index: int, framed: _Framed) -> int | None:
         """Find the next record after damage."""
         assert self._lost is not None
-        place = np.searchsorted(page.believable, max(at, self._lost - page.base + 1))
+        place = np.searchsorted(page.believable, max(index, self._lost - page.base + 1))
         if place == len(page.believable) and not page.last:
             return None
         end = int(page.believable[place]) if place < len(page.believable) else len(page.data)
-        damage = self._damage(page, end, len(found.starts))
+        damage = self._damage(page, end, len(framed.starts))
         if damage.records:
-            found.doubtful = [record for record in found.doubtful if record != damage.before - 1]
-        found.damage.append(damage)
+            framed.doubtful = [record for record in framed.doubtful if record != damage.before - 1]
+        framed.damage.append(damage)
         self._lost = None
         return end
 
@@ -342,25 +350,27 @@ class Framer:
         cut_off = page.last and end == len(page.data) and page.incomplete(lost)
         return Damage(self._lost, size, spoiled_records(page.data[lost:end]), before, cut_off)
 
-    def _kept(self, page: Page, at: int, found: _Found) -> int:
+    def _kept(self, page: Page, index: int, framed: _Framed) -> int:
         """From where on bytes are still needed: the last record, or while lost as many as two may take."""
         if page.last:
             return len(page.data)
         if self._lost is not None:
-            return max(at, len(page.data) - LOOK_AHEAD)
-        return found.starts.pop() if found.starts else at
+            return max(index, len(page.data) - LOOK_AHEAD)
+        return framed.starts.pop() if framed.starts else index
 
 
-Key = tuple[int, int]
-"""Address space and number of a parameter."""
+def batches(stream: MemberStream, span: Span) -> Iterator[Batch]:
+    """All records of log.bin, piece by piece.
 
-IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
-ACCEL_SCALE = (0, 55)
-SAMPLE_RATE = (1, 10)
-START_TIME = (1, 12)
-SENSOR_CONFIGURATION = (1, 44)
-
-_PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
+    Raises:
+        UnreadableError: the disk fails.
+    """
+    framer = Framer(span)
+    last = False
+    while not last:
+        data = stream.read(PIECE_BYTES)
+        last = len(data) < PIECE_BYTES
+        yield framer.feed(data, last=last)
 
 
 def payload(batch: Batch, number: int) -> bytes:
@@ -376,11 +386,11 @@ def payloads(batch: Batch, kind: int) -> list[bytes]:
 
 def parameters_in(batch: Batch) -> dict[Key, int]:
     """Parameters as 32-bit words; the last word of each counts."""
-    found: dict[Key, int] = {}
+    values: dict[Key, int] = {}
     for data in payloads(batch, PARAMETERS):
         pairs = np.frombuffer(data, _PAIR, len(data) // _PAIR.itemsize).tolist()
-        found |= {(space, number): value for space, number, value in pairs}
-    return found
+        values |= {(space, number): value for space, number, value in pairs}
+    return values
 
 
 def number_of(parameters: Mapping[Key, int], key: Key) -> float | None:
@@ -404,9 +414,11 @@ def in_utc(batch: Batch) -> bool:
 
 def _says_utc(data: bytes) -> bool:
     try:
-        said = json.loads(data)
+        metadata = json.loads(data)
     except (ValueError, RecursionError):
         return False
     return (
-        isinstance(said, dict) and said.get("MetadataType") == "LocalTimeLog" and said.get("UsedUtc") is True
+        isinstance(metadata, dict)
+        and metadata.get("MetadataType") == "LocalTimeLog"
+        and metadata.get("UsedUtc") is True
     )

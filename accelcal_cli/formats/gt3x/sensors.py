@@ -1,19 +1,13 @@
-"""What a sensor of the device is to the rest of the reader: which records hold its samples, and how.
+"""The sensors of a device: which records of log.bin hold their samples, and how.
 
-The second sensor of the GT9X: accelerometer, gyroscope and temperature in one record.
-
-A schema record lists the columns of the sensor records. Source: github.com/actigraph/GT3X-File-
-Format, LogRecords/SensorSchema.md and SensorData.md. Records hold 100 or 101 samples for a second.
-
-Samples of three values of twelve bits, two samples in nine bytes.
-
-Source: github.com/actigraph/GT3X-File-Format, LogRecords/Activity.md; the same in NHANES-GT3X-File-
-Format, fileformats/activity.bin.md.
-
-The main accelerometer: records of one second of samples, packed or of 16 bits.
-
-Source: github.com/actigraph/GT3X-File-Format, LogRecords/Activity.md and Activity2.md. Kind 27 is
+The main accelerometer has records of one second of samples, packed or of 16 bits. Packed samples are three
+values of twelve bits, two samples in nine bytes. Sources: github.com/actigraph/GT3X-File-Format,
+LogRecords/Activity.md and Activity2.md; fileformats/activity.bin.md of NHANES-GT3X-File-Format. Kind 27 is
 packed in the order x, y, z (the vendor's pygt3x).
+
+The second sensor of the GT9X (`Imu`) has accelerometer, gyroscope and temperature in one record, whose
+columns a schema record lists; a record holds 100 or 101 samples for a second. Source:
+LogRecords/SensorSchema.md and SensorData.md.
 """
 
 from __future__ import annotations
@@ -34,6 +28,32 @@ from accelcal_cli.formats.gt3x.records import (
     Records,
     float_of,
 )
+
+USUAL_RATE = 100
+"""What a schema that says 0 samples means, as in the vendor's example code."""
+
+ID_BYTES = 2
+UNEVEN = 0.1
+"""The IMU's own clock is off by so much at most, as a part of its rate."""
+
+LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
+"""Counts in one g, degree or degree per second that make sense."""
+
+_HEAD = struct.Struct("<HHH")
+_COLUMN = struct.Struct("<BBBI16s")
+_BIG_ENDIAN, _SIGNED = 1, 2
+_AXES = " X", " Y", " Z"
+ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperature"
+
+PAIR_BYTES = 9
+YXZ, XYZ = (1, 0, 2), (0, 1, 2)
+"""Columns of the result in which the values of a sample are, in the order of the file."""
+
+KINDS = (ACTIVITY, ACTIVITY2, ACTIVITY3)
+SAMPLE_BYTES = 6
+KIND_BITS = 8
+DOCKED_BYTES = 1
+"""A record with so short a payload says that the device was connected to a computer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,23 +112,6 @@ def first_rows(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.cumsum(rows) - rows
 
 
-USUAL_RATE = 100
-"""What a schema that says 0 samples means, as in the vendor's example code."""
-
-ID_BYTES = 2
-UNEVEN = 0.1
-"""The IMU's own clock is off by so much at most, as a part of its rate."""
-
-LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
-"""Counts in one g, degree or degree per second that make sense."""
-
-_HEAD = struct.Struct("<HHH")
-_COLUMN = struct.Struct("<BBBI16s")
-_BIG_ENDIAN, _SIGNED = 1, 2
-_AXES = " X", " Y", " Z"
-ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperature"
-
-
 @dataclass(frozen=True, slots=True)
 class Column:
     """A 16-bit value of each sample: where it lies, and how many counts are one unit."""
@@ -136,18 +139,18 @@ class Schema:
 
     def axes(self, label: str) -> tuple[Column, ...]:
         """The columns of a sensor's three axes; none where one is missing."""
-        found = [self.columns.get(label + axis) for axis in _AXES]
-        return tuple(column for column in found if column) if all(found) else ()
+        axes = [self.columns.get(label + axis) for axis in _AXES]
+        return tuple(column for column in axes if column) if all(axes) else ()
 
 
 def parse_schema(data: bytes) -> Schema | None:
     """A schema record's payload; None where it makes no sense."""
     if len(data) < _HEAD.size:
         return None
-    number, columns, samples = _HEAD.unpack_from(data)
-    if columns * _COLUMN.size != len(data) - _HEAD.size:
+    number, column_count, samples = _HEAD.unpack_from(data)
+    if column_count * _COLUMN.size != len(data) - _HEAD.size:
         return None
-    found: dict[str, Column] = {}
+    columns: dict[str, Column] = {}
     row_bytes = 0
     for flags, offset, bits, scale, label in _COLUMN.iter_unpack(data[_HEAD.size :]):
         row_bytes += bits // 8
@@ -155,8 +158,8 @@ def parse_schema(data: bytes) -> Schema | None:
         plain = bits == 16 and flags & _SIGNED and offset % 8 == 0
         if plain and LEAST_SCALE <= per_unit <= LARGEST_SCALE:
             order = ">i2" if flags & _BIG_ENDIAN else "<i2"
-            found[label.decode("ascii", "replace").strip()] = Column(offset // 8, order, per_unit)
-    fitting = {name: column for name, column in found.items() if column.offset + 2 <= row_bytes}
+            columns[label.decode("ascii", "replace").strip()] = Column(offset // 8, order, per_unit)
+    fitting = {name: column for name, column in columns.items() if column.offset + 2 <= row_bytes}
     return Schema(number, samples or USUAL_RATE, row_bytes, fitting) if row_bytes else None
 
 
@@ -231,11 +234,6 @@ def value_of(table: NDArray[np.uint8], column: Column) -> NDArray[np.int16]:
     return data.view(column.order)[:, 0].astype(np.int16)
 
 
-PAIR_BYTES = 9
-YXZ, XYZ = (1, 0, 2), (0, 1, 2)
-"""Columns of the result in which the values of a sample are, in the order of the file."""
-
-
 def packed_samples(size: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many whole samples so many bytes hold, (k,)."""
     return 2 * size // PAIR_BYTES
@@ -267,13 +265,6 @@ def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, in
 def _in_turn(even: NDArray[np.int16], odd: NDArray[np.int16]) -> list[NDArray[np.int16]]:
     """The six values of each pair of samples: each three bytes hold an even one and an odd one."""
     return [column for triple in range(3) for column in (even[:, :, triple], odd[:, :, triple])]
-
-
-KINDS = (ACTIVITY, ACTIVITY2, ACTIVITY3)
-SAMPLE_BYTES = 6
-KIND_BITS = 8
-DOCKED_BYTES = 1
-"""A record with so short a payload says that the device was connected to a computer."""
 
 
 @dataclass(frozen=True, slots=True)

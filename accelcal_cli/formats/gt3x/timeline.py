@@ -1,23 +1,18 @@
-"""Stretches of rows as they come out of log.bin, and chunks made of them.
+"""From records of log.bin to rows in the order of time: seconds that follow each other, gaps, idle sleep.
 
-Idle sleep: when the device says that it stopped sampling, and for which seconds that holds.
+A batch of records is decoded; a `Timeline` makes spans of rows and events for the problem log of it; spans
+become chunks.
 
-An event record with payload 8 says that the device falls asleep, 9 that it wakes (github.com/actigraph/
-GT3X-File-Format, README.md, EVENT). Asleep, "the last sampled accelerometer value is written into
-memory at the device's preset sample rate" (ActiGraph, "Idle Sleep Mode Explained"); newer devices leave
-the writing to the reader.
-
-A batch of records prepared for the timeline: its samples, and what stands between them.
-
-What can be wrong with log.bin and between its records, as events for the problem log.
-
-From records to rows in the order of time: seconds that follow each other, gaps, idle sleep.
+Idle sleep: an event record with payload 8 says that the device falls asleep, 9 that it wakes
+(github.com/actigraph/GT3X-File-Format, README.md, EVENT). Asleep, "the last sampled accelerometer value is
+written into memory at the device's preset sample rate" (ActiGraph, "Idle Sleep Mode Explained"); newer
+devices leave the writing to the reader.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -31,9 +26,35 @@ from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
 from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
 
+FELL_ASLEEP, WOKE = b"\x08", b"\x09"
+UNWRITTEN_S = 1
+"""The second in which a device falls asleep may be lost; the vendor's own export fills it as well."""
+
+LONGEST_SILENCE_S = 86_400
+"""Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
+
+JITTER_S = 2
+"""Records of other kinds may carry times a little before those of the records around them."""
+
+Kind = tuple[str, str]
+
+CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
+NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
+CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
+LENGTH: Kind = ("record_length", "activity records of more or less than one second")
+REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
+AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
+BACK: Kind = ("clock_back", "steps back in the times of activity records")
+RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
+
+FILL_S = 3600
+"""Filled rows come in spans of at most so many seconds."""
+
+FOREVER_S = 1 << 40
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Piece:
+class RowSpan:
     """Consecutive rows, evenly spread from the beginning of a second on.
 
     Attributes:
@@ -56,7 +77,7 @@ class Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class ChunkPlace:
     """Where a chunk lies: number of its first row, how far the file has been read, bytes of its records."""
 
     first_sample: int
@@ -64,67 +85,67 @@ class Place:
     used_bytes: int = 0
 
 
-def groups(pieces: Sequence[Piece], most: int) -> Iterator[list[Piece]]:
-    """Pieces in order, together up to about `most` rows."""
-    group: list[Piece] = []
+def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
+    """Spans in order, together up to about `most` rows."""
+    group: list[RowSpan] = []
     rows = 0
-    for piece in pieces:
-        if group and rows + piece.rows > most:
+    for span in spans:
+        if group and rows + span.rows > most:
             yield group
             group, rows = [], 0
-        group.append(piece)
-        rows += piece.rows
+        group.append(span)
+        rows += span.rows
     if group:
         yield group
 
 
 def chunk_of(
-    pieces: Sequence[Piece], samples: Samples, place: Place, problems: tuple[Problem, ...] = ()
+    spans: Sequence[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...] = ()
 ) -> Chunk:
-    """Rows of pieces in order."""
-    rows = np.array([piece.rows for piece in pieces], np.int64)
+    """Rows of spans in order."""
+    rows = np.array([span.rows for span in spans], np.int64)
     first_row = np.cumsum(rows) - rows
-    broken = np.array([piece.broken for piece in pieces], np.bool_)
+    broken = np.array([span.broken for span in spans], np.bool_)
     return Chunk(
         first_sample=place.first_sample,
-        counts=_column(samples.counts, pieces),
-        clock=_clock(pieces, first_row),
+        counts=_column(samples.counts, spans),
+        clock=_clock(spans, first_row),
         end_byte=place.end_byte,
         breaks=first_row[broken],
-        temperature_mc=None if samples.temperature_mc is None else _column(samples.temperature_mc, pieces),
-        gyro_counts=None if samples.gyro is None else _column(samples.gyro, pieces),
-        validity=_validity(pieces, rows),
+        temperature_mc=None if samples.temperature_mc is None else _column(samples.temperature_mc, spans),
+        gyro_counts=None if samples.gyro is None else _column(samples.gyro, spans),
+        validity=_validity(spans, rows),
         problems=problems,
         used_bytes=place.used_bytes,
     )
 
 
-def _clock(pieces: Sequence[Piece], first_row: NDArray[np.int64]) -> PageClock:
-    time_us = np.array([piece.second for piece in pieces], np.int64) * MICROSECONDS
-    span_rows = np.array([piece.per_second for piece in pieces], np.int64)
-    return PageClock(first_row, time_us, span_rows, np.full(len(pieces), MICROSECONDS, np.int64))
+def _clock(spans: Sequence[RowSpan], first_row: NDArray[np.int64]) -> PageClock:
+    time_us = np.array([span.second for span in spans], np.int64) * MICROSECONDS
+    span_rows = np.array([span.per_second for span in spans], np.int64)
+    return PageClock(first_row, time_us, span_rows, np.full(len(spans), MICROSECONDS, np.int64))
 
 
-def _column(values: NDArray[Any], pieces: Sequence[Piece]) -> NDArray[Any]:
-    """The pieces' rows of a column; a view where they are one stretch of it."""
-    if all(piece.sample is None for piece in pieces) and _adjoin(pieces):
-        begin = pieces[0].first if pieces else 0
-        return values[begin : begin + sum(piece.rows for piece in pieces)]
-    return np.concatenate([_rows_of(values, piece) for piece in pieces])
+def _column(values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArray[Any]:
+    """The spans' rows of a column; a view where they are one stretch of it."""
+    if all(span.sample is None for span in spans) and _adjoin(spans):
+        begin = spans[0].first if spans else 0
+        return values[begin : begin + sum(span.rows for span in spans)]
+    return np.concatenate([_rows_of(values, span) for span in spans])
 
 
-def _adjoin(pieces: Sequence[Piece]) -> bool:
-    return all(after.first == before.first + before.rows for before, after in pairwise(pieces))
+def _adjoin(spans: Sequence[RowSpan]) -> bool:
+    return all(after.first == before.first + before.rows for before, after in pairwise(spans))
 
 
-def _rows_of(values: NDArray[Any], piece: Piece) -> NDArray[Any]:
-    if piece.sample is None:
-        return values[piece.first : piece.first + piece.rows]
-    return np.broadcast_to(piece.sample, (piece.rows, 3))
+def _rows_of(values: NDArray[Any], span: RowSpan) -> NDArray[Any]:
+    if span.sample is None:
+        return values[span.first : span.first + span.rows]
+    return np.broadcast_to(span.sample, (span.rows, 3))
 
 
-def _validity(pieces: Sequence[Piece], rows: NDArray[np.int64]) -> NDArray[np.uint8] | None:
-    known = np.array([piece.validity for piece in pieces], np.uint8)
+def _validity(spans: Sequence[RowSpan], rows: NDArray[np.int64]) -> NDArray[np.uint8] | None:
+    known = np.array([span.validity for span in spans], np.uint8)
     return np.repeat(known, rows) if known.any() else None
 
 
@@ -134,46 +155,7 @@ def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
         yield chunk
         return
     for start in range(0, len(chunk), most):
-        yield _part(chunk, start, min(start + most, len(chunk)))
-
-
-def _part(chunk: Chunk, start: int, stop: int) -> Chunk:
-    inside = (chunk.breaks >= start) & (chunk.breaks < stop)
-    return replace(
-        chunk,
-        first_sample=chunk.first_sample + start,
-        counts=chunk.counts[start:stop],
-        clock=_pages(chunk.clock, start, stop),
-        breaks=chunk.breaks[inside] - start,
-        temperature_mc=None if chunk.temperature_mc is None else chunk.temperature_mc[start:stop],
-        gyro_counts=None if chunk.gyro_counts is None else chunk.gyro_counts[start:stop],
-        validity=None if chunk.validity is None else chunk.validity[start:stop],
-        problems=() if start else chunk.problems,
-        used_bytes=0 if start else chunk.used_bytes,
-    )
-
-
-def _pages(clock: Any, start: int, stop: int) -> PageClock:
-    """The pages of a clock that rows start..stop-1 lie on."""
-    page = slice(
-        int(np.searchsorted(clock.first_row, start, side="right")) - 1,
-        int(np.searchsorted(clock.first_row, stop, side="left")),
-    )
-    return PageClock(
-        clock.first_row[page] - start, clock.time_us[page], clock.span_rows[page], clock.span_us[page]
-    )
-
-
-FELL_ASLEEP, WOKE = b"\x08", b"\x09"
-UNWRITTEN_S = 1
-"""The second in which a device falls asleep may be lost; the vendor's own export fills it as well."""
-
-LONGEST_SILENCE_S = 86_400
-"""Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
-
-
-JITTER_S = 2
-"""Records of other kinds may carry times a little before those of the records around them."""
+        yield chunk.part(start, min(start + most, len(chunk)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,11 +235,11 @@ class SleepEvent:
     start_byte: int
 
 
-Mark = Damage | SleepEvent
+LogEvent = Damage | SleepEvent
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Work:
+class DecodedBatch:
     """A batch and its k records with samples.
 
     Attributes:
@@ -297,7 +279,7 @@ class Work:
         return pairwise(bounds)
 
 
-def prepared(batch: Batch, sensor: Sensor) -> Work:
+def decode_batch(batch: Batch, sensor: Sensor) -> DecodedBatch:
     """Decode a batch."""
     buffer = batch.page.buffer
     holds = sensor.holds(buffer, batch.records)
@@ -309,30 +291,18 @@ def prepared(batch: Batch, sensor: Sensor) -> Work:
     joined[:1] = False
     joined[1:] &= even[:-1] & (np.diff(records.second) == 1)
     first = first_rows(samples.rows)
-    return Work(batch, records, samples, np.flatnonzero(holds), whole, first, doubtful, joined)
+    return DecodedBatch(batch, records, samples, np.flatnonzero(holds), whole, first, doubtful, joined)
 
 
-def marks(batch: Batch) -> list[tuple[int, Mark]]:
+def log_events(batch: Batch) -> list[tuple[int, LogEvent]]:
     """Damage and events of sleep in file order, each with the number of the record that it is or precedes."""
-    found: list[tuple[int, Mark]] = [(damage.before, damage) for damage in batch.damage]
+    events: list[tuple[int, LogEvent]] = [(damage.before, damage) for damage in batch.damage]
     records = batch.records
     for number in np.flatnonzero((records.kind == EVENT) & (records.size == 1)).tolist():
         if (data := payload(batch, number)) in (FELL_ASLEEP, WOKE):
             byte = batch.page.base + int(records.start[number])
-            found.append((number, SleepEvent(int(records.second[number]), data == WOKE, byte)))
-    return sorted(found, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
-
-
-Kind = tuple[str, str]
-
-CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
-NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
-CUT_OFF: Kind = ("truncated", "bytes of an incomplete record at the end of log.bin, left out")
-LENGTH: Kind = ("record_length", "activity records of more or less than one second")
-REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
-AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
-BACK: Kind = ("clock_back", "steps back in the times of activity records")
-RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
+            events.append((number, SleepEvent(int(records.second[number]), data == WOKE, byte)))
+    return sorted(events, key=lambda item: (item[0], isinstance(item[1], SleepEvent)))
 
 
 def damage_event(damage: Damage, position: int, sample: int) -> Event:
@@ -357,12 +327,6 @@ def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
     lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
     text = f"{name} breaks off, as {stream.fault.value}: {lost}"
     return Problem("truncated", text, stream.size, sample, max(1, missing), lost_bytes)
-
-
-FILL_S = 3600
-"""Filled rows come in pieces of at most so many seconds."""
-
-FOREVER_S = 1 << 40
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -400,44 +364,44 @@ class Timeline:
         self._apart = False
         self._explained = False
         self.rows = 0
-        self._pieces: list[Piece] = []
+        self._spans: list[RowSpan] = []
         self._events: list[Event] = []
 
-    def feed(self, batch: Batch) -> tuple[list[Piece], Samples, list[Event]]:
+    def feed(self, batch: Batch) -> tuple[list[RowSpan], Samples, list[Event]]:
         """Rows of a batch, the samples that they name, and what is wrong.
 
         Sleep is given when it is known what follows it.
         """
-        self._pieces, self._events = [], []
-        work, begin = prepared(batch, self._sensor), 0
-        for number, mark in marks(batch):
-            self._pass(work, begin, number)
+        self._spans, self._events = [], []
+        decoded, begin = decode_batch(batch, self._sensor), 0
+        for number, log_event in log_events(batch):
+            self._pass(decoded, begin, number)
             begin = number
-            self._meet(mark)
-        self._pass(work, begin, len(batch.records))
+            self._meet(log_event)
+        self._pass(decoded, begin, len(batch.records))
         if batch.page.last:
             self._finish(batch.page.base + len(batch.page.data))
-        return self._pieces, work.samples, self._events
+        return self._spans, decoded.samples, self._events
 
-    def _pass(self, work: Work, begin: int, end: int) -> None:
+    def _pass(self, decoded: DecodedBatch, begin: int, end: int) -> None:
         """Records begin..end-1 of the batch, among which nothing is marked."""
-        low, high = work.between(begin, end)
+        low, high = decoded.between(begin, end)
         if low == high:
-            self._idle.hear(work.batch.records.second[begin:end])
-        for first, stop in work.runs(low, high) if low < high else ():
-            position = self.position - begin + int(work.number[first])
-            self._run(work, first, stop, _Where(position, work.start_byte(first)))
+            self._idle.hear(decoded.batch.records.second[begin:end])
+        for first, stop in decoded.runs(low, high) if low < high else ():
+            position = self.position - begin + int(decoded.number[first])
+            self._run(decoded, first, stop, _Where(position, decoded.start_byte(first)))
         self.position += end - begin
 
-    def _meet(self, mark: Mark) -> None:
-        where = _Where(self.position, mark.start_byte)
-        if isinstance(mark, Damage):
+    def _meet(self, log_event: LogEvent) -> None:
+        where = _Where(self.position, log_event.start_byte)
+        if isinstance(log_event, Damage):
             self._forget_sleep(where)
-            self._events.append(damage_event(mark, self.position, self.rows))
+            self._events.append(damage_event(log_event, self.position, self.rows))
             self._explained = True
-            self.position += max(1, mark.records)
+            self.position += max(1, log_event.records)
         else:
-            self._meet_sleep(mark, where)
+            self._meet_sleep(log_event, where)
 
     def _meet_sleep(self, event: SleepEvent, where: _Where) -> None:
         if not event.wakes:
@@ -452,37 +416,37 @@ class Timeline:
             self._slept = slept, _Where(self.position, end_byte)
         self._sleep(FOREVER_S)
 
-    def _run(self, work: Work, first: int, stop: int, where: _Where) -> None:
+    def _run(self, decoded: DecodedBatch, first: int, stop: int, where: _Where) -> None:
         """Records that go on evenly, or a single one."""
         self._forget_sleep(where)
-        self._sleep(int(work.records.second[first]))
-        if self._repeats(work, first):
+        self._sleep(int(decoded.records.second[first]))
+        if self._repeats(decoded, first):
             self._note(REPEATED, where)
             first += 1
         if first < stop:
-            self._measure(work, first, stop, where)
+            self._measure(decoded, first, stop, where)
 
-    def _repeats(self, work: Work, record: int) -> bool:
+    def _repeats(self, decoded: DecodedBatch, record: int) -> bool:
         last = self._last
-        if last is None or last.second != work.records.second[record]:
+        if last is None or last.second != decoded.records.second[record]:
             return False
-        return last.data == work.payload(record)
+        return last.data == decoded.payload(record)
 
-    def _measure(self, work: Work, first: int, stop: int, where: _Where) -> None:
-        whole, rows = bool(work.whole[first]), int(work.samples.rows[first])
+    def _measure(self, decoded: DecodedBatch, first: int, stop: int, where: _Where) -> None:
+        whole, rows = bool(decoded.whole[first]), int(decoded.samples.rows[first])
         if not whole:
             self._note(LENGTH, where)
         if not rows:
             return
-        second, begin = int(work.records.second[first]), int(work.first[first])
-        end = int(work.first[stop - 1] + work.samples.rows[stop - 1])
+        second, begin = int(decoded.records.second[first]), int(decoded.first[first])
+        end = int(decoded.first[stop - 1] + decoded.samples.rows[stop - 1])
         broken = self._step_to(second, where)
         per_second = rows if whole else max(rows, self._sensor.rate)
-        validity = Validity.RECOVERED if work.doubtful[first] else Validity.MEASURED
-        self._add(Piece(end - begin, second, per_second, broken, begin, validity))
-        self._next_s, self._apart = int(work.records.second[stop - 1]) + 1, not whole
-        sample = work.samples.counts[end - 1].copy()
-        self._last = _Last(self._next_s - 1, work.payload(stop - 1), sample)
+        validity = Validity.RECOVERED if decoded.doubtful[first] else Validity.MEASURED
+        self._add(RowSpan(end - begin, second, per_second, broken, begin, validity))
+        self._next_s, self._apart = int(decoded.records.second[stop - 1]) + 1, not whole
+        sample = decoded.samples.counts[end - 1].copy()
+        self._last = _Last(self._next_s - 1, decoded.payload(stop - 1), sample)
 
     def _step_to(self, second: int, where: _Where) -> bool:
         """Whether rows from `second` on do not continue those before; notes a jump of the clock."""
@@ -511,7 +475,7 @@ class Timeline:
         for start in range(second, end, FILL_S):
             rows = (min(end, start + FILL_S) - start) * rate
             first = broken and start == second
-            self._add(Piece(rows, start, rate, first, validity=Validity.FILLED, sample=sample))
+            self._add(RowSpan(rows, start, rate, first, validity=Validity.FILLED, sample=sample))
         self._next_s, self._apart = end, False
 
     def _forget_sleep(self, where: _Where) -> None:
@@ -520,9 +484,9 @@ class Timeline:
             self._note(RESTLESS, where)
         self._idle.forget()
 
-    def _add(self, piece: Piece) -> None:
-        self._pieces.append(piece)
-        self.rows += piece.rows
+    def _add(self, span: RowSpan) -> None:
+        self._spans.append(span)
+        self.rows += span.rows
 
     def _note(self, kind: Kind, where: _Where, seconds: int = 0) -> None:
         amount_us = seconds * MICROSECONDS

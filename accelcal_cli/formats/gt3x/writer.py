@@ -25,7 +25,6 @@ from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Counts, Recording
 from accelcal_cli.formats._writing import (
     OTHER_FORMAT,
-    Rows,
     check_bits,
     fixed_offset,
     full_pages,
@@ -123,7 +122,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
             about.write(info(recording, model, begun_s, begun_s + seconds).encode("ascii"))
 
 
-def records(path: Path, rows: Rows, rate: int, model: Model) -> NDArray[np.void]:
+def records(path: Path, rows: Chunk, rate: int, model: Model) -> NDArray[np.void]:
     """A record of samples for each second.
 
     Raises:

@@ -1,6 +1,6 @@
-"""Where the layout of a raw dump lies. See docs/layout-files.md.
+"""Raw dumps of flash memory without a description of their own, and where their layout files lie.
 
-Raw dumps of flash memory without a description of their own, read through a layout file.
+See docs/layout-files.md.
 """
 
 from __future__ import annotations

@@ -1,12 +1,6 @@
-"""What a layout file says, checked.
+"""Layout files: what the pages and frames of a raw dump hold. See docs/layout-files.md.
 
-Whether the sizes and offsets of a layout can be true together.
-
-Typed access to the tables of a layout file, with errors that name the key.
-
-The start time of a layout.
-
-Reading layout files: what the pages and frames of a raw dump hold. See docs/layout-files.md.
+A layout is read with errors that name the key, and checked: its sizes and offsets must fit together.
 """
 
 from __future__ import annotations
@@ -34,6 +28,20 @@ CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
 
 STREAM_FRAMES = 256
 """An unbroken stream is taken in pages of so many frames."""
+
+LARGEST_FRAME = 1 << 16
+LARGEST_PAGE = 1 << 24
+
+Span = tuple[int, int, str]
+
+LARGEST_BYTES = 1 << 40
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
+
+LARGEST_NUMBER = 1e12
+LARGEST_ZERO = 2**31
+SMALLEST_SCALE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,12 +139,6 @@ class Layout:
         return self.page_bytes or STREAM_FRAMES * self.frame_bytes
 
 
-LARGEST_FRAME = 1 << 16
-LARGEST_PAGE = 1 << 24
-
-Span = tuple[int, int, str]
-
-
 def check_geometry(layout: Layout, path: Path, *, paged: bool) -> None:
     """Refuse sizes that contradict each other.
 
@@ -232,9 +234,6 @@ def check_apart(spans: list[Span]) -> None:
             raise ImpossibleError(f"{name} and {other} overlap at byte {start}")
 
 
-LARGEST_BYTES = 1 << 40
-
-
 class Keys:
     """One table of a layout. What was never asked for is unknown, and `finish` says so."""
 
@@ -269,10 +268,10 @@ class Keys:
 
     def table(self, key: str) -> Keys:
         """A table that must be there."""
-        found = self.optional_table(key)
-        if found is None:
+        table = self.optional_table(key)
+        if table is None:
             raise self.error(key, "is missing")
-        return found
+        return table
 
     def optional_table(self, key: str) -> Keys | None:
         """A table, or None where absent."""
@@ -341,10 +340,6 @@ class Keys:
         return value[0], value[1]
 
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
-
-
 def parse_start(dump: Keys) -> StartTime | None:
     """`start_time` of [dump], as an ISO 8601 text or a TOML date and time."""
     value = dump.raw("start_time")
@@ -360,11 +355,6 @@ def parse_start(dump: Keys) -> StartTime | None:
     known = value.tzinfo is not None
     moment = value if known else value.replace(tzinfo=UTC)
     return StartTime((moment - EPOCH) // timedelta(microseconds=1), "UTC" if known else None)
-
-
-LARGEST_NUMBER = 1e12
-LARGEST_ZERO = 2**31
-SMALLEST_SCALE = 1e-9
 
 
 def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:
@@ -388,8 +378,8 @@ def load_layout(path: Path) -> Layout:
     except UnicodeDecodeError as error:
         raise UsageError("the layout is not UTF-8 text", path=path, byte_offset=error.start) from error
     except tomllib.TOMLDecodeError as error:
-        found = re.search(r"at line (\d+)", str(error))
-        line = int(found[1]) if found else None
+        match = re.search(r"at line (\d+)", str(error))
+        line = int(match[1]) if match else None
         raise UsageError(f"the layout is not valid TOML ({error})", path=path, line=line) from error
     return parse_layout(document, path)
 
@@ -403,9 +393,9 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
     top = Keys(document, path, "")
     dump, fields, page = top.table("dump"), top.table("fields"), top.optional_table("page")
     top.finish()
-    found = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
+    parsed = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
     fields.finish()
-    check_fields(found, fields)
+    check_fields(parsed, fields)
     layout = Layout(
         rate_hz=dump.number("rate_hz", low=0.001, high=100_000),
         lsb_per_g=dump.number("lsb_per_g", low=1e-6, high=1e12),
@@ -419,8 +409,8 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
         page_bytes=dump.whole("page_bytes", 0, low=1),
         page_header_bytes=dump.whole("page_header_bytes", 0),
         page_trailer_bytes=dump.whole("page_trailer_bytes", 0),
-        frame_bytes=dump.whole("frame_bytes", max(field.end for field in found.values()), low=1),
-        fields=found,
+        frame_bytes=dump.whole("frame_bytes", max(field.end for field in parsed.values()), low=1),
+        fields=parsed,
         sequence=parse_sequence(page.optional_table("sequence")) if page else None,
         stamp=parse_stamp(page.optional_table("time")) if page else None,
         checksum=parse_checksum(page.optional_table("crc")) if page else None,
@@ -444,24 +434,24 @@ def parse_field(keys: Keys) -> Field:
     return field
 
 
-def check_fields(found: Mapping[str, Field], fields: Keys) -> None:
+def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
     """x, y and z must be there, the gyroscope whole, and scales where they mean something."""
     for name in AXES:
-        if name not in found:
+        if name not in parsed:
             raise fields.error(name, "is missing")
-        if found[name].per_unit is not None:
+        if parsed[name].per_unit is not None:
             raise fields.error(
                 f"{name}.per_unit", "is not for x, y and z; their scale is lsb_per_g in [dump]"
             )
-        if found[name].zero % 1 or abs(found[name].zero) > LARGEST_ZERO:
+        if parsed[name].zero % 1 or abs(parsed[name].zero) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "must be a whole number of counts")
-    present = [name for name in GYRO if name in found]
+    present = [name for name in GYRO if name in parsed]
     if 0 < len(present) < len(GYRO):
         raise fields.error(present[0], f"needs all of {', '.join(GYRO)}")
     for name in present:
-        if found[name].scale < SMALLEST_SCALE:
+        if parsed[name].scale < SMALLEST_SCALE:
             raise fields.error(f"{name}.per_unit", f"must be at least {SMALLEST_SCALE:g}")
-        if abs(found[name].zero / found[name].scale) > LARGEST_ZERO:
+        if abs(parsed[name].zero / parsed[name].scale) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "is too large for its per_unit")
 
 

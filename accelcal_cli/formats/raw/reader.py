@@ -1,8 +1,6 @@
-"""The values within the frames of a raw dump: counts, temperature, gyroscope.
+"""An open raw dump: what its layout and its pages tell of the recording, and its rows.
 
-Decodes the pages of a raw dump as its layout says.
-
-An open raw dump: what its layout and its pages tell of the recording, and its rows.
+`FrameValues` takes counts, temperature and rotation out of frames, `FrameDecoder` frames out of pages.
 """
 
 from __future__ import annotations
@@ -71,6 +69,11 @@ CODES = {
 INT24 = "int24"
 INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
 SMALL, WIDE = np.iinfo(np.int16), np.iinfo(np.int32)
+
+UNUSED_FRAMES = 8
+"""So many erased frames in a row at the end of a page are unused memory, not measurements."""
+
+NO_START = "the layout gives no start time and no page time: times count from 1970-01-01"
 
 
 def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
@@ -220,10 +223,6 @@ def on_grid(
     return counts
 
 
-UNUSED_FRAMES = 8
-"""So many erased frames in a row at the end of a page are unused memory, not measurements."""
-
-
 class FrameDecoder:
     """Decodes blocks of pages; makes no difference between pages and stretches of a stream."""
 
@@ -267,10 +266,10 @@ class FrameDecoder:
     def _intact(self, pages: NDArray[np.uint8], crc: Checksum) -> NDArray[np.bool_]:
         """Which pages have the right checksum."""
         if crc.type == "crc32":
-            found: NDArray[np.unsignedinteger] = crc32_pages(pages, crc.start, crc.stop)
-            return np.asarray(found == self._page_value(pages, crc.offset, "uint32"))
-        found = crc16_pages(pages, crc.start, crc.stop)
-        return np.asarray(found == self._page_value(pages, crc.offset, "uint16"))
+            actual: NDArray[np.unsignedinteger] = crc32_pages(pages, crc.start, crc.stop)
+            return np.asarray(actual == self._page_value(pages, crc.offset, "uint32"))
+        actual = crc16_pages(pages, crc.start, crc.stop)
+        return np.asarray(actual == self._page_value(pages, crc.offset, "uint16"))
 
     def _page_value(self, pages: NDArray[np.uint8], offset: int, kind: str) -> NDArray[np.int64]:
         """A whole number at one place of every page, (p,)."""
@@ -319,7 +318,7 @@ class FrameDecoder:
             sequence=None if sequence is None else self._page_value(pages, sequence.offset, sequence.type),
             time_us=None if layout.stamp is None else self._stamps(pages, layout.stamp),
             temperature_mc=values.temperature_mc(records),
-            gyro=values.gyro(records, faulty),
+            gyro_counts=values.gyro(records, faulty),
             faulty=faulty if values.may_fail else None,
         )
 
@@ -334,9 +333,6 @@ class FrameDecoder:
 def unit_us(stamp: Stamp) -> Fraction:
     """Microseconds in one unit of a stamp."""
     return (Fraction(repr(stamp.per_unit)) * MICROSECONDS).limit_denominator(1 << 20)
-
-
-NO_START = "the layout gives no start time and no page time: times count from 1970-01-01"
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -361,8 +357,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 def layout_for(path: Path, options: ReadOptions) -> Layout:
     """The dump's layout, with the user's rate and counts per g before the file's."""
-    found = find_layout(path, options)
-    if found is None:
+    layout_path = find_layout(path, options)
+    if layout_path is None:
         if options.rate_hz is None or options.lsb_per_g is None:
             raise UnreadableError(
                 "a raw dump does not say what it holds",
@@ -371,7 +367,7 @@ def layout_for(path: Path, options: ReadOptions) -> Layout:
                 "for plain int16 x, y, z, --rate and --lsb-per-g are enough",
             )
         return plain_layout(options.rate_hz, options.lsb_per_g)
-    layout = load_layout(found)
+    layout = load_layout(layout_path)
     return replace(
         layout,
         rate_hz=options.rate_hz or layout.rate_hz,

@@ -63,8 +63,8 @@ def frames(path: Path, chunk: Chunk, record: np.dtype[np.void]) -> NDArray[np.vo
         if f"g{axis}" in (record.names or ()) and chunk.gyro_counts is not None:
             table[f"g{axis}"] = fitting(path, chunk.gyro_counts[:, number], record[f"g{axis}"])
     if "temperature" in (record.names or ()) and chunk.temperature_mc is not None:
-        heat = np.rint(chunk.temperature_mc / (1000 * DEGREES_PER_UNIT))
-        table["temperature"] = fitting(path, heat, record["temperature"])
+        temperature = np.rint(chunk.temperature_mc / (1000 * DEGREES_PER_UNIT))
+        table["temperature"] = fitting(path, temperature, record["temperature"])
     return table
 
 

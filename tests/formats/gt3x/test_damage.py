@@ -155,7 +155,7 @@ def test_the_pieces_in_which_it_is_read_change_nothing(
     path = written(tmp_path / "a.gt3x", [b"".join(records) + records[4][:50]], info(RATE))
     expected = whole(path)
     for size in range(piece, piece + 150):
-        monkeypatch.setattr("accelcal_cli.formats.gt3x.log.PIECE_BYTES", size)
+        monkeypatch.setattr("accelcal_cli.formats.gt3x.records.PIECE_BYTES", size)
         assert whole(path).same(expected)
 
 
