@@ -249,3 +249,28 @@ class PageClock:
         into[: rows[0]] += skipped
         into *= np.repeat(self.span_us[pages], rows)
         return np.repeat(self.time_us[pages], rows) + (2 * into + span) // (2 * span)
+
+
+@dataclass(frozen=True, slots=True)
+class JoinedClock:
+    """The rows of one clock, then those of another: `rows` are the first one's."""
+
+    first: Clock
+    rows: int
+    second: Clock
+
+    def times(self, start: int, stop: int) -> NDArray[np.int64]:
+        """Times of rows start..stop-1 [us], shape (stop - start,)."""
+        before = self.first.times(min(start, self.rows), min(stop, self.rows))
+        after = self.second.times(max(start - self.rows, 0), max(stop - self.rows, 0))
+        return np.concatenate((before, after))
+
+    def part(self, start: int, stop: int) -> Clock:
+        """The clock of rows start..stop-1, counted from 0."""
+        if start >= self.rows:
+            return self.second.part(start - self.rows, stop - self.rows)
+        if stop <= self.rows:
+            return self.first.part(start, stop)
+        return JoinedClock(
+            self.first.part(start, self.rows), self.rows - start, self.second.part(0, stop - self.rows)
+        )

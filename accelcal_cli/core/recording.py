@@ -12,7 +12,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import Clock, StampClock
+from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
@@ -176,10 +176,11 @@ class Chunk:
 
     def copy(self) -> Chunk:
         """The same rows in memory of their own, so that a few do not keep a whole chunk alive."""
+        long = isinstance(self.clock, StampClock | JoinedClock)
         return replace(
             self,
             **cut_columns(self, CHANNELS, np.arange(len(self))),
-            clock=StampClock(self.time_us.copy()),
+            clock=StampClock(self.time_us.copy()) if long else self.clock,
         )
 
 
@@ -195,11 +196,19 @@ def joined(chunks: Sequence[Chunk]) -> Chunk:
         chunks[-1],
         **{name: _joined_channel(with_rows, name) for name in CHANNELS},
         first_sample=chunks[0].first_sample,
-        clock=StampClock(np.concatenate([chunk.time_us for chunk in chunks])),
+        clock=_joined_clock(chunks),
         breaks=np.concatenate(breaks),
         problems=tuple(problem for chunk in chunks for problem in chunk.problems),
         used_bytes=sum(chunk.used_bytes for chunk in chunks),
     )
+
+
+def _joined_clock(chunks: Sequence[Chunk]) -> Clock:
+    """Two plain clocks are asked for times when these are wanted; more of them at once."""
+    first, *others = (chunk.clock for chunk in chunks)
+    if len(others) == 1 and not any(isinstance(clock, JoinedClock) for clock in (first, others[0])):
+        return JoinedClock(first, len(chunks[0]), others[0])
+    return StampClock(np.concatenate([chunk.time_us for chunk in chunks]))
 
 
 def _joined_channel(chunks: Sequence[Chunk], name: str) -> Any:

@@ -80,6 +80,17 @@ def test_a_part_has_the_times_of_its_rows(rows: int, clock: str, one: int, other
     assert part.part(middle, high - low).time_us.tolist() == whole.time_us[low + middle : high].tolist()
 
 
+@given(ROWS, CLOCKS, ROWS, ROWS, ROWS)
+def test_a_part_of_two_joined_chunks_has_the_times_of_its_rows(
+    rows: int, clock: str, cut: int, one: int, other: int
+) -> None:
+    whole, cut = whole_chunk(rows, clock, set()), min(cut, rows)
+    low, high = sorted((min(one, rows), min(other, rows)))
+    both = joined([whole.part(0, cut), whole.part(cut, rows)])
+    assert both.part(low, high).time_us.tolist() == whole.time_us[low:high].tolist()
+    assert both.clock.times(low, high).tolist() == whole.time_us[low:high].tolist()
+
+
 def test_a_part_is_a_view_and_a_copy_is_not() -> None:
     whole = whole_chunk(20, "stamps", {3})
     part, copy = whole.part(2, 9), whole.part(2, 9).copy()
