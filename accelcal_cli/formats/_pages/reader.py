@@ -82,7 +82,7 @@ class EventMaker:
             sample = int(rows_before[np.searchsorted(block.position, run.position)])
             lost = self._file.length(run.position, run.pages) if run.kind in DAMAGED else 0
             event = self._event(run.position, code, text, sample, run.pages)
-            yield replace(event, pages=run.pages, lost_bytes=lost)
+            yield replace(event, length=run.pages, lost_bytes=lost)
 
     def _hold(self, run: BadRun) -> None:
         first, pages = (

@@ -131,15 +131,15 @@ def test_many_problems_become_few_records_whatever_the_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int, chunk_samples: int
 ) -> None:
     cells = ["0,0,1", "0,,1", "0,0,1", "0,999,1", "0,0,1", "0,0,", ",0,0", "0,0,1", "0,0,1"]
-    text = "".join(row(number + 5 * (number % 50 == 49), cells[number % 9]) for number in range(700))
+    text = "".join(row(number + 5 * (number % 50 == 49), cells[number % 9]) for number in range(1400))
     path = written(tmp_path, HEADER + text)
     whole = read(path)
-    assert whole.codes.count("missing_value") == 51
-    assert whole.codes.count("out_of_range") == 51
+    assert whole.codes.count("missing_value") == 101
+    assert whole.codes.count("out_of_range") == 101
     counted = {
         code: sum(problem.count for problem in whole.problems if problem.code == code) for code in whole.codes
     }
-    wrong = [cells[number % 9] for number in range(700)]
+    wrong = [cells[number % 9] for number in range(1400)]
     assert counted["missing_value"] == sum(wrong.count(cell) for cell in ("0,,1", "0,0,", ",0,0"))
     assert counted["out_of_range"] == wrong.count("0,999,1")
     assert len(whole.counts) == wrong.count("0,0,1")
