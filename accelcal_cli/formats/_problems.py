@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.recording import Problem
 
 LIMIT = 100
-"""Records of one kind; what comes after them is counted in one more, which ends the list."""
+"""Records of one kind; the last of them counts all that are left, and ends the list."""
 
 Kind = tuple[str, str]
 """The code and the text of an event."""
@@ -55,14 +55,15 @@ class Run:
     """Events of one kind: the first one, the position behind the last one, and the totals."""
 
     event: Event
+    end: int
     scattered: bool = False
-    end: int = 0
     count: int = 0
     amount_us: int = 0
     lost_bytes: int = 0
 
     def add(self, event: Event) -> None:
         """Count one more event."""
+        self.scattered |= event.scattered or event.position > self.end
         self.end = event.position + event.length
         self.count += event.count
         self.amount_us += event.amount_us
@@ -72,7 +73,7 @@ class Run:
 def count_behind(run: Run) -> str:
     """The text, the count, and the seconds where there are any."""
     seconds = f" ({run.amount_us / 1e6:.3f} s in all)" if run.amount_us else ""
-    places = ", in further places" if run.scattered else ""
+    places = ", in several places" if run.scattered else ""
     return f"{run.event.text}: {run.count}{places}{seconds}"
 
 
@@ -103,10 +104,11 @@ class ProblemLog:
 
     def _begin(self, event: Event) -> Run:
         """A new record for an event; the common one where there are enough of its kind."""
-        if event.scattered or self._records[event.kind] >= LIMIT:
-            return self._rest.setdefault(event.kind, Run(event, True))
+        run = Run(event, event.position)
+        if event.scattered or self._records[event.kind] == LIMIT - 1:
+            return self._rest.setdefault(event.kind, run)
         self._records[event.kind] += 1
-        run = self._open[event.kind] = Run(event)
+        self._open[event.kind] = run
         self._queue.append(run)
         return run
 
@@ -124,11 +126,11 @@ class ProblemLog:
         edges = np.flatnonzero(np.diff(places) != 1) + 1
         first = np.concatenate(([0], edges))
         counts = np.diff(first, append=len(places))
-        single = LIMIT - self._records[kind] + 1
+        single = LIMIT - self._records[kind]
         for index, count in zip(first[:single].tolist(), counts[:single].tolist(), strict=True):
             yield index, count, False
         if len(first) > single:
-            yield int(first[single]), int(counts[single:].sum()), True
+            yield int(first[single]), int(counts[single:].sum()), len(first) > single + 1
 
     def take(self, scanned: int | None) -> tuple[Problem, ...]:
         """Problems that are complete now that everything before `scanned` (None: all) is known."""
@@ -145,5 +147,5 @@ class ProblemLog:
     def _problem(self, run: Run) -> Problem:
         """The record of a run, with its totals in the message."""
         event = run.event
-        place = None if run.scattered else event.byte_offset
-        return Problem(event.code, self._describe(run), place, event.sample, run.count, run.lost_bytes)
+        text = self._describe(run)
+        return Problem(event.code, text, event.byte_offset, event.sample, run.count, run.lost_bytes)
