@@ -14,7 +14,7 @@ import numpy as np
 
 from accelcal_cli.collect.cells import norms_g
 from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
-from accelcal_cli.core.parallel import ahead
+from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import Windows, joined_windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Jumps
@@ -227,7 +227,7 @@ def survey(
         method.procedure.add(windows)
 
     with Batches(use) as batches:
-        for chunk in ahead((with_clipping(raw, recording) for raw in chunks), threads):
+        for chunk in prefetch((with_clipping(raw, recording) for raw in chunks), threads):
             observer.see(chunk)
             batches.take(method.segmenter.feed(chunk))
             progress(chunk.end_byte)

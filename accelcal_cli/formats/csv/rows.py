@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.parallel import side_by_side
+from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
 from accelcal_cli.formats.csv.table import Block, Sheet
@@ -119,7 +119,7 @@ class RowMaker:
         Raises:
             UnreadableError: a line is no row of the file, or counts are not whole.
         """
-        for rows, block in side_by_side(self._parsed, blocks, threads):
+        for rows, block in parallel_map(self._parsed, blocks, threads):
             yield self._placed(rows), block
 
     def _placed(self, rows: Rows) -> Rows:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Problem
+from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.formats.hdf5.datasets import (
     Group,
     Track,
@@ -30,7 +30,6 @@ from accelcal_cli.formats.hdf5.datasets import (
 )
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, h5py_guard
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.stream import Axes, Stamps, Temperature
 from accelcal_cli.formats.hdf5.units import (
     EARLIEST_ABSOLUTE_US,
     PER_SECOND,
@@ -49,6 +48,55 @@ from accelcal_cli.formats.hdf5.units import (
 )
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Where x, y and z are: one track of three columns or three of one, and their scale."""
+
+    tracks: tuple[Track, ...]
+    scale: Scale
+
+    @property
+    def dps_per_lsb(self) -> tuple[float, float, float]:
+        """Of a gyroscope: deg/s in one count of each axis."""
+        step = 1 / self.scale.lsb
+        return step, step, step
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """A dataset of times. `coarse_us`: how far apart stamps are where several rows share one."""
+
+    track: Track
+    scale: StampScale
+    coarse_us: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """A dataset of temperatures, `factor` of its units in one degree; `first_mc` is its first value."""
+
+    track: Track
+    factor: float
+    first_mc: int
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to read and how, found out when the recording was opened.
+
+    `problems` are told with the first rows, `missing_bytes` of a file cut short with the last.
+    """
+
+    recording: Recording
+    rows: int
+    accel: Axes
+    stamps: Stamps | None = None
+    gyro: Axes | None = None
+    temperature: Temperature | None = None
+    problems: tuple[Problem, ...] = ()
+    missing_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)

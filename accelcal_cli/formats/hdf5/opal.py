@@ -19,6 +19,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
 from accelcal_cli.formats.hdf5.datasets import Track, as_track
 from accelcal_cli.formats.hdf5.description import (
+    Axes,
+    Plan,
+    Temperature,
     checked_rate,
     first_temperature,
     header_problems,
@@ -36,7 +39,7 @@ from accelcal_cli.formats.hdf5.file import (
     open_hdf5,
     text_list,
 )
-from accelcal_cli.formats.hdf5.stream import Axes, Hdf5Reader, Plan, Temperature
+from accelcal_cli.formats.hdf5.reader import Hdf5Reader
 from accelcal_cli.formats.hdf5.units import (
     PER_G,
     Scale,

@@ -17,8 +17,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -34,11 +33,6 @@ STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
 """At most so much is unpacked together, about what is asked for; one chunk if that has more rows."""
 LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
 """Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
-
-
-def unpackers(threads: int) -> AbstractContextManager[Executor | None]:
-    """A pool that unpacks ahead; none where only one thread may work."""
-    return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix="hdf5")
 
 
 def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:

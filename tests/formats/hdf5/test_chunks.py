@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as _chunks
 from accelcal_cli.formats.hdf5 import rows as _rows
@@ -210,7 +211,7 @@ def test_what_was_unpacked_ahead_is_not_taken_for_other_rows(
     monkeypatch.setattr(_rows, "STORED_ROWS", CHUNK)
     write(path, {"accel": counts()}, chunks=(CHUNK, 3), compression="gzip")
     track = Track("/accel", ROWS, 3, 0, np.dtype("i2"))
-    with h5py.File(path) as file, _chunks.unpackers(2) as pool:
+    with h5py.File(path) as file, thread_pool(2, "hdf5") as pool:
         rows = _rows.TrackRows(file, track, path, pool)
         for start in (0, 3 * CHUNK, 100, CHUNK):
             assert (rows.read(start, start + 200)[0] == counts()[start : start + 200]).all()
@@ -241,7 +242,7 @@ def test_only_where_several_may_work_is_anything_unpacked_ahead(
 
 
 def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("accelcal_cli.formats.hdf5.stream.PIECE_BYTES", 24_000)
+    monkeypatch.setattr("accelcal_cli.formats.hdf5.reader.PIECE_BYTES", 24_000)
     write(path, {"accel": counts().astype("f8")}, about())
     with HDF5.open(path, ReadOptions()) as reader:
         parts = [chunk.counts for chunk in reader.chunks(1 << 20)]
