@@ -1,6 +1,7 @@
-"""The contract of a format: one frozen record that each file in `readers/` binds as FORMAT.
+"""The contracts of a format: how it is recognised and read (`Format`), and how it is written (`Encoder`).
 
-The contract of a recording writer: one frozen record that each file in `encode/` binds as ENCODER.
+Each folder `formats/NAME/` binds its reader as FORMAT in `__init__.py` and its writer as ENCODER in
+`writer.py`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Finding what the files of a folder bind: formats, encoders, optimizers. Nothing registers itself."""
+"""How plug-ins are found: formats, writers and optimizers are what the files of a folder bind."""
 
 from __future__ import annotations
 

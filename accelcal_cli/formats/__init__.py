@@ -1,10 +1,8 @@
-"""One file a format. Formats are found by listing this folder: nothing registers itself.
+"""The registry of formats: one folder each, found by listing this one. Nothing registers itself.
 
-Every start of the command imports all these files, for their suffixes and `sniff`. So each imports no more
-than that takes; what reads lies in a folder of the format's own (`_NAME/opening.py` and what it needs) and is
-imported by the first file that is opened.
-
-One file a recording writer, found by listing this folder. Used by `accelcal simulate`.
+Every start of the command imports `formats/NAME/__init__.py` of all formats, for their suffixes and `sniff`,
+so those import no more than that takes. What reads (`reader.py`) is imported by the first file that is
+opened, what writes (`writer.py`) by `accelcal simulate` and `apply`.
 """
 
 from __future__ import annotations

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.recording import Problem
 
-LIMIT = 100
-"""Records of one kind; the last of them counts all that are left, and ends the list."""
+SINGLE = 99
+"""Runs of one kind that are given one by one; one more record counts all others."""
 
 Kind = tuple[str, str]
 """The code and the text of an event."""
@@ -85,11 +85,21 @@ class ProblemLog:
     Args:
         first: problems to be given before all others.
         describe: makes the message of a run.
+        single: runs of a kind that are given one by one; one more record counts all others.
+        rest_last: that record ends the list, and has no place; else it stands where it began.
     """
 
-    def __init__(self, first: Iterable[Problem] = (), describe: Callable[[Run], str] = count_behind) -> None:
+    def __init__(
+        self,
+        first: Iterable[Problem] = (),
+        describe: Callable[[Run], str] = count_behind,
+        single: int = SINGLE,
+        rest_last: bool = False,
+    ) -> None:
         self._ready = list(first)
         self._describe = describe
+        self._single = single
+        self._rest_last = rest_last
         self._queue: deque[Run] = deque()
         self._open: dict[Kind, Run] = {}
         self._records: Counter[Kind] = Counter()
@@ -105,10 +115,16 @@ class ProblemLog:
     def _begin(self, event: Event) -> Run:
         """A new record for an event; the common one where there are enough of its kind."""
         run = Run(event, event.position)
-        if event.scattered or self._records[event.kind] == LIMIT - 1:
-            return self._rest.setdefault(event.kind, run)
-        self._records[event.kind] += 1
-        self._open[event.kind] = run
+        if not event.scattered and self._records[event.kind] < self._single:
+            self._records[event.kind] += 1
+            self._open[event.kind] = run
+        elif event.kind in self._rest:
+            return self._rest[event.kind]
+        else:
+            self._rest[event.kind] = run
+            if self._rest_last:
+                run.event, run.scattered = replace(event, byte_offset=None), True
+                return run
         self._queue.append(run)
         return run
 
@@ -126,7 +142,7 @@ class ProblemLog:
         edges = np.flatnonzero(np.diff(places) != 1) + 1
         first = np.concatenate(([0], edges))
         counts = np.diff(first, append=len(places))
-        single = LIMIT - self._records[kind]
+        single = self._single - self._records[kind] + 1
         for index, count in zip(first[:single].tolist(), counts[:single].tolist(), strict=True):
             yield index, count, False
         if len(first) > single:
@@ -138,11 +154,16 @@ class ProblemLog:
             if scanned is None or run.end < scanned:
                 del self._open[kind]
         ready, self._ready = self._ready, []
-        while self._queue and self._open.get(self._queue[0].event.kind) is not self._queue[0]:
+        while self._queue and (scanned is None or not self._grows(self._queue[0])):
             ready.append(self._problem(self._queue.popleft()))
-        if scanned is None:
-            ready += map(self._problem, self._rest.values())
+        if scanned is None and self._rest_last:
+            ready += [self._problem(self._rest[kind]) for kind in sorted(self._rest)]
         return tuple(ready)
+
+    def _grows(self, run: Run) -> bool:
+        """Whether events may still be added to a run."""
+        kind = run.event.kind
+        return run is self._open.get(kind) or run is self._rest.get(kind)
 
     def _problem(self, run: Run) -> Problem:
         """The record of a run, with its totals in the message."""

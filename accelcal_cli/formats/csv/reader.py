@@ -19,10 +19,13 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import NO_BREAKS, Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
-from accelcal_cli.formats.csv.detect import HEAD_BYTES, Opened, examine, last_time
-from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowMaker, Rows, Spreader, block_bytes, joined
+from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
+from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowParser, Rows, SharedStamps, block_bytes, joined
 from accelcal_cli.formats.csv.table import Block, LineFile
 from accelcal_cli.formats.csv.times import GAP_PERIODS, Pace
+
+SINGLE = 50
+"""Problems of a kind that are given one by one."""
 
 MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
 OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
@@ -44,16 +47,18 @@ def open_recording(path: Path, options: ReadOptions) -> CsvReader:
             hint says which option settles it.
         UsageError: an option names no column, or counts come without their scale.
     """
-    return CsvReader(path, examine(path, options), options.timezone)
+    return CsvReader(path, detect(path, options), options.timezone)
 
 
 class CsvReader(Reader):
     """Streams a text file. See `docs/csv-files.md` for what is recognised."""
 
-    def __init__(self, path: Path, opened: Opened, timezone: str | None) -> None:
+    def __init__(self, path: Path, detected: Detected, timezone: str | None) -> None:
         self._path = path
-        self._opened = opened
-        self.recording = _recording(path, opened, timezone, self._first_time(), last_time(opened.sheet))
+        self._detected = detected
+        self.recording = _recording(
+            path, detected, timezone, self._first_time(), last_timestamp(detected.parser)
+        )
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all usable rows, at most `chunk_samples` at a time.
@@ -70,27 +75,27 @@ class CsvReader(Reader):
             raise self._unusable(f"only {assembler.samples} of {assembler.rows} rows hold usable values")
 
     def _assembler(self) -> Assembler:
-        opened = self._opened
-        row_bytes = max(1, round(opened.line_bytes))
-        problems = () if opened.dated else (Problem("no_start_time", NO_DATE, None, 0),)
+        detected = self._detected
+        row_bytes = max(1, round(detected.line_bytes))
+        problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         return Assembler(
-            opened.pace, opened.sheet.time is not None, opened.start_us or 0, row_bytes, problems
+            detected.pace, detected.parser.time is not None, detected.start_us or 0, row_bytes, problems
         )
 
     def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
-        opened, dialect = self._opened, self._opened.sheet.dialect
-        maker = RowMaker(opened.sheet, opened.scale, opened.temperature_c)
-        stages: list[Spreader | IdleFill] = []
-        if opened.pace.stamp_period_us:
-            stages.append(Spreader(opened.pace))
-        if opened.known.repeats_idle:
-            stages.append(IdleFill(round(opened.pace.rate_hz)))
-        size = block_bytes(chunk_samples, opened.line_bytes)
+        detected, dialect = self._detected, self._detected.parser.dialect
+        row_parser = RowParser(detected.parser, detected.scale, detected.temperature_c)
+        stages: list[SharedStamps | IdleFill] = []
+        if detected.pace.stamp_period_us:
+            stages.append(SharedStamps(detected.pace))
+        if detected.export.repeats_idle:
+            stages.append(IdleFill(round(detected.pace.rate_hz)))
+        size = block_bytes(chunk_samples, detected.line_bytes)
         file = LineFile(self._path, dialect.bare_returns)
         try:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
-            for parsed, block in maker.rows(blocks, self.threads):
+            for parsed, block in row_parser.rows(blocks, self.threads):
                 rows = parsed
                 for stage in stages:
                     rows = stage.add(rows, block.last)
@@ -105,38 +110,38 @@ class CsvReader(Reader):
             UnreadableError: the beginning of the file holds no usable row.
         """
         assembler = self._assembler()
-        samples = int(HEAD_BYTES / self._opened.line_bytes)
+        samples = int(HEAD_BYTES / self._detected.line_bytes)
         for rows, block in self._settled(samples):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
                 if len(chunk):
-                    return int(chunk.clock.times(0, 1)[0]) if self._opened.dated else None
+                    return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
             if block.offset > 16 * HEAD_BYTES:
                 break
         raise self._unusable(f"none of its first {assembler.rows} rows holds usable values")
 
     def _unusable(self, what: str) -> UnreadableError:
-        line = self._opened.sheet.dialect.skipped + 1
+        line = self._detected.parser.dialect.skipped + 1
         return UnreadableError(what, path=self._path, line=line, hint="check --columns and --unit")
 
 
 def _recording(
-    path: Path, opened: Opened, timezone: str | None, first_us: int | None, last_us: int | None
+    path: Path, detected: Detected, timezone: str | None, first_us: int | None, last_us: int | None
 ) -> Recording:
-    told, zone = opened.known, opened.timezone
+    export, zone = detected.export, detected.timezone
     length = None if first_us is None or last_us is None else (last_us - first_us) / 1e6
     return Recording(
         path=path,
         format="csv",
-        rate_hz=opened.pace.rate_hz,
-        lsb_per_g=opened.scale.lsb_per_g,
+        rate_hz=detected.pace.rate_hz,
+        lsb_per_g=detected.scale.lsb_per_g,
         total_bytes=path.stat().st_size,
-        device=told.device,
-        range_g=told.range_g,
+        device=export.device,
+        range_g=export.range_g,
         start_us=first_us,
         timezone=zone if zone == "UTC" else timezone or zone,
         duration_s=length if length is not None and length > 0 else None,
-        has_temperature=opened.temperature_c is not None,
-        notes=opened.notes(),
+        has_temperature=detected.temperature_c is not None,
+        notes=detected.notes(),
     )
 
 
@@ -173,7 +178,7 @@ class Assembler:
         self._start_us = start_us
         self._pace = pace
         self._rate = rate_fraction(pace.rate_hz)
-        self._log = ProblemLog(problems, _message)
+        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
         self._last_row = -1
         self._last_us = 0
         self.samples = 0

@@ -1,10 +1,8 @@
 """Rows of a text file as counts, times and faults, block after block.
 
-Stamps that several rows share, such as whole seconds, made into a time for every row.
-
-Rows that a device wrote while it slept: zeros, or its last sample over and over.
-
-Rows of small blocks as longer stretches: what comes after costs the same for a short one.
+`RowParser` makes rows of the parsed columns. `SharedStamps` gives every row a time where several rows share a
+stamp, such as whole seconds; `IdleFill` marks what a device wrote while it slept. Rows of small blocks are
+then joined, since every stretch of rows costs the same afterwards, however short.
 """
 
 from __future__ import annotations
@@ -21,12 +19,21 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
-from accelcal_cli.formats.csv.table import Block, Sheet
+from accelcal_cli.formats.csv.table import Block, TableParser
 from accelcal_cli.formats.csv.times import NO_TIME, Pace
 
 HOTTEST_C = 1000.0
 UNKNOWN_MC = np.iinfo(np.int32).min
 """Stands for a temperature that only rows before can tell."""
+
+LONGEST_GROUP = 4
+"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
+
+BLOCK_BYTES = 1 << 21
+"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
+
+MOST_JOINED = 1 << 18
+"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
 
 
 class Fault(IntEnum):
@@ -69,7 +76,7 @@ class Rows:
             self.line[start:stop],
             self.counts[start:stop],
             self.fault[start:stop],
-            *(None if item is None else item[start:stop] for item in self._spare),
+            *(None if item is None else item[start:stop] for item in self._optional),
         )
 
     def then(self, other: Rows) -> Rows:
@@ -77,7 +84,7 @@ class Rows:
         return joined_rows([self, other])
 
     @property
-    def _spare(self) -> tuple[NDArray[Any] | None, ...]:
+    def _optional(self) -> tuple[NDArray[Any] | None, ...]:
         """The columns that not every file has."""
         return self.time_us, self.temperature_mc, self.filled
 
@@ -86,27 +93,27 @@ def joined_rows(parts: list[Rows]) -> Rows:
     """Rows of the same file that follow each other, at least one stretch of them."""
     if len(parts) == 1:
         return parts[0]
-    spare = zip(*(part._spare for part in parts), strict=True)
+    optional = zip(*(part._optional for part in parts), strict=True)
     return Rows(
         parts[0].first_row,
         np.concatenate([part.line for part in parts]),
         np.concatenate([part.counts for part in parts]),
         np.concatenate([part.fault for part in parts]),
-        *(None if any(item is None for item in items) else np.concatenate(items) for items in spare),
+        *(None if any(item is None for item in items) else np.concatenate(items) for items in optional),
     )
 
 
-class RowMaker:
+class RowParser:
     """Turns blocks into rows, in the order of the file.
 
     Args:
         temperature_c: the file's first one, for rows before it; None without a temperature.
     """
 
-    def __init__(self, sheet: Sheet, scale: Scale, temperature_c: float | None) -> None:
-        self._sheet = sheet
+    def __init__(self, parser: TableParser, scale: Scale, temperature_c: float | None) -> None:
+        self._parser = parser
         self._scale = scale
-        self._warm = temperature_c is not None
+        self._has_temperature = temperature_c is not None
         self._last_mc = round(1000 * (temperature_c or 0.0))
         self._next_row = 0
 
@@ -125,23 +132,23 @@ class RowMaker:
     def _placed(self, rows: Rows) -> Rows:
         """The next rows, with their number in the file, and temperatures from before them."""
         first, self._next_row = self._next_row, self._next_row + len(rows)
-        warmth = rows.temperature_mc
-        if warmth is not None and len(warmth):
-            np.copyto(warmth, self._last_mc, where=warmth == UNKNOWN_MC)
-            self._last_mc = int(warmth[-1])
+        temperature = rows.temperature_mc
+        if temperature is not None and len(temperature):
+            np.copyto(temperature, self._last_mc, where=temperature == UNKNOWN_MC)
+            self._last_mc = int(temperature[-1])
         return replace(rows, first_row=first)
 
     def _parsed(self, block: Block) -> tuple[Rows, Block]:
         """The rows of a block by themselves; does not depend on what was done before."""
-        cells = self._sheet.cells(block)
+        cells = self._parser.cells(block)
         if self._scale.unit == "counts":
             self._refuse_fractions(cells.values, cells.line)
         counts, fault = self._counts(cells.values)
         if cells.time_us is not None:
             fault[cells.time_us == NO_TIME] = Fault.MISSING
-        warmth = cells.temperature if self._warm else None
-        spare = None if warmth is None else _millidegrees(warmth)
-        return Rows(0, cells.line, counts, fault, cells.time_us, spare), block.without_lines()
+        temperature = cells.temperature if self._has_temperature else None
+        optional = None if temperature is None else _millidegrees(temperature)
+        return Rows(0, cells.line, counts, fault, cells.time_us, optional), block.without_lines()
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         scaled = self._scale.counts(values)
@@ -160,7 +167,7 @@ class RowMaker:
         row, axis = np.argwhere(broken)[0]
         raise UnreadableError(
             f"{values[row, axis]:g} is not a whole number of counts",
-            path=self._sheet.path,
+            path=self._parser.path,
             line=int(line[row]),
             hint="give the unit of the values with --unit g, mg or m/s2",
         )
@@ -176,11 +183,7 @@ def _millidegrees(temperature: NDArray[np.float64]) -> NDArray[np.int32]:
     return millidegrees
 
 
-LONGEST_GROUP = 4
-"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
-
-
-class Spreader:
+class SharedStamps:
     """Spreads the rows of each stamp evenly until the next stamp.
 
     A group of rows is given on once the stamp after it is known, so that its times do not
@@ -190,12 +193,12 @@ class Spreader:
     def __init__(self, pace: Pace) -> None:
         self._period = pace.stamp_period_us
         self._usual = pace.rows_per_stamp
-        self._held: Rows | None = None
+        self._waiting: Rows | None = None
         self._before = NO_TIME
 
     def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those whose times are settled (all, where these are the last)."""
-        rows = rows if self._held is None else self._held.then(rows)
+        rows = rows if self._waiting is None else self._waiting.then(rows)
         stamps = self._filled(rows.time_us)
         starts = self._starts(stamps)
         ends = np.append(starts[1:], len(stamps))
@@ -207,7 +210,7 @@ class Spreader:
             around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
             times = self._spread(around, (ends - starts)[:settled])
             self._before = int(around[-2])
-        self._held = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
+        self._waiting = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
         return replace(rows.part(0, cut), time_us=times)
 
     def _filled(self, stamps: NDArray[np.int64] | None) -> NDArray[np.int64]:
@@ -245,8 +248,8 @@ class Spreader:
         parts = np.where(full, sizes, self._usual)
         shift = np.where(~full & after, self._usual - sizes, 0)
         group = np.repeat(np.arange(len(sizes)), sizes)
-        place = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
-        into = (2 * place * span[group] + parts[group]) // (2 * parts[group])
+        block_before = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
+        into = (2 * block_before * span[group] + parts[group]) // (2 * parts[group])
         times: NDArray[np.int64] = around[1:-1][group] + into
         return times
 
@@ -274,13 +277,6 @@ class IdleFill:
         return replace(rows.part(0, settled), filled=filled)
 
 
-BLOCK_BYTES = 1 << 21
-"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
-
-MOST_JOINED = 1 << 18
-"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
-
-
 def block_bytes(samples: int, line_bytes: float) -> int:
     """How much text to parse at a time where so many samples are wanted."""
     return max(1, min(BLOCK_BYTES, int(0.95 * samples * line_bytes)))
@@ -289,21 +285,21 @@ def block_bytes(samples: int, line_bytes: float) -> int:
 def joined(parts: Iterable[tuple[Rows, Block]], samples: int) -> Iterator[tuple[Rows, Block]]:
     """Rows of blocks joined as long as they are no more than `samples`, each with its last block."""
     samples = min(samples, MOST_JOINED)
-    held: list[Rows] = []
-    number, place = 0, None
+    stretches: list[Rows] = []
+    number, block_before = 0, None
     for rows, block in parts:
-        if place is not None and number + len(rows) > samples:
-            yield _taken(held), place
+        if block_before is not None and number + len(rows) > samples:
+            yield _emptied(stretches), block_before
             number = 0
-        if len(rows) or not held:
-            held.append(rows)
-        number, place = number + len(rows), block
-    if place is not None:
-        yield _taken(held), place
+        if len(rows) or not stretches:
+            stretches.append(rows)
+        number, block_before = number + len(rows), block
+    if block_before is not None:
+        yield _emptied(stretches), block_before
 
 
-def _taken(held: list[Rows]) -> Rows:
+def _emptied(stretches: list[Rows]) -> Rows:
     """Stretches as one; the list does not keep their memory."""
-    rows = joined_rows(held)
-    held.clear()
+    rows = joined_rows(stretches)
+    stretches.clear()
     return rows

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Problem, Validity
-from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.gt3x.archive import Archive, Fault, Member, MemberStream
 from accelcal_cli.formats.gt3x.sensors import PAIR_BYTES, YXZ, packed_bytes, packed_samples, unpacked
 from accelcal_cli.formats.gt3x.timeline import fault_problem
@@ -53,6 +52,8 @@ class OldFile:
             UnreadableError: the disk fails, or what was packed is not what comes out: without
                 checksums of their own, any of the values may be wrong.
         """
+        from accelcal_cli.formats._idle import RepeatedSamples  # log.bin marks idle sleep itself
+
         repeats, rows, problems, last = RepeatedSamples(self.rate), 0, self.problems, False
         waiting = np.empty((0, 3), np.int16)
         asleep: list[int] = []

@@ -71,6 +71,9 @@ MODEL_NAMES = ("model", "device_model", "device", "device_type", "sensor_model")
 FIRMWARE_NAMES = ("firmware", "firmware_version", "device_firmware")
 ZONE_NAMES = ("timezone", "time_zone", "tz")
 
+SINGLE = 100
+"""Problems of a kind that are given one by one."""
+
 GAP_PERIODS = 3
 PIECE_BYTES = 16 << 20
 """Of the datasets' values at a time, however many samples are wanted: wide numbers take memory."""
@@ -132,7 +135,7 @@ def _plan(source: Source) -> Plan:
 
 
 def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, extras: Extras) -> Recording:
-    told = source.attributes
+    attributes = source.attributes
     rows = source.accel.rows
     zone, zone_notes = _zone(source, timeline)
     known = whole_rows_known(accel, timeline.stamps, extras.gyro)
@@ -142,8 +145,10 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
         rate_hz=rate,
         lsb_per_g=accel.scale.lsb,
         total_bytes=source.path.stat().st_size,
-        device=Device(told.text(*MODEL_NAMES), told.text(*SERIAL_NAMES), told.text(*FIRMWARE_NAMES)),
-        range_g=_range(told),
+        device=Device(
+            attributes.text(*MODEL_NAMES), attributes.text(*SERIAL_NAMES), attributes.text(*FIRMWARE_NAMES)
+        ),
+        range_g=_range(attributes),
         start_us=timeline.start_us,
         timezone=zone,
         samples=rows if known else None,
@@ -154,8 +159,8 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
     )
 
 
-def _range(told: Attributes) -> float | None:
-    value = told.number(*RANGE_NAMES)
+def _range(attributes: Attributes) -> float | None:
+    value = attributes.number(*RANGE_NAMES)
     return value if value is not None and 0 < value <= 1000 else None
 
 
@@ -183,27 +188,27 @@ def _scale(source: Source) -> Scale:
 
 def _unit_and_lsb(source: Source) -> tuple[str, float | None]:
     options = source.options
-    told_unit, told_lsb = _told_alike(source)
-    lsb = told_lsb if options.lsb_per_g is None else options.lsb_per_g
+    file_unit, file_lsb = _shared_unit_and_lsb(source)
+    lsb = file_lsb if options.lsb_per_g is None else options.lsb_per_g
     if options.unit is not None:
         return options.unit, lsb
     whole = all(item.dtype.kind in "iu" for item in source.group)
-    if lsb is not None and (whole or told_unit is None):
+    if lsb is not None and (whole or file_unit is None):
         return "counts", lsb
-    unit = "counts" if told_unit is None and whole else accel_unit(told_unit or "")
+    unit = "counts" if file_unit is None and whole else accel_unit(file_unit or "")
     if unit is not None:
         return unit, lsb
-    said = f"the unit {told_unit!r} is not known" if told_unit else "the file does not tell the unit"
+    what = f"the unit {file_unit!r} is not known" if file_unit else "the file does not tell the unit"
     raise UnreadableError(
-        f"{said} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(PER_G)}|counts"
+        f"{what} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(PER_G)}|counts"
     )
 
 
-def _told_alike(source: Source) -> tuple[str | None, float | None]:
+def _shared_unit_and_lsb(source: Source) -> tuple[str | None, float | None]:
     """Unit and counts per g in the attributes of the axes, which must not contradict each other."""
-    told = [attributes_of(source.file, item.path) for item in source.group]
-    units = {found.text("units", "unit") for found in told} - {None}
-    scales = {found.number(*LSB_NAMES) for found in told} - {None}
+    attributes = [attributes_of(source.file, item.path) for item in source.group]
+    units = {found.text("units", "unit") for found in attributes} - {None}
+    scales = {found.number(*LSB_NAMES) for found in attributes} - {None}
     if len(units) > 1 or len(scales) > 1:
         raise UnreadableError(
             "the axes have different units or counts per g", path=source.path, hint="give them one scale"
@@ -345,7 +350,8 @@ class _Stream:
         self._stamps = [opened(plan.stamps.track)] if plan.stamps else []
         self._temperatures = [opened(plan.temperature.track)] if plan.temperature else []
         self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
-        self._log = ProblemLog(plan.problems if start == 0 else (), _message)
+        problems = plan.problems if start == 0 else ()
+        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0

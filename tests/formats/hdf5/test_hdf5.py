@@ -268,7 +268,7 @@ def test_many_single_faults_make_few_records(path: Path) -> None:
     values[::2] = np.nan
     write(path, {"accel": values}, about(units="g", lsb_per_g=None))
     got = read(path)
-    assert len(got.problems) == 100
+    assert len(got.problems) == 101
     assert sum(item.count for item in got.problems) == 1_500
 
 
