@@ -16,14 +16,14 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import Encoder, Format, ReadOptions, probe_file
-from accelcal_cli.core.plugins import bound, named, only
+from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
 
 
 @cache
 def all_formats() -> tuple[Format, ...]:
     """Every format, by name. A module whose name starts with `_` is a helper, not a format."""
-    return tuple(bound(__name__, __path__, "FORMAT"))
+    return tuple(find_plugins(__name__, __path__, "FORMAT"))
 
 
 def load_all() -> None:
@@ -56,8 +56,8 @@ def find_format(path: Path, options: ReadOptions) -> Format:
 
 def named_format(name: str) -> Format:
     """Look a format up by name; raises UsageError where there is none."""
-    found = only(__name__, __path__, "FORMAT", name)
-    return found or named(name, all_formats(), "format")
+    found = find_plugin(__name__, __path__, "FORMAT", name)
+    return found or named_plugin(name, all_formats(), "format")
 
 
 def open_recording(path: Path, options: ReadOptions, threads: int = 1) -> Reader:
@@ -89,4 +89,4 @@ def all_encoders() -> tuple[Encoder, ...]:
 
 def named_encoder(name: str) -> Encoder:
     """Look one up by name; raises UsageError where there is none."""
-    return named(name, all_encoders(), "format to write")
+    return named_plugin(name, all_encoders(), "format to write")

@@ -56,16 +56,16 @@ class Title:
 
     @classmethod
     def of(cls, number: int, name: str, unit: str | None) -> Title:
-        """Take the title of a column apart; `unit` is what the user or the vendor said."""
+        """Take the title of a column apart; `unit` is what the user or the vendor stated."""
         plain, hint = name_and_hint(G_FORCE.sub(r"acc_\1 [g]", name.strip()))
         spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", plain)
         words = tuple(
             word for part in re.split(r"[\W_]+", spaced.lower()) for word in _axis_apart(part) if word
         )
-        wanted = unit or hint or ""
-        if not wanted and len(words) > 1 and _is_unit(words[-1]):
-            words, wanted = words[:-1], words[-1]
-        return cls(number, words, wanted.strip().strip("[]()"))
+        stated = unit or hint or ""
+        if not stated and len(words) > 1 and _is_unit(words[-1]):
+            words, stated = words[:-1], words[-1]
+        return cls(number, words, stated.strip().strip("[]()"))
 
     @property
     def axis(self) -> str | None:
@@ -96,7 +96,7 @@ def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
     """What each column is.
 
     Raises:
-        UnreadableError: it cannot be told, or a column that is needed holds no numbers.
+        UnreadableError: it is not clear, or a column that is needed holds no numbers.
         UsageError: --columns or --time-column names no column of the file.
     """
     titles = _titles(dialect)

@@ -35,42 +35,9 @@ HEAD_BYTES = 1 << 20
 TAIL_BYTES = 1 << 16
 
 
-def with_date_order(
-    block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
-) -> Dialect:
-    """The layout with times that begin with the year, whatever the file's begin with.
-
-    Args:
-        block: the head's rows; column: of the times.
-
-    Raises:
-        UnreadableError: day and month cannot be told apart.
-    """
-    if all(map(is_year_first, dialect.cells(column))):
-        return dialect
-    cells = cells_of(block.data, dialect, column)
-    stated = [order for order in (_order_of_start(cells, export), export.date_order) if order]
-    order = find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
-    if order is None:
-        return dialect
-    sample = tuple(
-        (*row[:column], year_first_cell(row[column], order), *row[column + 1 :]) for row in dialect.sample
-    )
-    return replace(dialect, normaliser=replace(dialect.normaliser, date_order=order), sample=sample)
-
-
-def _order_of_start(cells: list[str], export: ExportDescription) -> str | None:
-    """The one order in which the first row lies on the day on which the header says it began."""
-    if export.start is None or not cells:
-        return None
-    days = export.start.days(export.date_order)
-    fitting = [order for order in ORDERS if read_date(cells[0], order) in days]
-    return fitting[0] if len(fitting) == 1 else None
-
-
 @dataclass(frozen=True, slots=True)
 class Detected:
-    """Everything that the head of a file told.
+    """Everything that the head of a file shows.
 
     Attributes:
         start_us: time of the first row where rows carry none; None where it is not known.
@@ -98,7 +65,20 @@ class Detected:
 
     def notes(self) -> tuple[str, ...]:
         """How the file was understood, for people."""
-        return _notes(self)
+        dialect, roles = self.parser.dialect, self.parser.roles
+        axes = ", ".join(column_name(dialect, column) for column in roles.xyz)
+        how = " (judged by the length of gravity)" if self.guessed_unit else ""
+        notes = [f"an export of {self.export.title}"] * bool(self.export.title)
+        notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
+        if roles.time is not None:
+            notes.append(f"time: {column_name(dialect, roles.time)}")
+        if self.pace.stamp_period_us:
+            notes.append("several rows share a time stamp; they were spread evenly until the next one")
+        headings = (dialect.names is not self.export.names) + (dialect.units is not None)
+        above = dialect.skipped - self.export.preamble - headings
+        if above > 0:
+            notes.append(f"{above} lines before the header or the first row were not used")
+        return tuple(notes)
 
 
 def detect(path: Path, options: ReadOptions) -> Detected:
@@ -175,17 +155,50 @@ def _table_parser(
 ) -> TableParser:
     if roles.time is None:
         return TableParser(path, dialect, roles, None)
-    dialect = with_date_order(block, dialect, roles.time, export, options, path)
+    dialect = _with_date_order(block, dialect, roles.time, export, options, path)
     cells, line = dialect.cells(roles.time), dialect.skipped + 1
     rate_hz = options.rate_hz or export.rate_hz
     time = find_time_format(cells, roles.time_unit_us, rate_hz, path, line)
     return TableParser(path, dialect, roles, time)
 
 
+def _with_date_order(
+    block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
+) -> Dialect:
+    """The layout with times that begin with the year, whatever the file's begin with.
+
+    Args:
+        block: the head's rows; column: of the times.
+
+    Raises:
+        UnreadableError: day and month cannot be told apart.
+    """
+    if all(map(is_year_first, dialect.cells(column))):
+        return dialect
+    cells = cells_of(block.data, dialect, column)
+    stated = [order for order in (_order_of_start(cells, export), export.date_order) if order]
+    order = find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
+    if order is None:
+        return dialect
+    sample = tuple(
+        (*row[:column], year_first_cell(row[column], order), *row[column + 1 :]) for row in dialect.sample
+    )
+    return replace(dialect, normaliser=replace(dialect.normaliser, date_order=order), sample=sample)
+
+
+def _order_of_start(cells: list[str], export: ExportDescription) -> str | None:
+    """The one order in which the first row lies on the day on which the header says it began."""
+    if export.start is None or not cells:
+        return None
+    days = export.start.days(export.date_order)
+    fitting = [order for order in ORDERS if read_date(cells[0], order) in days]
+    return fitting[0] if len(fitting) == 1 else None
+
+
 def _scale(
     cells: ParsedTable, roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
 ) -> tuple[Scale, bool]:
-    """The scale, and whether gravity alone told the unit."""
+    """The scale, and whether gravity alone decided the unit."""
     stated = stated_unit(options, set(roles.hints))
     if stated is None and export.unit is not None:
         scale = scale_for(export.unit, export.lsb_per_g)
@@ -217,23 +230,6 @@ def _first_temperature(cells: ParsedTable) -> float | None:
         return None
     export = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
     return float(export[0]) if len(export) else None
-
-
-def _notes(detected: Detected) -> tuple[str, ...]:
-    dialect, roles = detected.parser.dialect, detected.parser.roles
-    axes = ", ".join(column_name(dialect, column) for column in roles.xyz)
-    how = " (judged by the length of gravity)" if detected.guessed_unit else ""
-    notes = [f"an export of {detected.export.title}"] * bool(detected.export.title)
-    notes += [f"x, y, z: {axes}", f"unit: {detected.scale.unit}{how}"]
-    if roles.time is not None:
-        notes.append(f"time: {column_name(dialect, roles.time)}")
-    if detected.pace.stamp_period_us:
-        notes.append("several rows share a time stamp; they were spread evenly until the next one")
-    headings = (dialect.names is not detected.export.names) + (dialect.units is not None)
-    above = dialect.skipped - detected.export.preamble - headings
-    if above > 0:
-        notes.append(f"{above} lines before the header or the first row were not used")
-    return tuple(notes)
 
 
 def last_timestamp(parser: TableParser) -> int | None:

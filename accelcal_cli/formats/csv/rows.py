@@ -24,7 +24,7 @@ from accelcal_cli.formats.csv.times import NO_TIME, Pace
 
 HOTTEST_C = 1000.0
 UNKNOWN_MC = np.iinfo(np.int32).min
-"""Stands for a temperature that only rows before can tell."""
+"""Stands for a temperature that only earlier rows can give."""
 
 LONGEST_GROUP = 4
 """A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""

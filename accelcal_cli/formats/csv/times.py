@@ -232,13 +232,13 @@ def find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> P
         raise UnreadableError(
             f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz",
             path=path,
-            hint="leave --rate out, or let it count alone with --time-column none",
+            hint="omit --rate, or ignore the times with --time-column none",
         )
     return Pace(user_hz, pace.stamp_period_us)
 
 
 def agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:
-    """The pace of the first rows of a file whose header tells its rate.
+    """The pace of the first rows of a file whose header states its rate.
 
     Raises:
         UnreadableError: the rows are not made at that rate.
@@ -351,11 +351,11 @@ def find_order(
 
     Args:
         cells: as they are written; what is no date is left for others to judge.
-        said: what the user said.
-        told: what a vendor's header lets expect, best first.
+        user_order: what the user chose.
+        header_orders: what a vendor's header suggests, best first.
 
     Raises:
-        UnreadableError: several orders fit, or none, or not the one that the user said.
+        UnreadableError: several orders fit, or none, or not the one that the user chose.
     """
     texts = list(dict.fromkeys(re.split("[ T]", c.strip())[0] for c in cells if not is_year_first(c)))
     fitting = _fitting(texts) or _fitting(texts[:1])

@@ -115,7 +115,7 @@ class Temperature:
 class Plan:
     """What to read and how, found out when the recording was opened.
 
-    `problems` are told with the first rows, `missing_bytes` of a file cut short with the last.
+    `problems` go with the first rows, those about the `missing_bytes` of a file cut short with the last.
     """
 
     recording: Recording
@@ -130,7 +130,7 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file being opened: all its datasets, where the acceleration is, what is said about it."""
+    """A file being opened: all its datasets, where the acceleration is, and its attributes."""
 
     file: Any
     path: Path
@@ -199,7 +199,7 @@ def measured_stamps(
         raise UnreadableError(
             f"dataset {track.path} holds no time that can be believed",
             path=path,
-            hint="leave it aside with --time-column none and give --rate HZ",
+            hint="ignore it with --time-column none and give --rate HZ",
         )
     final = _believable(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows)
     last = int(final[-1]) if len(final) else int(times[-1])
@@ -213,7 +213,7 @@ def _believable(rows: TrackRows, scale: StampScale, start: int, stop: int) -> ND
 
 
 def whole_rows_known(*parts: Axes | Stamps | None) -> bool:
-    """Whether every row is usable, as far as the kinds of numbers tell: only whole counts."""
+    """Whether every row is usable, as far as the types of numbers show: only whole counts."""
     return all(isinstance(part, Axes) and part.scale.exact is not None for part in parts if part is not None)
 
 
@@ -226,7 +226,7 @@ def checked_rate(rate_hz: float | None, path: Path) -> float:
     """
     if rate_hz is None:
         raise UnreadableError(
-            "the file does not tell the sampling rate", path=path, hint="give it with --rate HZ"
+            "the file does not state the sampling rate", path=path, hint="give it with --rate HZ"
         )
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise UnreadableError(
@@ -256,7 +256,7 @@ def header_problems(attributes: Attributes, damaged: int = 0) -> tuple[Problem, 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Start, rate and stamps; None where the file does not tell."""
+    """Start, rate and stamps; None where the file does not say."""
 
     rate_hz: float | None
     start_us: int | None = None
@@ -349,10 +349,10 @@ def _stamp_scale(
     unit = unit or (unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
     if unit is None:
         raise UnreadableError(
-            f"the unit of the times in {track.path} is not told",
+            f"the unit of the times in {track.path} is not stated",
             path=path,
             hint="give that dataset an attribute `units` (s, ms, us or ns), "
-            f"or leave it aside with `--time-column {NO_COLUMN}`",
+            f"or ignore it with `--time-column {NO_COLUMN}`",
         )
     since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
     if since is not None and since[0]:
@@ -372,7 +372,7 @@ def _stated_unit(track: Track, stated: str | None, path: Path) -> str | None:
         raise UnreadableError(
             f"the unit {stated!r} of the times in {track.path} is not known",
             path=path,
-            hint=f"leave that dataset aside with `--time-column {NO_COLUMN}`",
+            hint=f"ignore that dataset with `--time-column {NO_COLUMN}`",
         )
     return unit
 

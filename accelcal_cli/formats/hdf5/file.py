@@ -35,7 +35,7 @@ class SoundBytes(io.RawIOBase):
 
     Args:
         path: the file.
-        claimed: its size as its header tells, for one that was cut short.
+        claimed: its size according to its header, for one that was cut short.
 
     Raises:
         OSError: from `readinto`, for bytes that are not there and for a damaged heap.

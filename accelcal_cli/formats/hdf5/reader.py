@@ -102,7 +102,7 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
 
     Raises:
         UnreadableError: damaged, cut short, or nothing in it is known as acceleration.
-        UsageError: several datasets fit, or the rate, unit or counts per g are nowhere told.
+        UsageError: several datasets fit, or the rate, unit or counts per g are stated nowhere.
     """
     with open_hdf5(path) as file, h5py_guard(path, "list of datasets"):
         tracks, damaged = all_tracks(file)
@@ -198,7 +198,7 @@ def _unit_and_lsb(source: Source) -> tuple[str, float | None]:
     unit = "counts" if file_unit is None and whole else accel_unit(file_unit or "")
     if unit is not None:
         return unit, lsb
-    what = f"the unit {file_unit!r} is not known" if file_unit else "the file does not tell the unit"
+    what = f"the unit {file_unit!r} is not known" if file_unit else "the file does not state the unit"
     raise UnreadableError(
         f"{what} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(PER_G)}|counts"
     )
@@ -218,7 +218,9 @@ def _shared_unit_and_lsb(source: Source) -> tuple[str | None, float | None]:
 
 def _checked_lsb(lsb: float | None, path: Path) -> float:
     if lsb is None:
-        raise UnreadableError("the file does not tell the counts per g", path=path, hint="give --lsb-per-g N")
+        raise UnreadableError(
+            "the file does not state the counts per g", path=path, hint="give --lsb-per-g N"
+        )
     if not 0 < lsb <= FLOAT_LSB_PER_G * LARGEST_G:
         raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
     return lsb
@@ -446,7 +448,7 @@ class _Stream:
         explained: NDArray[np.bool_],
         selection: RowSelection,
     ) -> NDArray[np.bool_]:
-        """Where the times jump; told as a problem unless lost rows explain it."""
+        """Where the times jump; a problem unless lost rows explain it."""
         coarse = self._plan.stamps.coarse_us if self._plan.stamps else 0
         longest = GAP_PERIODS * 1_000_000 / self._plan.recording.rate_hz + coarse
         steps = np.diff(times, prepend=times[0] if self._last_row is None else self._last_time)

@@ -317,7 +317,7 @@ class TrackRows:
             )
 
     def _is_unwritten(self) -> bool:
-        """Whether no value was ever written; a damaged index of chunks does not tell."""
+        """Whether no value was ever written; a damaged index of chunks does not say."""
         try:
             return bool(self._dataset.id.get_storage_size() == 0)
         except H5PY_ERRORS:

@@ -1,4 +1,4 @@
-"""Numbers of a dataset as raw counts, millidegrees and times, and the units that attributes tell."""
+"""Numbers of a dataset as raw counts, millidegrees and times, and the units that attributes name."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.formats import HEAD_BYTES
-from accelcal_cli.core.plugins import bound
+from accelcal_cli.core.plugins import find_plugins
 from accelcal_cli.core.recording import Device
 from accelcal_cli.formats.csv import is_text
 from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, decode
@@ -122,7 +122,7 @@ class Vendor:
 @cache
 def all_vendors() -> tuple[Vendor, ...]:
     """Every vendor, by name."""
-    return tuple(bound(__name__, __path__, "VENDOR"))
+    return tuple(find_plugins(__name__, __path__, "VENDOR"))
 
 
 def export_description(head: bytes) -> ExportDescription | None:

@@ -101,7 +101,7 @@ def _doubt(head: Head) -> Doubt | None:
         return None
     return Doubt(
         f"it holds counts of {epoch} s each, not raw acceleration",
-        "export the raw data from ActiLife; or give --unit to read it all the same",
+        "export the raw data from ActiLife; or give --unit to read it anyway",
     )
 
 

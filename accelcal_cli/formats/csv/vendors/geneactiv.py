@@ -88,7 +88,7 @@ def _doubt(columns: int) -> Doubt | None:
         return None
     return Doubt(
         "it holds means and sums over epochs, not raw acceleration",
-        "export the raw data; or give --columns and --unit to read it all the same",
+        "export the raw data; or give --columns and --unit to read it anyway",
     )
 
 
