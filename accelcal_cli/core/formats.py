@@ -1,6 +1,7 @@
-"""The contract of a format: one frozen record that each file in `readers/` binds as FORMAT.
+"""The contracts of a format: how it is recognised and read (`Format`), and how it is written (`Encoder`).
 
-The contract of a recording writer: one frozen record that each file in `encode/` binds as ENCODER.
+Each folder `formats/NAME/` binds its reader as FORMAT in `__init__.py` and its writer as ENCODER in
+`writer.py`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ RATE_AGREEMENT = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What the user said about a recording; None means: find out.
+    """What the user states about a recording; None: to be found out.
 
     Attributes:
         unit: one of g, mg, m/s2, counts.
@@ -44,19 +45,19 @@ class ReadOptions:
     sensor: str | None = None
 
 
-def agreed_rate(options: ReadOptions, told_hz: float, path: Path) -> float:
-    """The rate that a recording tells of itself, or the user's where it is about the same.
+def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:
+    """The rate that a recording states itself, or the user's where it is about the same.
 
     Raises:
         UsageError: the two contradict each other; the file's own times would become gaps.
     """
     if options.rate_hz is None:
-        return told_hz
-    if abs(options.rate_hz - told_hz) > RATE_AGREEMENT * told_hz:
+        return stated_hz
+    if abs(options.rate_hz - stated_hz) > RATE_AGREEMENT * stated_hz:
         raise UsageError(
-            f"the recording was made at {told_hz:g} Hz, not {options.rate_hz:g}",
+            f"the recording was made at {stated_hz:g} Hz, not {options.rate_hz:g}",
             path=path,
-            hint="leave --rate out: this format says its rate itself",
+            hint="omit --rate: files of this format state their rate",
         )
     return options.rate_hz
 
@@ -70,7 +71,7 @@ class Probe:
         head: its first 64 KiB, uncompressed where the file is gzip.
         size: bytes on disk.
         compressed: whether the file is gzip.
-        options: what the user said.
+        options: what the user states.
     """
 
     path: Path

@@ -1,56 +1,71 @@
-"""Work ahead: one room fills chunks while the next one uses those before.
+"""Threads: the one place where they are started.
 
-A file that is written behind the back of whoever fills it.
-
-Work on several things at a time, whose results come in the order of the things.
+`prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a
+time, `BackgroundCalls` makes calls one after another beside the work of the caller, `BackgroundWriter`
+hands the bytes of a file to the system that way, and `thread_pool` is there for what fits none of them.
+Results come in the order of the items, whatever the number of threads.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from itertools import islice
 from threading import Lock
-from typing import BinaryIO, TypeVar, cast
+from typing import Any, BinaryIO, TypeVar, cast
 
 T = TypeVar("T")
+R = TypeVar("R")
+
 DEPTH = 2
-"""Items in flight; each holds memory."""
+"""Items or portions in flight; each holds memory."""
+
+MOST_THREADS = 4
+"""Threads of `parallel_map`: the one that takes the items keeps no more of them busy; each holds memory."""
+
+QUEUED = 2
+"""Items that wait for a thread of `parallel_map`, so that no thread waits for an item."""
 
 _END = object()
 
 
-def ahead(items: Iterator[T], threads: int, depth: int = DEPTH) -> Iterator[T]:
-    """The items of an iterator, in order, up to `depth` of them made ahead on another thread.
+def thread_pool(threads: int, name: str) -> AbstractContextManager[Executor | None]:
+    """A pool of named threads; None where only one thread may work."""
+    return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix=name)
+
+
+def prefetch(items: Iterator[T], threads: int, depth: int = DEPTH) -> Iterator[T]:
+    """The items of an iterator, in order, up to `depth` of them taken ahead on another thread.
 
     What the iterator raises is raised here, in its place. Closing this closes the iterator.
 
     Args:
-        threads: how many may work at a time; nothing is made ahead where there is but one.
+        threads: how many may work at a time; with one, nothing is taken ahead.
     """
     if threads < 2:
         yield from items
         return
-    made = _Guarded(items)
-    with ThreadPoolExecutor(1, thread_name_prefix="ahead") as thread:
+    source = _Guarded(items)
+    with ThreadPoolExecutor(1, thread_name_prefix="prefetch") as thread:
         waiting: deque[Future[object]] = deque()
         try:
             for _ in range(depth):
-                waiting.append(thread.submit(made.next))
+                waiting.append(thread.submit(source.next))
             while (item := waiting.popleft().result()) is not _END:
-                waiting.append(thread.submit(made.next))
+                waiting.append(thread.submit(source.next))
                 yield cast(T, item)
         finally:
             for future in waiting:
                 future.cancel()
-            made.close()
+            source.close()
 
 
 class _Guarded:
     """An iterator that one thread at a time uses.
 
-    A signal in the moment in which a pool starts its thread leaves it with a second one.
+    A signal that arrives while a pool starts its thread leaves the pool with a second one.
     """
 
     def __init__(self, items: Iterator[object]) -> None:
@@ -72,10 +87,65 @@ class _Guarded:
                 close()
 
 
-"""Portions that may wait to be written; each holds memory."""
+def parallel_map(work: Callable[[T], R], items: Iterable[T], threads: int) -> Iterator[R]:
+    """The work's results, in the order of the items; items are taken ahead while work is done.
+
+    What taking an item or working on it raises is raised here, in its place. Items are taken on the
+    caller's thread.
+
+    Args:
+        threads: how many may work at a time; with one, each item is taken when its result is asked for.
+    """
+    if threads < 2:
+        yield from map(work, items)
+        return
+    threads = min(threads, MOST_THREADS)
+    with ThreadPoolExecutor(threads, thread_name_prefix="parallel-map") as pool:
+        submitted = _submitted(work, items, pool)
+        waiting = deque(islice(submitted, threads + QUEUED - 1))
+        try:
+            while waiting:
+                waiting.extend(islice(submitted, 1))
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
-class Behind:
+def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> Iterator[Future[R]]:
+    """The work on each item; where taking one fails, that failure in its place."""
+    try:
+        for item in items:
+            yield pool.submit(work, item)
+    except Exception as error:
+        failed: Future[R] = Future()
+        failed.set_exception(error)
+        yield failed
+
+
+class BackgroundCalls:
+    """Calls that a thread of their own makes one after another, in the order in which they were given."""
+
+    def __init__(self, name: str) -> None:
+        """Start nothing yet: the thread, which bears this name, begins with the first call."""
+        self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
+        self._waiting: deque[Future[Any]] = deque()
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> None:
+        """Give a call to be made later."""
+        self._waiting.append(self._thread.submit(call, *arguments))
+
+    def wait(self, most: int = 0) -> None:
+        """Wait until no more than `most` calls are left; raises what one of the others raised."""
+        while len(self._waiting) > most:
+            self._waiting.popleft().result()
+
+    def close(self) -> None:
+        """End the thread, once all calls are made."""
+        self._thread.shutdown()
+
+
+class BackgroundWriter:
     """A binary file, open for writing, whose portions a thread of its own hands to the system.
 
     Copying three hundred megabytes to the system's cache takes half a second and more, in which the
@@ -86,8 +156,7 @@ class Behind:
         """Take over a file; it is closed with this one."""
         self._file = file
         self._taken = 0
-        self._waiting: deque[Future[int]] = deque()
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="behind")
+        self._calls = BackgroundCalls("background-writer")
 
     @property
     def closed(self) -> bool:
@@ -104,68 +173,20 @@ class Behind:
         Raises:
             OSError: some that were taken before could not be written.
         """
-        self._settle(DEPTH - 1)
-        self._waiting.append(self._thread.submit(self._file.write, bytes(data)))
+        self._calls.wait(DEPTH - 1)
+        self._calls.submit(self._file.write, bytes(data))
         self._taken += len(data)
         return len(data)
 
     def flush(self) -> None:
         """Wait until the system has all bytes; raises OSError if some could not be written."""
-        self._settle(0)
+        self._calls.wait()
         self._file.flush()
-
-    def _settle(self, most: int) -> None:
-        while len(self._waiting) > most:
-            self._waiting.popleft().result()
 
     def close(self) -> None:
         """Write what is left, and close the file even if that fails; raises OSError."""
         try:
-            self._settle(0)
+            self._calls.wait()
         finally:
-            self._thread.shutdown()
+            self._calls.close()
             self._file.close()
-
-
-R = TypeVar("R")
-MOST_THREADS = 4
-"""The one that takes the items keeps no more of them busy; each holds memory."""
-
-AHEAD = 2
-"""Items that wait for a thread, so that none of them waits for an item."""
-
-
-def side_by_side(work: Callable[[T], R], items: Iterable[T], threads: int) -> Iterator[R]:
-    """The work's results, in the order of the items; items are taken ahead while work is done.
-
-    What taking an item or working on it raises is raised here, in its place. Items are taken on the
-    caller's thread.
-
-    Args:
-        threads: how many may work at a time; with one, each item is taken when its result is asked for.
-    """
-    if threads < 2:
-        yield from map(work, items)
-        return
-    threads = min(threads, MOST_THREADS)
-    with ThreadPoolExecutor(threads, thread_name_prefix="side-by-side") as pool:
-        begun = _begun(work, items, pool)
-        waiting = deque(islice(begun, threads + AHEAD - 1))
-        try:
-            while waiting:
-                waiting.extend(islice(begun, 1))
-                yield waiting.popleft().result()
-        finally:
-            for future in waiting:
-                future.cancel()
-
-
-def _begun(work: Callable[[T], R], items: Iterable[T], pool: ThreadPoolExecutor) -> Iterator[Future[R]]:
-    """The work on each item; where taking one fails, that failure in its place."""
-    try:
-        for item in items:
-            yield pool.submit(work, item)
-    except Exception as error:
-        failed: Future[R] = Future()
-        failed.set_exception(error)
-        yield failed

@@ -1,4 +1,4 @@
-"""Finding what the files of a folder bind: formats, encoders, optimizers. Nothing registers itself."""
+"""How plug-ins are found: formats, writers and optimizers are what the files of a folder bind."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Named(Protocol):
         """As in the command's options."""
 
 
-def bound(package: str, folder: Iterable[str], attribute: str) -> list[Any]:
+def find_plugins(package: str, folder: Iterable[str], attribute: str) -> list[Any]:
     """`attribute` of every module of a package, by the items' names; `_` modules are helpers.
 
     A module binds one item, or a tuple of them.
@@ -36,7 +36,7 @@ def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
     return bound_here if isinstance(bound_here, tuple) else (bound_here,)
 
 
-def only(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
+def find_plugin(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
     """`attribute` of the one module that is called like the item, `_` for hyphens; None if there is none."""
     module = name.replace("-", "_")
     if module.startswith("_") or module not in {info.name for info in pkgutil.iter_modules(folder)}:
@@ -48,7 +48,7 @@ def only(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
 T = TypeVar("T", bound=Named)
 
 
-def named(name: str, items: tuple[T, ...], what: str) -> T:
+def named_plugin(name: str, items: tuple[T, ...], what: str) -> T:
     """The item of a name; raises UsageError with the known names where there is none."""
     for item in items:
         if item.name == name:

@@ -1,10 +1,8 @@
-"""One file a format. Formats are found by listing this folder: nothing registers itself.
+"""The registry of formats: one folder each, found by listing this one. Nothing registers itself.
 
-Every start of the command imports all these files, for their suffixes and `sniff`. So each imports no more
-than that takes; what reads lies in a folder of the format's own (`_NAME/opening.py` and what it needs) and is
-imported by the first file that is opened.
-
-One file a recording writer, found by listing this folder. Used by `accelcal simulate`.
+Every start of the command imports `formats/NAME/__init__.py` of all formats, for their suffixes and `sniff`,
+so those import no more than that takes. What reads (`reader.py`) is imported by the first file that is
+opened, what writes (`writer.py`) by `accelcal simulate` and `apply`.
 """
 
 from __future__ import annotations
@@ -18,14 +16,14 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import Encoder, Format, ReadOptions, probe_file
-from accelcal_cli.core.plugins import bound, named, only
+from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
 
 
 @cache
 def all_formats() -> tuple[Format, ...]:
     """Every format, by name. A module whose name starts with `_` is a helper, not a format."""
-    return tuple(bound(__name__, __path__, "FORMAT"))
+    return tuple(find_plugins(__name__, __path__, "FORMAT"))
 
 
 def load_all() -> None:
@@ -58,8 +56,8 @@ def find_format(path: Path, options: ReadOptions) -> Format:
 
 def named_format(name: str) -> Format:
     """Look a format up by name; raises UsageError where there is none."""
-    found = only(__name__, __path__, "FORMAT", name)
-    return found or named(name, all_formats(), "format")
+    found = find_plugin(__name__, __path__, "FORMAT", name)
+    return found or named_plugin(name, all_formats(), "format")
 
 
 def open_recording(path: Path, options: ReadOptions, threads: int = 1) -> Reader:
@@ -91,4 +89,4 @@ def all_encoders() -> tuple[Encoder, ...]:
 
 def named_encoder(name: str) -> Encoder:
     """Look one up by name; raises UsageError where there is none."""
-    return named(name, all_encoders(), "format to write")
+    return named_plugin(name, all_encoders(), "format to write")

@@ -1,7 +1,4 @@
-"""The only way readers take bytes from a file, plain or gzip.
-
-Checksums of many equally long pages at once.
-"""
+"""How readers take bytes from a file, plain or gzip, and checksums of many equally long pages at once."""
 
 from __future__ import annotations
 
@@ -22,6 +19,9 @@ from accelcal_cli.core.formats import GZIP_MAGIC
 GZIP_STEP = 1 << 13
 TRAILING_WORDS = "Not a gzipped file"
 """What gzip says of bytes after its data; the data before them were checked and are right."""
+
+CRC16_POLYNOMIAL = 0x1021
+CRC16_START = 0xFFFF
 
 
 class ByteSource:
@@ -145,10 +145,6 @@ class ByteSource:
         trace: TracebackType | None,
     ) -> None:
         self.close()
-
-
-CRC16_POLYNOMIAL = 0x1021
-CRC16_START = 0xFFFF
 
 
 def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint32]:

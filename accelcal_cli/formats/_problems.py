@@ -1,100 +1,172 @@
-"""Problems of a paged file: equal ones in a row are one record, and their number stays bounded."""
+"""Problems of a recording as it is read: equal ones in a row are one record, and their number is bounded."""
 
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.core.recording import Problem
 
-PLACES_OF_A_KIND = 100
+SINGLE = 99
+"""Runs of one kind that are given one by one; one more record counts all others."""
+
+Kind = tuple[str, str]
+"""The code and the text of an event."""
 
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something wrong at page `position`, reaching over `pages` pages.
+    """Something wrong at `position` (a page, a row), reaching over `length` of them.
 
     Attributes:
-        code, text: as in a Problem; the count is appended to the text.
+        code: as in a Problem; the message is made of the text and the totals (see `ProblemLog`).
         sample: number of the first sample after it.
         count: how many units are concerned.
         amount_us: what to sum up as seconds, 0 for nothing.
         lost_bytes: as in a Problem.
+        line: of a text file; 0 in others.
+        scattered: whether it stands for several places, not for one.
     """
 
     position: int
-    pages: int
+    length: int
     code: str
     text: str
-    byte_offset: int
+    byte_offset: int | None
     sample: int
     count: int
     amount_us: int = 0
     lost_bytes: int = 0
+    line: int = 0
+    scattered: bool = False
+
+    @property
+    def kind(self) -> Kind:
+        """Events of one kind are put together."""
+        return self.code, self.text
 
 
 @dataclass(slots=True)
-class _Run:
+class Run:
+    """Events of one kind: the first one, the position behind the last one, and the totals."""
+
     event: Event
-    last: int
-    count: int
-    amount_us: int
-    lost_bytes: int = 0
-    closed: bool = False
+    end: int
     scattered: bool = False
+    count: int = 0
+    amount_us: int = 0
+    lost_bytes: int = 0
+
+    def add(self, event: Event) -> None:
+        """Count one more event."""
+        self.scattered |= event.scattered or event.position > self.end
+        self.end = event.position + event.length
+        self.count += event.count
+        self.amount_us += event.amount_us
+        self.lost_bytes += event.lost_bytes
+
+
+def count_behind(run: Run) -> str:
+    """The text, the count, and the seconds where there are any."""
+    seconds = f" ({run.amount_us / 1e6:.3f} s in all)" if run.amount_us else ""
+    places = ", in several places" if run.scattered else ""
+    return f"{run.event.text}: {run.count}{places}{seconds}"
 
 
 class ProblemLog:
-    """Collects events in page order; gives problems back in the order in which they began.
+    """Collects events as they come; gives problems back in the order in which they began.
 
-    What is merged depends on the pages alone, not on when `take` is called.
+    What is put together depends on the positions alone, not on when `take` is called.
+
+    Args:
+        first: problems to be given before all others.
+        describe: makes the message of a run.
+        single: runs of a kind that are given one by one; one more record counts all others.
+        rest_last: that record ends the list, and has no place; else it stands where it began.
     """
 
-    def __init__(self, first: Iterable[Problem] = ()) -> None:
+    def __init__(
+        self,
+        first: Iterable[Problem] = (),
+        describe: Callable[[Run], str] = count_behind,
+        single: int = SINGLE,
+        rest_last: bool = False,
+    ) -> None:
         self._ready = list(first)
-        self._queue: deque[_Run] = deque()
-        self._open: dict[tuple[str, str], _Run] = {}
-        self._places: Counter[tuple[str, str]] = Counter()
+        self._describe = describe
+        self._single = single
+        self._rest_last = rest_last
+        self._queue: deque[Run] = deque()
+        self._open: dict[Kind, Run] = {}
+        self._records: Counter[Kind] = Counter()
+        self._rest: dict[Kind, Run] = {}
 
     def add(self, event: Event) -> None:
         """Note an event; positions of one kind ascend."""
-        kind = (event.code, event.text)
-        run = self._open.get(kind)
-        full = self._places[kind] >= PLACES_OF_A_KIND
-        if run is None or not (full or event.position <= run.last + 1):
-            run = self._begin(kind, event, run)
-        run.scattered |= event.position > run.last + 1
-        run.last = event.position + event.pages - 1
-        run.count += event.count
-        run.amount_us += event.amount_us
-        run.lost_bytes += event.lost_bytes
+        run = self._open.get(event.kind)
+        if event.scattered or run is None or event.position > run.end:
+            run = self._begin(event)
+        run.add(event)
 
-    def _begin(self, kind: tuple[str, str], event: Event, before: _Run | None) -> _Run:
-        if before is not None:
-            before.closed = True
-        self._places[kind] += 1
-        run = _Run(event, event.position, 0, 0)
-        self._open[kind] = run
+    def _begin(self, event: Event) -> Run:
+        """A new record for an event; the common one where there are enough of its kind."""
+        run = Run(event, event.position)
+        if not event.scattered and self._records[event.kind] < self._single:
+            self._records[event.kind] += 1
+            self._open[event.kind] = run
+        elif event.kind in self._rest:
+            return self._rest[event.kind]
+        else:
+            self._rest[event.kind] = run
+            if self._rest_last:
+                run.event, run.scattered = replace(event, byte_offset=None), True
+                return run
         self._queue.append(run)
         return run
 
+    def runs(self, kind: Kind, places: NDArray[np.int64]) -> Iterator[tuple[int, int, bool]]:
+        """Runs of consecutive places of one kind; all that no records are left for as a single one.
+
+        Args:
+            places: (n,) positions or others that ascend.
+
+        Yields:
+            Index of a run's first place, the number of its places, and whether they are scattered.
+        """
+        if not len(places):
+            return
+        edges = np.flatnonzero(np.diff(places) != 1) + 1
+        first = np.concatenate(([0], edges))
+        counts = np.diff(first, append=len(places))
+        single = self._single - self._records[kind] + 1
+        for index, count in zip(first[:single].tolist(), counts[:single].tolist(), strict=True):
+            yield index, count, False
+        if len(first) > single:
+            yield int(first[single]), int(counts[single:].sum()), len(first) > single + 1
+
     def take(self, scanned: int | None) -> tuple[Problem, ...]:
-        """Problems that are complete now that all pages before `scanned` (None: all) are known."""
+        """Problems that are complete now that everything before `scanned` (None: all) is known."""
         for kind, run in list(self._open.items()):
-            if scanned is None or (run.last + 1 < scanned and self._places[kind] < PLACES_OF_A_KIND):
-                run.closed = True
+            if scanned is None or run.end < scanned:
                 del self._open[kind]
-        done, self._ready = self._ready, []
-        while self._queue and self._queue[0].closed:
-            done.append(as_problem(self._queue.popleft()))
-        return tuple(done)
+        ready, self._ready = self._ready, []
+        while self._queue and (scanned is None or not self._grows(self._queue[0])):
+            ready.append(self._problem(self._queue.popleft()))
+        if scanned is None and self._rest_last:
+            ready += [self._problem(self._rest[kind]) for kind in sorted(self._rest)]
+        return tuple(ready)
 
+    def _grows(self, run: Run) -> bool:
+        """Whether events may still be added to a run."""
+        kind = run.event.kind
+        return run is self._open.get(kind) or run is self._rest.get(kind)
 
-def as_problem(run: _Run) -> Problem:
-    """The record of a run, with its totals in the message."""
-    event = run.event
-    seconds = f" ({run.amount_us / 1e6:.3f} s in all)" if run.amount_us else ""
-    scattered = ", in several places" if run.scattered else ""
-    message = f"{event.text}: {run.count}{scattered}{seconds}"
-    return Problem(event.code, message, event.byte_offset, event.sample, run.count, run.lost_bytes)
+    def _problem(self, run: Run) -> Problem:
+        """The record of a run, with its totals in the message."""
+        event = run.event
+        text = self._describe(run)
+        return Problem(event.code, text, event.byte_offset, event.sample, run.count, run.lost_bytes)

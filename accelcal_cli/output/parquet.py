@@ -23,7 +23,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.parallel import Behind
+from accelcal_cli.core.parallel import BackgroundWriter
 from accelcal_cli.output.files import METADATA_KEY, output_error
 
 ROW_GROUP_ROWS = 1 << 20
@@ -192,7 +192,9 @@ class ParquetSink:
 def _opened(path: Path, threads: int) -> pa.NativeFile:
     """A new file; what is encoded gathers first, since every portion takes Python's lock."""
     file = path.open("wb")
-    return pa.BufferedOutputStream(pa.PythonFile(Behind(file) if threads > 1 else file, "w"), PORTION_BYTES)
+    return pa.BufferedOutputStream(
+        pa.PythonFile(BackgroundWriter(file) if threads > 1 else file, "w"), PORTION_BYTES
+    )
 
 
 SOURCE_ROWS = 1 << 17

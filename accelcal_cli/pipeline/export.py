@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.parallel import ahead
+from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.output.report import ReportInput
@@ -200,7 +200,7 @@ def write_calibrated(
         OutputError: the output cannot be written.
     """
     total, names = 0, target.sink.schema.names
-    for chunk, xyz in ahead(calibrated(chunks, target.apply, progress), target.threads):
+    for chunk, xyz in prefetch(calibrated(chunks, target.apply, progress), target.threads):
         total += beyond(xyz, recording.range_g)
         target.sink.write(rows(chunk, xyz, recording, names, target.offset_s))
     return total

@@ -16,7 +16,7 @@ import numpy as np
 from accelcal_cli.collect.cells import norms_g
 from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.parallel import ahead
+from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import Windows, joined_windows
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Jumps
@@ -62,7 +62,7 @@ def survey(
     """
 
     def still() -> Iterator[Windows]:
-        for chunk in ahead(iter(chunks), threads):
+        for chunk in prefetch(iter(chunks), threads):
             for observer in observers:
                 observer.see(chunk)
             yield from segmenter.feed(chunk)

@@ -93,7 +93,7 @@ class EventMaker:
                 sample = int(rows_before[np.searchsorted(position, run.position)])
                 lost = self._file.length(run.position, run.pages) if run.kind in self._damaged else 0
                 event = self.event(run.position, self._kinds[run.kind], sample, run.pages)
-                yield replace(event, pages=run.pages, lost_bytes=lost)
+                yield replace(event, length=run.pages, lost_bytes=lost)
 
     def _hold(self, run: BadRun) -> None:
         before = self._erased or BadRun(run.position, 0, ERASED)

@@ -1,7 +1,4 @@
-"""What may be text at all.
-
-Text files of numbers: CSV with any delimiter, header, unit and kind of time.
-"""
+"""Text files of numbers: CSV with any delimiter, header, unit and kind of time (docs/csv-files.md)."""
 
 from __future__ import annotations
 
@@ -24,9 +21,9 @@ def sniff(probe: Probe) -> int:
         return 0
     # Only text is worth the import of what understands it.
     from accelcal_cli.formats.csv.dialect import find_dialect
-    from accelcal_cli.formats.csv.vendors import known_of
+    from accelcal_cli.formats.csv.vendors import export_description
 
-    if known_of(probe.head) is not None:
+    if export_description(probe.head) is not None:
         return VENDORS_SCORE
     dialect = find_dialect(probe.head)
     if dialect is None:

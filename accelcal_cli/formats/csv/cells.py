@@ -1,6 +1,7 @@
-"""What a single cell of a text file is: a number, a time, nothing, or some other text.
+"""What a single cell is (a number, a time, nothing or other text), and the units that names and headers
+mention.
 
-Units of acceleration, and of time, in words that files use; and how values become counts.
+`Scale` makes values of a unit whole counts.
 """
 
 from __future__ import annotations
@@ -30,6 +31,33 @@ POINT_NUMBER = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
 COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d.*)?( ?[AaPp][Mm])?")
+BRACKETS = re.compile(r"[\[(]\s*(.*?)\s*[\])]\s*$")
+WORDS = {
+    "g": ("g", "gs", "gn", "g0", "gravity"),
+    "mg": ("mg", "millig", "milli-g"),
+    "m/s2": (
+        *("m/s2", "m/s^2", "m/s**2", "m/s²", "m/s/s", "m/(s^2)", "m/(s^2", "mps2"),
+        *("ms2", "ms-2", "ms^-2", "m.s-2", "m s-2", "m s^-2"),
+    ),
+    "counts": ("counts", "count", "lsb", "raw", "adc", "digits"),
+}
+TIME_WORDS = {
+    1.0: ("us", "µs", "μs", "usec", "micros", "microseconds", "microsecond"),
+    1e-3: ("ns", "nsec", "nanos", "nanoseconds", "nanosecond"),
+    1e3: ("ms", "msec", "millis", "milliseconds", "millisecond", "millisec"),
+    1e6: ("s", "sec", "secs", "second", "seconds"),
+}
+OTHER_WORDS = (
+    *("-", "", "°c", "degc", "deg_c", "c", "celsius", "deg/s", "dps", "rad/s", "°/s", "deg/sec"),
+    *("no units", "no_units", "n/a", "local_flux", "ut", "µt", "hz", "v", "mv", "lux", "pa", "kpa", "cal"),
+)
+LARGEST_G = 127.0
+USUAL_G = (0.3, 3.0)
+"""A recording's usual length of acceleration lies between, however its wearer moves."""
+
+GUESSES = (("g", 0.7, 1.4), ("m/s2", 7.0, 13.0), ("mg", 700.0, 1400.0))
+USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
+SURE_SHARE = 0.15
 
 
 class Kind(Enum):
@@ -69,35 +97,6 @@ def number_of(cell: str) -> float | None:
     return float(cell) if NUMBER.fullmatch(cell) else None
 
 
-LARGEST_G = 127.0
-BRACKETS = re.compile(r"[\[(]\s*(.*?)\s*[\])]\s*$")
-WORDS = {
-    "g": ("g", "gs", "gn", "g0", "gravity"),
-    "mg": ("mg", "millig", "milli-g"),
-    "m/s2": (
-        *("m/s2", "m/s^2", "m/s**2", "m/s²", "m/s/s", "m/(s^2)", "m/(s^2", "mps2"),
-        *("ms2", "ms-2", "ms^-2", "m.s-2", "m s-2", "m s^-2"),
-    ),
-    "counts": ("counts", "count", "lsb", "raw", "adc", "digits"),
-}
-TIME_WORDS = {
-    1.0: ("us", "µs", "μs", "usec", "micros", "microseconds", "microsecond"),
-    1e-3: ("ns", "nsec", "nanos", "nanoseconds", "nanosecond"),
-    1e3: ("ms", "msec", "millis", "milliseconds", "millisecond", "millisec"),
-    1e6: ("s", "sec", "secs", "second", "seconds"),
-}
-OTHER_WORDS = (
-    *("-", "", "°c", "degc", "deg_c", "c", "celsius", "deg/s", "dps", "rad/s", "°/s", "deg/sec"),
-    *("no units", "no_units", "n/a", "local_flux", "ut", "µt", "hz", "v", "mv", "lux", "pa", "kpa", "cal"),
-)
-USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
-SURE_SHARE = 0.15
-USUAL_G = (0.3, 3.0)
-"""A recording's usual length of acceleration lies between, however its wearer moves."""
-
-GUESSES = (("g", 0.7, 1.4), ("m/s2", 7.0, 13.0), ("mg", 700.0, 1400.0))
-
-
 def acceleration_unit(text: str) -> str | None:
     """One of g, mg, m/s2, counts for a word such as `m/s^2`; None for any other."""
     text = text.strip().lower()
@@ -119,8 +118,8 @@ def is_unit_cell(text: str) -> bool:
 
 def name_and_hint(name: str) -> tuple[str, str | None]:
     """A column's name without its bracketed unit, and the words in the brackets."""
-    found = BRACKETS.search(name)
-    return (name[: found.start()].strip(), found[1]) if found else (name.strip(), None)
+    match = BRACKETS.search(name)
+    return (name[: match.start()].strip(), match[1]) if match else (name.strip(), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +160,7 @@ def scale_for(unit: str, lsb_per_g: float | None) -> Scale:
     return Scale(unit, float(lsb_per_g))
 
 
-def said_unit(options: ReadOptions, hints: set[str]) -> str | None:
+def stated_unit(options: ReadOptions, hints: set[str]) -> str | None:
     """The unit that the user or the column names give, None where neither does."""
     if options.unit is not None:
         unit = acceleration_unit(options.unit)

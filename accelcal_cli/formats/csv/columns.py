@@ -1,4 +1,4 @@
-"""Which column of a text file is what: by what the user said, by their names, or by their places."""
+"""Which column of a text file is what: by the options, by the names of the columns, or by their places."""
 
 from __future__ import annotations
 
@@ -56,16 +56,16 @@ class Title:
 
     @classmethod
     def of(cls, number: int, name: str, unit: str | None) -> Title:
-        """Take the title of a column apart; `unit` is what the user or the vendor said."""
+        """Take the title of a column apart; `unit` is what the user or the vendor stated."""
         plain, hint = name_and_hint(G_FORCE.sub(r"acc_\1 [g]", name.strip()))
         spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", " ", plain)
         words = tuple(
             word for part in re.split(r"[\W_]+", spaced.lower()) for word in _axis_apart(part) if word
         )
-        said = unit or hint or ""
-        if not said and len(words) > 1 and _is_unit(words[-1]):
-            words, said = words[:-1], words[-1]
-        return cls(number, words, said.strip().strip("[]()"))
+        stated = unit or hint or ""
+        if not stated and len(words) > 1 and _is_unit(words[-1]):
+            words, stated = words[:-1], words[-1]
+        return cls(number, words, stated.strip().strip("[]()"))
 
     @property
     def axis(self) -> str | None:
@@ -96,7 +96,7 @@ def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
     """What each column is.
 
     Raises:
-        UnreadableError: it cannot be told, or a column that is needed holds no numbers.
+        UnreadableError: it is not clear, or a column that is needed holds no numbers.
         UsageError: --columns or --time-column names no column of the file.
     """
     titles = _titles(dialect)
@@ -135,27 +135,27 @@ def _time_unit(title: Title) -> str:
     return title.hint or (title.words[0] if len(title.words) == 1 else "")
 
 
-def _pick(dialect: Dialect, said: str, option: str, path: Path) -> int:
+def _pick(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
     """The number of the column that the user named or numbered."""
     names = [name.lower() for name in dialect.names or ()]
     plain = [name_and_hint(name)[0] for name in names]
     for known in (names, plain):
-        if known.count(said.strip().lower()) == 1:
-            return known.index(said.strip().lower())
-    if said.strip().isdecimal() and int(said) < dialect.columns:
-        return int(said)
-    known_names = ", ".join(dialect.names or ()) or "none has a name"
+        if known.count(wanted.strip().lower()) == 1:
+            return known.index(wanted.strip().lower())
+    if wanted.strip().isdecimal() and int(wanted) < dialect.columns:
+        return int(wanted)
+    listed = ", ".join(dialect.names or ()) or "none has a name"
     raise UsageError(
-        f"{option} {said!r} is no column of this file",
+        f"{option} {wanted!r} is no column of this file",
         path=path,
-        hint=f"its columns are 0 to {dialect.columns - 1} ({known_names})",
+        hint=f"its columns are 0 to {dialect.columns - 1} ({listed})",
     )
 
 
 def _said_axes(dialect: Dialect, options: ReadOptions, path: Path) -> tuple[int, int, int] | None:
     if options.columns is None:
         return None
-    x, y, z = (_pick(dialect, said, "--columns", path) for said in options.columns)
+    x, y, z = (_pick(dialect, wanted, "--columns", path) for wanted in options.columns)
     if len({x, y, z}) < 3:
         raise UsageError("--columns names one column twice", path=path, hint="give x, y and z")
     return x, y, z
@@ -200,7 +200,7 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
 def _if_commas(dialect: Dialect) -> str:
     """Advice for `0,012,0,996,-0,101`, which no option can settle."""
     cells = [cell for row in dialect.sample for cell in row[-6:]]
-    doubtful = dialect.cleaner.delimiter == "," and dialect.columns in (6, 7, 8)
+    doubtful = dialect.normaliser.delimiter == "," and dialect.columns in (6, 7, 8)
     if not doubtful or not all(re.fullmatch(r"-?\d+", cell.strip()) for cell in cells):
         return ""
     return "; where commas are its decimals too, export it with another delimiter or decimal point"
@@ -225,11 +225,11 @@ def _time_column(
             else _pick(dialect, options.time_column, "--time-column", path)
         )
     named = [title for title in titles if title.number not in xyz and _is_time_name(title)]
-    dated = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
+    date_columns = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
     for found in (
-        [title.number for title in named if title.number in dated],
+        [title.number for title in named if title.number in date_columns],
         [t.number for t in named],
-        dated,
+        date_columns,
     ):
         if len(found) == 1:
             return found[0]

@@ -1,8 +1,6 @@
-"""In which order a file writes day, month and year: from the user, its header, or its rows.
+"""What a text file is, found out from its first megabyte, the options, and the header of a known vendor.
 
-What the first megabyte of a text file tells, with what the user said.
-
-The time of a file's last row, without reading what lies before.
+`detect` is the story; the time of the last row is looked up without reading what lies before it.
 """
 
 from __future__ import annotations
@@ -14,11 +12,11 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
-from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, said_unit, scale_for
+from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.rows import HOTTEST_C
-from accelcal_cli.formats.csv.table import Block, Cells, LineFile, Sheet, lone_block
+from accelcal_cli.formats.csv.table import Block, LineFile, ParsedTable, TableParser, lone_block
 from accelcal_cli.formats.csv.times import (
     NO_TIME,
     ORDERS,
@@ -31,56 +29,23 @@ from accelcal_cli.formats.csv.times import (
     read_date,
     year_first_cell,
 )
-from accelcal_cli.formats.csv.vendors import Known, known_of
-
-
-def dated(
-    block: Block, dialect: Dialect, column: int, known: Known, options: ReadOptions, path: Path
-) -> Dialect:
-    """The layout with times that begin with the year, whatever the file's begin with.
-
-    Args:
-        block: the head's rows; column: of the times.
-
-    Raises:
-        UnreadableError: day and month cannot be told apart.
-    """
-    if all(map(is_year_first, dialect.cells(column))):
-        return dialect
-    cells = cells_of(block.data, dialect, column)
-    told = [order for order in (_of_the_start(cells, known), known.date_order) if order]
-    order = find_order(cells, options.date_format, told, path, dialect.skipped + 1)
-    if order is None:
-        return dialect
-    sample = tuple(
-        (*row[:column], year_first_cell(row[column], order), *row[column + 1 :]) for row in dialect.sample
-    )
-    return replace(dialect, cleaner=replace(dialect.cleaner, date_order=order), sample=sample)
-
-
-def _of_the_start(cells: list[str], known: Known) -> str | None:
-    """The one order in which the first row lies on the day on which the header says it began."""
-    if known.start is None or not cells:
-        return None
-    days = known.start.days(known.date_order)
-    fitting = [order for order in ORDERS if read_date(cells[0], order) in days]
-    return fitting[0] if len(fitting) == 1 else None
-
+from accelcal_cli.formats.csv.vendors import ExportDescription, export_description
 
 HEAD_BYTES = 1 << 20
+TAIL_BYTES = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
-class Opened:
-    """Everything that the head of a file told.
+class Detected:
+    """Everything that the head of a file shows.
 
     Attributes:
         start_us: time of the first row where rows carry none; None where it is not known.
     """
 
-    known: Known
+    export: ExportDescription
     start_us: int | None
-    sheet: Sheet
+    parser: TableParser
     scale: Scale
     pace: Pace
     temperature_c: float | None
@@ -88,22 +53,35 @@ class Opened:
     guessed_unit: bool
 
     @property
-    def dated(self) -> bool:
+    def has_dates(self) -> bool:
         """Whether its times count from 1970 rather than from its first row."""
-        return self.start_us is not None if self.sheet.time is None else self.sheet.time.since_1970
+        return self.start_us is not None if self.parser.time is None else self.parser.time.since_1970
 
     @property
     def timezone(self) -> str | None:
         """Zone of its clock, as the file says it."""
-        zoned = self.sheet.time is not None and self.sheet.time.zoned
-        return "UTC" if zoned else self.known.timezone
+        zoned = self.parser.time is not None and self.parser.time.zoned
+        return "UTC" if zoned else self.export.timezone
 
     def notes(self) -> tuple[str, ...]:
         """How the file was understood, for people."""
-        return _notes(self)
+        dialect, roles = self.parser.dialect, self.parser.roles
+        axes = ", ".join(column_name(dialect, column) for column in roles.xyz)
+        how = " (judged by the length of gravity)" if self.guessed_unit else ""
+        notes = [f"an export of {self.export.title}"] * bool(self.export.title)
+        notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
+        if roles.time is not None:
+            notes.append(f"time: {column_name(dialect, roles.time)}")
+        if self.pace.stamp_period_us:
+            notes.append("several rows share a time stamp; they were spread evenly until the next one")
+        headings = (dialect.names is not self.export.names) + (dialect.units is not None)
+        above = dialect.skipped - self.export.preamble - headings
+        if above > 0:
+            notes.append(f"{above} lines before the header or the first row were not used")
+        return tuple(notes)
 
 
-def examine(path: Path, options: ReadOptions) -> Opened:
+def detect(path: Path, options: ReadOptions) -> Detected:
     """Understand a text file of numbers from its beginning.
 
     Raises:
@@ -113,33 +91,33 @@ def examine(path: Path, options: ReadOptions) -> Opened:
     """
     _refuse_not_positive(options)
     head = _head(path, False)
-    known = known_of(head) or Known()
-    _refuse_doubtful(known, options, path)
-    dialect = find_dialect(head, known.preamble)
+    export = export_description(head) or ExportDescription()
+    _refuse_doubtful(export, options, path)
+    dialect = find_dialect(head, export.preamble)
     if dialect is None:
         raise _no_rows(path, head)
     if dialect.bare_returns:
         head = _head(path, True)
-    if dialect.names is None and len(known.names or ()) == dialect.columns:
-        dialect = replace(dialect, names=known.names)
+    if dialect.names is None and len(export.names or ()) == dialect.columns:
+        dialect = replace(dialect, names=export.names)
     block = _head_block(head, dialect)
     roles = find_roles(dialect, options, path)
-    sheet = _sheet(block, dialect, roles, known, options, path)
-    cells = sheet.cells(block)
-    scale, guessed = _scale(cells, roles, known, options, path)
-    pace = _pace(cells, known, options, path)
+    parser = _table_parser(block, dialect, roles, export, options, path)
+    cells = parser.cells(block)
+    scale, guessed = _scale(cells, roles, export, options, path)
+    pace = _pace(cells, export, options, path)
     start_us = None
-    if sheet.time is None and known.start is not None:
-        start_us = known.start.us(options.date_format or known.date_order, path)
+    if parser.time is None and export.start is not None:
+        start_us = export.start.us(options.date_format or export.date_order, path)
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
     temperature_c = _first_temperature(cells)
-    return Opened(known, start_us, sheet, scale, pace, temperature_c, line_bytes, guessed)
+    return Detected(export, start_us, parser, scale, pace, temperature_c, line_bytes, guessed)
 
 
-def _refuse_doubtful(known: Known, options: ReadOptions, path: Path) -> None:
+def _refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:
     """What is no raw acceleration is read only by who insists on its unit."""
-    if known.doubt is not None and options.unit is None:
-        raise UnreadableError(known.doubt.message, path=path, line=1, hint=known.doubt.hint)
+    if export.doubt is not None and options.unit is None:
+        raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
 
 
 def _refuse_not_positive(options: ReadOptions) -> None:
@@ -172,36 +150,71 @@ def _no_rows(path: Path, head: bytes) -> UnreadableError:
     return UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
 
 
-def _sheet(
-    block: Block, dialect: Dialect, roles: Roles, known: Known, options: ReadOptions, path: Path
-) -> Sheet:
+def _table_parser(
+    block: Block, dialect: Dialect, roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
+) -> TableParser:
     if roles.time is None:
-        return Sheet(path, dialect, roles, None)
-    dialect = dated(block, dialect, roles.time, known, options, path)
+        return TableParser(path, dialect, roles, None)
+    dialect = _with_date_order(block, dialect, roles.time, export, options, path)
     cells, line = dialect.cells(roles.time), dialect.skipped + 1
-    rate_hz = options.rate_hz or known.rate_hz
+    rate_hz = options.rate_hz or export.rate_hz
     time = find_time_format(cells, roles.time_unit_us, rate_hz, path, line)
-    return Sheet(path, dialect, roles, time)
+    return TableParser(path, dialect, roles, time)
 
 
-def _scale(cells: Cells, roles: Roles, known: Known, options: ReadOptions, path: Path) -> tuple[Scale, bool]:
-    """The scale, and whether gravity alone told the unit."""
-    said = said_unit(options, set(roles.hints))
-    if said is None and known.unit is not None:
-        scale = scale_for(known.unit, known.lsb_per_g)
+def _with_date_order(
+    block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
+) -> Dialect:
+    """The layout with times that begin with the year, whatever the file's begin with.
+
+    Args:
+        block: the head's rows; column: of the times.
+
+    Raises:
+        UnreadableError: day and month cannot be told apart.
+    """
+    if all(map(is_year_first, dialect.cells(column))):
+        return dialect
+    cells = cells_of(block.data, dialect, column)
+    stated = [order for order in (_order_of_start(cells, export), export.date_order) if order]
+    order = find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
+    if order is None:
+        return dialect
+    sample = tuple(
+        (*row[:column], year_first_cell(row[column], order), *row[column + 1 :]) for row in dialect.sample
+    )
+    return replace(dialect, normaliser=replace(dialect.normaliser, date_order=order), sample=sample)
+
+
+def _order_of_start(cells: list[str], export: ExportDescription) -> str | None:
+    """The one order in which the first row lies on the day on which the header says it began."""
+    if export.start is None or not cells:
+        return None
+    days = export.start.days(export.date_order)
+    fitting = [order for order in ORDERS if read_date(cells[0], order) in days]
+    return fitting[0] if len(fitting) == 1 else None
+
+
+def _scale(
+    cells: ParsedTable, roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
+) -> tuple[Scale, bool]:
+    """The scale, and whether gravity alone decided the unit."""
+    stated = stated_unit(options, set(roles.hints))
+    if stated is None and export.unit is not None:
+        scale = scale_for(export.unit, export.lsb_per_g)
         check_unit(cells.values, scale, path)
         return scale, False
-    return scale_for(said or guess_unit(cells.values, path), options.lsb_per_g), said is None
+    return scale_for(stated or guess_unit(cells.values, path), options.lsb_per_g), stated is None
 
 
-def _pace(cells: Cells, known: Known, options: ReadOptions, path: Path) -> Pace:
+def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
     if cells.time_us is not None:
         stamps = cells.time_us[cells.time_us != NO_TIME]
-        if options.rate_hz is None and known.rate_hz is not None:
-            return agreeing_pace(stamps, known.rate_hz, path)
+        if options.rate_hz is None and export.rate_hz is not None:
+            return agreeing_pace(stamps, export.rate_hz, path)
         return find_pace(stamps, options.rate_hz, path)
-    if known.rate_hz is not None:
-        return Pace(agreed_rate(options, known.rate_hz, path))
+    if export.rate_hz is not None:
+        return Pace(agreed_rate(options, export.rate_hz, path))
     if options.rate_hz is None:
         raise UnreadableError(
             "no column is known to hold the time",
@@ -211,45 +224,25 @@ def _pace(cells: Cells, known: Known, options: ReadOptions, path: Path) -> Pace:
     return Pace(options.rate_hz)
 
 
-def _first_temperature(cells: Cells) -> float | None:
+def _first_temperature(cells: ParsedTable) -> float | None:
     """The first temperature in the head; None where the column is absent or empty there."""
     if cells.temperature is None:
         return None
-    known = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
-    return float(known[0]) if len(known) else None
+    export = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
+    return float(export[0]) if len(export) else None
 
 
-def _notes(opened: Opened) -> tuple[str, ...]:
-    dialect, roles = opened.sheet.dialect, opened.sheet.roles
-    axes = ", ".join(column_name(dialect, column) for column in roles.xyz)
-    how = " (judged by the length of gravity)" if opened.guessed_unit else ""
-    notes = [f"an export of {opened.known.title}"] * bool(opened.known.title)
-    notes += [f"x, y, z: {axes}", f"unit: {opened.scale.unit}{how}"]
-    if roles.time is not None:
-        notes.append(f"time: {column_name(dialect, roles.time)}")
-    if opened.pace.stamp_period_us:
-        notes.append("several rows share a time stamp; they were spread evenly until the next one")
-    headings = (dialect.names is not opened.known.names) + (dialect.units is not None)
-    above = dialect.skipped - opened.known.preamble - headings
-    if above > 0:
-        notes.append(f"{above} lines before the header or the first row were not used")
-    return tuple(notes)
-
-
-TAIL_BYTES = 1 << 16
-
-
-def last_time(sheet: Sheet) -> int | None:
+def last_timestamp(parser: TableParser) -> int | None:
     """Time of the last row [us]; None where the file is compressed or has no times."""
-    with sheet.path.open("rb") as file:
-        if sheet.time is None or file.read(2) == GZIP_MAGIC or sheet.dialect.bare_returns:
+    with parser.path.open("rb") as file:
+        if parser.time is None or file.read(2) == GZIP_MAGIC or parser.dialect.bare_returns:
             return None
         size = file.seek(0, 2)
-        file.seek(max(sheet.dialect.offset, size - TAIL_BYTES))
+        file.seek(max(parser.dialect.offset, size - TAIL_BYTES))
         lines = file.read().splitlines(keepends=True)[-3:]
     whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()][-1:]
     try:
-        stamps = sheet.cells(lone_block(b"".join(whole), 1, 0)).time_us
+        stamps = parser.cells(lone_block(b"".join(whole), 1, 0)).time_us
     except UnreadableError:
         return None
     usable = stamps is not None and len(stamps) and stamps[-1] != NO_TIME

@@ -1,6 +1,7 @@
-"""Text clean-up of whole blocks, so that pyarrow's parser understands them. Lines stay lines.
+"""How a text file of numbers is laid out: delimiter, decimals, where its rows begin, the names of its
+columns.
 
-How a text file of numbers is laid out: delimiter, decimals, where its rows begin, column names.
+`Normaliser` rewrites blocks of lines so that pyarrow's parser understands them. Lines stay lines.
 """
 
 from __future__ import annotations
@@ -26,15 +27,24 @@ from accelcal_cli.formats.csv.cells import (
 )
 from accelcal_cli.formats.csv.times import year_first
 
+DELIMITERS = (",", ";", "\t", "|", " ")
+BYTE_ORDER_MARK = b"\xef\xbb\xbf"
+COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
+SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
 COLON_FRACTION = re.compile(rb":(?<=\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
-COLON, POINT = b":."
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
+COLON, POINT = b":."
 TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
+TAIL_LINES = 40
+SURE_LINES = 6
+"""With fewer lines to judge by, most columns must be numbers, and half of all lines agree."""
+
+SAMPLE_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
-class Cleaner:
+class Normaliser:
     """What has to be changed in a block of lines before it is parsed.
 
     Attributes:
@@ -106,17 +116,6 @@ def trimmed(block: bytes, mark: bytes) -> bytes:
     return block.replace(b" " + mark, mark).replace(mark + b" ", mark).strip(b" ")
 
 
-DELIMITERS = (",", ";", "\t", "|", " ")
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
-COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
-SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
-TAIL_LINES = 40
-SURE_LINES = 6
-"""With fewer lines to judge by, most columns must be numbers, and half of all lines agree."""
-
-SAMPLE_ROWS = 200
-
-
 @dataclass(frozen=True, slots=True)
 class Dialect:
     """The layout of a text file, as its first 64 KiB show it.
@@ -132,7 +131,7 @@ class Dialect:
         bare_returns: lines end with a carriage return alone.
     """
 
-    cleaner: Cleaner
+    normaliser: Normaliser
     kinds: tuple[Kind, ...]
     names: tuple[str, ...] | None
     units: tuple[str, ...] | None
@@ -172,7 +171,7 @@ def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
 
 def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
     """One column's cells in some lines."""
-    rows = _rows(data.splitlines(keepends=True), dialect.cleaner)
+    rows = _rows(data.splitlines(keepends=True), dialect.normaliser)
     return [row[column] for row in rows if column < len(row)]
 
 
@@ -180,9 +179,9 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
     mark = len(BYTE_ORDER_MARK) if head.startswith(BYTE_ORDER_MARK) else 0
     lines = head[mark:].splitlines(keepends=True)
     raw_lines, offset = lines[preamble:], mark + sum(map(len, lines[:preamble]))
-    cleaners = _cleaners(b"".join(raw_lines))
+    normalisers = _normalisers(b"".join(raw_lines))
     for tail in _tail_sizes(len(raw_lines)):
-        layouts = [_Layout.of(raw_lines, cleaner, tail) for cleaner in cleaners]
+        layouts = [_Layout.of(raw_lines, normaliser, tail) for normaliser in normalisers]
         best = max(layouts, key=lambda layout: layout.score)
         least = 0.0 if tail >= SURE_LINES else 0.5
         if best.score > least and (dialect := best.dialect(offset)):
@@ -220,24 +219,24 @@ class _Layout:
     """One delimiter, tried on the last lines of a head."""
 
     raw_lines: list[bytes]
-    cleaner: Cleaner
+    normaliser: Normaliser
     kinds: tuple[Kind, ...]
 
     @classmethod
-    def of(cls, raw_lines: list[bytes], cleaner: Cleaner, tail: int) -> _Layout:
-        delimiter = cleaner.delimiter
+    def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _Layout:
+        delimiter = normaliser.delimiter
         last = _last(raw_lines, tail)
-        rows = _rows(last, cleaner) if any(_parts(line, delimiter) for line in last) else []
+        rows = _rows(last, normaliser) if any(_parts(line, delimiter) for line in last) else []
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if width < 3 or count < 0.9 * len(rows):
-            return cls(raw_lines, cleaner, ())
+            return cls(raw_lines, normaliser, ())
         rows = [row for row in rows if len(row) == width]
         kinds = _column_kinds(rows, delimiter, 0.9)
         if Kind.MISSING in kinds or tail < SURE_LINES:
             share = 0.5 if tail < SURE_LINES else 0.9
-            everywhere = [row for row in _rows(raw_lines, cleaner) if len(row) == width]
+            everywhere = [row for row in _rows(raw_lines, normaliser) if len(row) == width]
             kinds = _column_kinds(everywhere, delimiter, share)
-        return cls(raw_lines, _with_decimals(cleaner, rows), kinds)
+        return cls(raw_lines, _with_decimals(normaliser, rows), kinds)
 
     @property
     def score(self) -> float:
@@ -251,16 +250,16 @@ class _Layout:
         if first is None:
             return None
         names, units = self._names(first)
-        sample = _rows(self.raw_lines[first : first + SAMPLE_ROWS], self.cleaner)
+        sample = _rows(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser)
         whole = tuple(tuple(row) for row in sample if len(row) == len(self.kinds))
         offset += sum(map(len, self.raw_lines[:first]))
-        return Dialect(self.cleaner, self.kinds, names, units, whole, first, offset, False)
+        return Dialect(self.normaliser, self.kinds, names, units, whole, first, offset, False)
 
     def _first_row(self) -> int | None:
         """The first of three rows that follow each other, or of the last ones."""
         run: list[int] = []
         for number, line in enumerate(self.raw_lines):
-            for row in _rows([line], self.cleaner):
+            for row in _rows([line], self.normaliser):
                 run = [*run, number] if self._is_row(row) else []
             if len(run) == 3:
                 break
@@ -269,7 +268,7 @@ class _Layout:
     def _is_row(self, row: list[str]) -> bool:
         if len(row) != len(self.kinds):
             return False
-        comma = self.cleaner.delimiter != ","
+        comma = self.normaliser.delimiter != ","
         pairs = zip(row, self.kinds, strict=True)
         found = {(kind, cell_kind(cell, comma)) for cell, kind in pairs if kind in (Kind.NUMBER, Kind.TIME)}
         filled = any(kind is other for kind, other in found)
@@ -287,9 +286,9 @@ class _Layout:
         """A line's cells where they can be names: as many as there are columns, none a number."""
         text = decode(self.raw_lines[number])
         text = COMMENT.sub("", text).strip("\r\n")
-        if self.cleaner.delimiter == " ":
+        if self.normaliser.delimiter == " ":
             text = " ".join(text.split())
-        cells = [cell.strip() for cell in split_line(text, self.cleaner.delimiter)]
+        cells = [cell.strip() for cell in split_line(text, self.normaliser.delimiter)]
         if len(cells) == len(self.kinds) - 1:
             cells = [*cells, ""] if self.kinds[-1] is Kind.MISSING else ["", *cells]
         kinds = {cell_kind(cell, False) for cell in cells}
@@ -297,10 +296,10 @@ class _Layout:
         return tuple(cells) if len(cells) == len(self.kinds) and words else None
 
 
-def _rows(raw_lines: list[bytes], cleaner: Cleaner) -> list[list[str]]:
+def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:
     """The cells of all lines that are not blank, as they are written."""
-    plain = replace(cleaner, decimal_comma=False, slash_dates=False)
-    lines = [split_line(decode(plain(line)).rstrip("\r\n"), cleaner.delimiter) for line in raw_lines]
+    plain = replace(normaliser, decimal_comma=False, slash_dates=False)
+    lines = [split_line(decode(plain(line)).rstrip("\r\n"), normaliser.delimiter) for line in raw_lines]
     return [line for line in lines if line]
 
 
@@ -318,10 +317,10 @@ def _parts(line: bytes, delimiter: str) -> bool:
     return delimiter.encode() in line or (delimiter == " " and b"\t" in line)
 
 
-def _cleaners(head: bytes) -> list[Cleaner]:
+def _normalisers(head: bytes) -> list[Normaliser]:
     """What each delimiter would need; the times are looked for once."""
     split_date = SPLIT_DATE.search(head) is not None
-    any_delimiter = Cleaner(
+    any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
         long_fraction=LONG_FRACTION.search(head) is not None,
@@ -342,11 +341,11 @@ def _padded(head: bytes, mark: bytes) -> bool:
     return mark in head and b" " in head and (b" " + mark in head or mark + b" " in head)
 
 
-def _with_decimals(cleaner: Cleaner, rows: list[list[str]]) -> Cleaner:
+def _with_decimals(normaliser: Normaliser, rows: list[list[str]]) -> Normaliser:
     """Decimals have a comma where these rows say so, or where they are whole numbers throughout.
 
     A recording may begin with hours of zeros; only commas can then follow that are not understood.
     """
     cells = [cell.strip() for row in rows for cell in row]
     commas = any(map(COMMA_NUMBER.fullmatch, cells)) or not any(map(POINT_NUMBER.fullmatch, cells))
-    return replace(cleaner, decimal_comma=commas and cleaner.delimiter != ",")
+    return replace(normaliser, decimal_comma=commas and normaliser.delimiter != ",")

@@ -1,123 +1,42 @@
-"""An open text file of numbers: what is known of the recording, and its rows."""
+"""An open text file of numbers: what is known of the recording, and its rows as chunks.
+
+Bad rows are left out; breaks, jumps of the clock and what else is wrong become problems.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import StampClock
+from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
-from accelcal_cli.formats.csv.chunks import Assembler
-from accelcal_cli.formats.csv.detect import HEAD_BYTES, Opened, examine, last_time
-from accelcal_cli.formats.csv.rows import FillFinder, RowMaker, Rows, Spreader, block_bytes, joined
+from accelcal_cli.core.recording import NO_BREAKS, Chunk, Problem, Reader, Recording, Validity
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
+from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
+from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowParser, Rows, SharedStamps, block_bytes, joined
 from accelcal_cli.formats.csv.table import Block, LineFile
+from accelcal_cli.formats.csv.times import GAP_PERIODS, Pace
 
+SINGLE = 50
+"""Problems of a kind that are given one by one."""
 
-class CsvReader(Reader):
-    """Streams a text file. See `docs/csv-files.md` for what is recognised."""
-
-    def __init__(self, path: Path, opened: Opened, timezone: str | None) -> None:
-        self._path = path
-        self._opened = opened
-        self.recording = _recording(path, opened, timezone, self._first_time(), last_time(opened.sheet))
-
-    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all usable rows, at most `chunk_samples` at a time.
-
-        Raises:
-            UnreadableError: a line is no row of the file, or most rows cannot be used.
-        """
-        assembler = self._assembler()
-        notice = self._notices()
-        end_byte = 0
-        for rows, block in joined(self._settled(chunk_samples), chunk_samples):
-            end_byte = block.end_byte
-            for chunk in assembler.chunks(rows, end_byte, chunk_samples):
-                if len(chunk) or chunk.problems or notice:
-                    yield _with_problems(chunk, notice)
-                    notice = ()
-            if block.last:
-                notice += (*assembler.finish(), *self._end_problems(block, assembler.samples))
-        self._refuse_mostly_unusable(assembler)
-        if notice:
-            yield _end_chunk(assembler, notice, end_byte, self.recording.has_temperature)
-
-    def _assembler(self) -> Assembler:
-        opened = self._opened
-        row_bytes = max(1, round(opened.line_bytes))
-        return Assembler(opened.pace, opened.sheet.time is not None, opened.start_us or 0, row_bytes)
-
-    def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
-        """Rows with their final times, and the block they came with; once a block."""
-        opened, dialect = self._opened, self._opened.sheet.dialect
-        maker = RowMaker(opened.sheet, opened.scale, opened.temperature_c)
-        stages: list[Spreader | FillFinder] = []
-        if opened.pace.stamp_period_us:
-            stages.append(Spreader(opened.pace))
-        if opened.known.repeats_idle:
-            stages.append(FillFinder(round(opened.pace.rate_hz)))
-        size = block_bytes(chunk_samples, opened.line_bytes)
-        file = LineFile(self._path, dialect.bare_returns)
-        try:
-            blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
-            for made, block in maker.rows(blocks, self.threads):
-                rows = made
-                for stage in stages:
-                    rows = stage.add(rows, block.last)
-                yield rows, block
-        finally:
-            file.close()
-
-    def _notices(self) -> tuple[Problem, ...]:
-        if self._opened.dated:
-            return ()
-        text = "the file has no date; times count from 1970-01-01"
-        return (Problem("no_start_time", text, None, 0),)
-
-    def _end_problems(self, block: Block, samples: int) -> list[Problem]:
-        if block.broken:
-            text = "the compressed data ends early or is damaged; the rows before that were read"
-            return [Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail))]
-        if block.tail.strip():
-            line = block.line + block.lines
-            text = f"line {line}, the last one, has no end: it may be cut off and was left out"
-            return [Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail))]
-        return []
-
-    def _refuse_mostly_unusable(self, assembler: Assembler) -> None:
-        if 2 * assembler.samples < assembler.rows or not assembler.samples:
-            raise UnreadableError(
-                f"only {assembler.samples} of {assembler.rows} rows hold usable values",
-                path=self._path,
-                line=self._opened.sheet.dialect.skipped + 1,
-                hint="check --columns and --unit",
-            )
-
-    def _first_time(self) -> int | None:
-        """Time of the first usable row [us], None without dates.
-
-        Raises:
-            UnreadableError: the beginning of the file holds no usable row.
-        """
-        assembler = self._assembler()
-        samples = int(HEAD_BYTES / self._opened.line_bytes)
-        for rows, block in self._settled(samples):
-            for chunk in assembler.chunks(rows, 0, max(samples, 1)):
-                if len(chunk):
-                    return int(chunk.clock.times(0, 1)[0]) if self._opened.dated else None
-            if block.offset > 16 * HEAD_BYTES:
-                break
-        raise UnreadableError(
-            f"none of its first {assembler.rows} rows holds usable values",
-            path=self._path,
-            line=self._opened.sheet.dialect.skipped + 1,
-            hint="check --columns and --unit",
-        )
+MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
+OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
+ASLEEP = (
+    "idle_sleep",
+    "{rows} from line {line} on not measured: the device slept, and repeated a value",
+)
+AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
+BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
+BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
+NO_DATE = "the file has no date; times count from 1970-01-01"
 
 
 def open_recording(path: Path, options: ReadOptions) -> CsvReader:
@@ -128,45 +47,281 @@ def open_recording(path: Path, options: ReadOptions) -> CsvReader:
             hint says which option settles it.
         UsageError: an option names no column, or counts come without their scale.
     """
-    return CsvReader(path, examine(path, options), options.timezone)
+    return CsvReader(path, detect(path, options), options.timezone)
+
+
+class CsvReader(Reader):
+    """Streams a text file. See `docs/csv-files.md` for what is recognised."""
+
+    def __init__(self, path: Path, detected: Detected, timezone: str | None) -> None:
+        self._path = path
+        self._detected = detected
+        self.recording = _recording(
+            path, detected, timezone, self._first_time(), last_timestamp(detected.parser)
+        )
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all usable rows, at most `chunk_samples` at a time.
+
+        Raises:
+            UnreadableError: a line is no row of the file, or most rows cannot be used.
+        """
+        assembler = self._assembler()
+        for rows, block in joined(self._settled(chunk_samples), chunk_samples):
+            for chunk in assembler.chunks(rows, block, chunk_samples):
+                if len(chunk) or chunk.problems:
+                    yield chunk
+        if 2 * assembler.samples < assembler.rows or not assembler.samples:
+            raise self._unusable(f"only {assembler.samples} of {assembler.rows} rows hold usable values")
+
+    def _assembler(self) -> Assembler:
+        detected = self._detected
+        row_bytes = max(1, round(detected.line_bytes))
+        problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
+        return Assembler(
+            detected.pace, detected.parser.time is not None, detected.start_us or 0, row_bytes, problems
+        )
+
+    def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
+        """Rows with their final times, and the block they came with; once a block."""
+        detected, dialect = self._detected, self._detected.parser.dialect
+        row_parser = RowParser(detected.parser, detected.scale, detected.temperature_c)
+        stages: list[SharedStamps | IdleFill] = []
+        if detected.pace.stamp_period_us:
+            stages.append(SharedStamps(detected.pace))
+        if detected.export.repeats_idle:
+            stages.append(IdleFill(round(detected.pace.rate_hz)))
+        size = block_bytes(chunk_samples, detected.line_bytes)
+        file = LineFile(self._path, dialect.bare_returns)
+        try:
+            blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
+            for parsed, block in row_parser.rows(blocks, self.threads):
+                rows = parsed
+                for stage in stages:
+                    rows = stage.add(rows, block.last)
+                yield rows, block
+        finally:
+            file.close()
+
+    def _first_time(self) -> int | None:
+        """Time of the first usable row [us], None without dates.
+
+        Raises:
+            UnreadableError: the beginning of the file holds no usable row.
+        """
+        assembler = self._assembler()
+        samples = int(HEAD_BYTES / self._detected.line_bytes)
+        for rows, block in self._settled(samples):
+            for chunk in assembler.chunks(rows, block, max(samples, 1)):
+                if len(chunk):
+                    return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
+            if block.offset > 16 * HEAD_BYTES:
+                break
+        raise self._unusable(f"none of its first {assembler.rows} rows holds usable values")
+
+    def _unusable(self, what: str) -> UnreadableError:
+        line = self._detected.parser.dialect.skipped + 1
+        return UnreadableError(what, path=self._path, line=line, hint="check --columns and --unit")
 
 
 def _recording(
-    path: Path, opened: Opened, timezone: str | None, first_us: int | None, last_us: int | None
+    path: Path, detected: Detected, timezone: str | None, first_us: int | None, last_us: int | None
 ) -> Recording:
-    told, zone = opened.known, opened.timezone
+    export, zone = detected.export, detected.timezone
     length = None if first_us is None or last_us is None else (last_us - first_us) / 1e6
     return Recording(
         path=path,
         format="csv",
-        rate_hz=opened.pace.rate_hz,
-        lsb_per_g=opened.scale.lsb_per_g,
+        rate_hz=detected.pace.rate_hz,
+        lsb_per_g=detected.scale.lsb_per_g,
         total_bytes=path.stat().st_size,
-        device=told.device,
-        range_g=told.range_g,
+        device=export.device,
+        range_g=export.range_g,
         start_us=first_us,
         timezone=zone if zone == "UTC" else timezone or zone,
         duration_s=length if length is not None and length > 0 else None,
-        has_temperature=opened.temperature_c is not None,
-        notes=opened.notes(),
+        has_temperature=detected.temperature_c is not None,
+        notes=detected.notes(),
     )
 
 
-def _with_problems(chunk: Chunk, problems: tuple[Problem, ...]) -> Chunk:
-    if not problems:
-        return chunk
-    return replace(chunk, problems=(*problems, *chunk.problems))
+@dataclass(frozen=True, slots=True)
+class _Kept:
+    """The good rows of a stretch: their numbers, lines and times (times None for a uniform clock)."""
+
+    keep: NDArray[np.bool_] | None
+    row: NDArray[np.int64]
+    line: NDArray[np.int64]
+    time_us: NDArray[np.int64] | None
+
+    def of(self, values: Any) -> Any:
+        """The entries of these rows in a column of the stretch, if there is one."""
+        return values if values is None or self.keep is None else values[self.keep]
 
 
-def _end_chunk(
-    assembler: Assembler, problems: tuple[Problem, ...], end_byte: int, temperature: bool
-) -> Chunk:
-    """An empty chunk that carries what was found at the end of the file."""
-    return Chunk(
-        assembler.samples,
-        np.empty((0, 3), np.int32),
-        StampClock(np.empty(0, np.int64)),
-        end_byte,
-        temperature_mc=np.empty(0, np.int32) if temperature else None,
-        problems=problems,
+class Assembler:
+    """Makes chunks of all rows of a file, in order.
+
+    Args:
+        pace: how the rows follow each other.
+        stamped: rows carry times; else they are counted at the pace.
+        start_us: time of the first row where they are counted.
+        row_bytes: about how long a line is.
+        problems: to be given with the first chunk.
+    """
+
+    def __init__(
+        self, pace: Pace, stamped: bool, start_us: int, row_bytes: int, problems: tuple[Problem, ...]
+    ) -> None:
+        self._row_bytes = row_bytes
+        self._stamped = stamped
+        self._start_us = start_us
+        self._pace = pace
+        self._rate = rate_fraction(pace.rate_hz)
+        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
+        self._last_row = -1
+        self._last_us = 0
+        self.samples = 0
+        self.rows = 0
+
+    def chunks(self, rows: Rows, block: Block, chunk_samples: int) -> Iterator[Chunk]:
+        """The good ones of the next rows, which end with a block, at most `chunk_samples` to a chunk."""
+        kept = self._kept(rows)
+        counts, temperature, validity = map(kept.of, (rows.counts, rows.temperature_mc, _validity(rows)))
+        events = list(self._row_events(rows))
+        breaks = self._breaks(kept, events)
+        problems = self._problems(events, block, len(counts))
+        pieces = max(1, -(-len(counts) // chunk_samples))
+        borders = [len(counts) * piece // pieces for piece in range(pieces + 1)]
+        for start, stop in pairwise(borders):
+            part = slice(start, stop)
+            yield Chunk(
+                self.samples,
+                counts[part],
+                self._clock(kept, start, stop),
+                block.end_byte,
+                breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
+                temperature_mc=None if temperature is None else temperature[part],
+                validity=None if validity is None else validity[part],
+                problems=problems if start == 0 else (),
+                used_bytes=(stop - start) * self._row_bytes,
+            )
+            self.samples += stop - start
+        self.rows += len(rows)
+
+    def _problems(self, events: list[Event], block: Block, count: int) -> tuple[Problem, ...]:
+        """Those that are complete; with the last block, all that are left."""
+        for event in sorted(events, key=lambda event: (event.line, event.kind)):
+            self._log.add(event)
+        if not block.last:
+            return self._log.take(self._last_row + 1)
+        return self._log.take(None) + _cut_short(block, self.samples + count)
+
+    def _row_events(self, rows: Rows) -> Iterator[Event]:
+        """Rows that are left out, and such as the device did not measure."""
+        good = rows.fault == Fault.NONE
+        flags: list[tuple[Kind, NDArray[np.bool_], int]] = []
+        if not good.all():
+            flags.append((MISSING, rows.fault == Fault.MISSING, self._row_bytes))
+            flags.append((OUT_OF_RANGE, rows.fault == Fault.OUT_OF_RANGE, self._row_bytes))
+        if rows.filled is not None and rows.filled.any():
+            flags.append((ASLEEP, rows.filled, 0))
+        before = np.cumsum(good) - good if flags else good
+        for kind, flag, row_bytes in flags:
+            places = np.flatnonzero(flag)
+            for index, count, scattered in self._log.runs(kind, places):
+                place = int(places[index])
+                row, line, sample = rows.first_row + place, int(rows.line[place]), int(before[place])
+                amounts = (self.samples + sample, count, 0, count * row_bytes)
+                yield Event(row, count, *kind, None, *amounts, line, scattered)
+
+    def _kept(self, rows: Rows) -> _Kept:
+        if not rows.fault.any():
+            return _Kept(None, rows.row, rows.line, rows.time_us)
+        keep = rows.fault == Fault.NONE
+        stamps = rows.time_us
+        if stamps is None:
+            stamps = UniformClock(self._start_us, rows.first_row, self._rate).times(0, len(rows))
+        return _Kept(keep, rows.row[keep], rows.line[keep], stamps[keep])
+
+    def _clock(self, kept: _Kept, start: int, stop: int) -> Clock:
+        if kept.time_us is not None:
+            return StampClock(kept.time_us[start:stop])
+        first = int(kept.row[start]) if len(kept.row) else 0
+        return UniformClock(self._start_us, first, self._rate)
+
+    def _breaks(self, kept: _Kept, events: list[Event]) -> NDArray[np.int64]:
+        """Rows before which the recording is not continuous; jumps of the clock are added to the events."""
+        if not len(kept.row):
+            return NO_BREAKS
+        first = self._last_row < 0
+        rows = self._strides(kept)
+        broken = rows > 1
+        self._last_row = int(kept.row[-1])
+        if kept.time_us is None or not self._stamped:
+            return np.flatnonzero(broken)
+        steps = np.diff(kept.time_us, prepend=kept.time_us[0] if first else self._last_us)
+        self._last_us = int(kept.time_us[-1])
+        ahead = steps > (rows + GAP_PERIODS - 1) * self._pace.period_us
+        back = steps < 0
+        for kind, jumps in ((AHEAD, ahead), (BACK, back)):
+            if jumps.any():
+                events += self._jumps(kind, np.flatnonzero(jumps), kept, (steps, kept.row - rows))
+        return np.flatnonzero(broken | ahead | back)
+
+    def _strides(self, kept: _Kept) -> NDArray[np.int64]:
+        """How many rows of the file each is after the good one before: (n,), or (1,) where all are alike."""
+        before = int(kept.row[0]) - 1 if self._last_row < 0 else self._last_row
+        if kept.keep is None and kept.row[0] == before + 1:
+            return np.ones(1, np.int64)
+        return np.diff(kept.row, prepend=before)
+
+    def _jumps(
+        self,
+        kind: Kind,
+        places: NDArray[np.int64],
+        kept: _Kept,
+        since: tuple[NDArray[np.int64], NDArray[np.int64]],
+    ) -> Iterator[Event]:
+        """Jumps before the good rows `places`, each from behind the good row before to the row itself.
+
+        Args:
+            since: of all good rows, the time since the one before [us] and that one's number.
+        """
+        steps, before = since
+        for index, count, scattered in self._log.runs(kind, places):
+            place = int(places[index])
+            row = int(before[place]) + 1
+            length = int(kept.row[places[index + count - 1]]) + 1 - row
+            line, size = int(kept.line[place]), int(steps[place])
+            yield Event(row, length, *kind, None, self.samples + place, count, size, 0, line, scattered)
+
+
+def _message(run: Run) -> str:
+    """What is wrong with the rows of a run, and where."""
+    size, count, line = run.event.amount_us, run.count, run.event.line
+    text = run.event.text.format(
+        rows="1 row" if count == 1 else f"{count} rows",
+        line=line,
+        jump=f" by {abs(size) / MICROSECONDS:g} s" if size and not run.scattered else "",
+        repeated=f", and so on for {count} rows" if count > 1 else "",
     )
+    return f"and more of the same: {text}" if run.scattered else text
+
+
+def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
+    """What the last block leaves behind."""
+    text = BROKEN_OFF
+    if not block.broken:
+        if not block.tail.strip():
+            return ()
+        line = block.line + block.lines
+        text = f"line {line}, the last one, has no end: it may be cut off and was left out"
+    return (Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail)),)
+
+
+def _validity(rows: Rows) -> NDArray[np.uint8] | None:
+    """Of every row; None where all were measured."""
+    if rows.filled is None or not rows.filled.any():
+        return None
+    return np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))

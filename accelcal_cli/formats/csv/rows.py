@@ -1,10 +1,8 @@
 """Rows of a text file as counts, times and faults, block after block.
 
-Stamps that several rows share, such as whole seconds, made into a time for every row.
-
-Rows that a device wrote while it slept: zeros, or its last sample over and over.
-
-Rows of small blocks as longer stretches: what comes after costs the same for a short one.
+`RowParser` makes rows of the parsed columns. `SharedStamps` gives every row a time where several rows share a
+stamp, such as whole seconds; `IdleFill` marks what a device wrote while it slept. Rows of small blocks are
+then joined, since every stretch of rows costs the same afterwards, however short.
 """
 
 from __future__ import annotations
@@ -18,14 +16,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.parallel import side_by_side
+from accelcal_cli.core.parallel import parallel_map
+from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
-from accelcal_cli.formats.csv.table import Block, Sheet
+from accelcal_cli.formats.csv.table import Block, TableParser
 from accelcal_cli.formats.csv.times import NO_TIME, Pace
 
 HOTTEST_C = 1000.0
 UNKNOWN_MC = np.iinfo(np.int32).min
-"""Stands for a temperature that only rows before can tell."""
+"""Stands for a temperature that only earlier rows can give."""
+
+LONGEST_GROUP = 4
+"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
+
+BLOCK_BYTES = 1 << 21
+"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
+
+MOST_JOINED = 1 << 18
+"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
 
 
 class Fault(IntEnum):
@@ -68,7 +76,7 @@ class Rows:
             self.line[start:stop],
             self.counts[start:stop],
             self.fault[start:stop],
-            *(None if item is None else item[start:stop] for item in self._spare),
+            *(None if item is None else item[start:stop] for item in self._optional),
         )
 
     def then(self, other: Rows) -> Rows:
@@ -76,7 +84,7 @@ class Rows:
         return joined_rows([self, other])
 
     @property
-    def _spare(self) -> tuple[NDArray[Any] | None, ...]:
+    def _optional(self) -> tuple[NDArray[Any] | None, ...]:
         """The columns that not every file has."""
         return self.time_us, self.temperature_mc, self.filled
 
@@ -85,27 +93,27 @@ def joined_rows(parts: list[Rows]) -> Rows:
     """Rows of the same file that follow each other, at least one stretch of them."""
     if len(parts) == 1:
         return parts[0]
-    spare = zip(*(part._spare for part in parts), strict=True)
+    optional = zip(*(part._optional for part in parts), strict=True)
     return Rows(
         parts[0].first_row,
         np.concatenate([part.line for part in parts]),
         np.concatenate([part.counts for part in parts]),
         np.concatenate([part.fault for part in parts]),
-        *(None if any(item is None for item in items) else np.concatenate(items) for items in spare),
+        *(None if any(item is None for item in items) else np.concatenate(items) for items in optional),
     )
 
 
-class RowMaker:
+class RowParser:
     """Turns blocks into rows, in the order of the file.
 
     Args:
         temperature_c: the file's first one, for rows before it; None without a temperature.
     """
 
-    def __init__(self, sheet: Sheet, scale: Scale, temperature_c: float | None) -> None:
-        self._sheet = sheet
+    def __init__(self, parser: TableParser, scale: Scale, temperature_c: float | None) -> None:
+        self._parser = parser
         self._scale = scale
-        self._warm = temperature_c is not None
+        self._has_temperature = temperature_c is not None
         self._last_mc = round(1000 * (temperature_c or 0.0))
         self._next_row = 0
 
@@ -118,29 +126,29 @@ class RowMaker:
         Raises:
             UnreadableError: a line is no row of the file, or counts are not whole.
         """
-        for rows, block in side_by_side(self._parsed, blocks, threads):
+        for rows, block in parallel_map(self._parsed, blocks, threads):
             yield self._placed(rows), block
 
     def _placed(self, rows: Rows) -> Rows:
         """The next rows, with their number in the file, and temperatures from before them."""
         first, self._next_row = self._next_row, self._next_row + len(rows)
-        warmth = rows.temperature_mc
-        if warmth is not None and len(warmth):
-            np.copyto(warmth, self._last_mc, where=warmth == UNKNOWN_MC)
-            self._last_mc = int(warmth[-1])
+        temperature = rows.temperature_mc
+        if temperature is not None and len(temperature):
+            np.copyto(temperature, self._last_mc, where=temperature == UNKNOWN_MC)
+            self._last_mc = int(temperature[-1])
         return replace(rows, first_row=first)
 
     def _parsed(self, block: Block) -> tuple[Rows, Block]:
         """The rows of a block by themselves; does not depend on what was done before."""
-        cells = self._sheet.cells(block)
+        cells = self._parser.cells(block)
         if self._scale.unit == "counts":
             self._refuse_fractions(cells.values, cells.line)
         counts, fault = self._counts(cells.values)
         if cells.time_us is not None:
             fault[cells.time_us == NO_TIME] = Fault.MISSING
-        warmth = cells.temperature if self._warm else None
-        spare = None if warmth is None else _millidegrees(warmth)
-        return Rows(0, cells.line, counts, fault, cells.time_us, spare), block.without_lines()
+        temperature = cells.temperature if self._has_temperature else None
+        optional = None if temperature is None else _millidegrees(temperature)
+        return Rows(0, cells.line, counts, fault, cells.time_us, optional), block.without_lines()
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         scaled = self._scale.counts(values)
@@ -159,7 +167,7 @@ class RowMaker:
         row, axis = np.argwhere(broken)[0]
         raise UnreadableError(
             f"{values[row, axis]:g} is not a whole number of counts",
-            path=self._sheet.path,
+            path=self._parser.path,
             line=int(line[row]),
             hint="give the unit of the values with --unit g, mg or m/s2",
         )
@@ -175,11 +183,7 @@ def _millidegrees(temperature: NDArray[np.float64]) -> NDArray[np.int32]:
     return millidegrees
 
 
-LONGEST_GROUP = 4
-"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
-
-
-class Spreader:
+class SharedStamps:
     """Spreads the rows of each stamp evenly until the next stamp.
 
     A group of rows is given on once the stamp after it is known, so that its times do not
@@ -189,12 +193,12 @@ class Spreader:
     def __init__(self, pace: Pace) -> None:
         self._period = pace.stamp_period_us
         self._usual = pace.rows_per_stamp
-        self._held: Rows | None = None
+        self._waiting: Rows | None = None
         self._before = NO_TIME
 
     def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those whose times are settled (all, where these are the last)."""
-        rows = rows if self._held is None else self._held.then(rows)
+        rows = rows if self._waiting is None else self._waiting.then(rows)
         stamps = self._filled(rows.time_us)
         starts = self._starts(stamps)
         ends = np.append(starts[1:], len(stamps))
@@ -206,7 +210,7 @@ class Spreader:
             around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
             times = self._spread(around, (ends - starts)[:settled])
             self._before = int(around[-2])
-        self._held = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
+        self._waiting = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
         return replace(rows.part(0, cut), time_us=times)
 
     def _filled(self, stamps: NDArray[np.int64] | None) -> NDArray[np.int64]:
@@ -244,64 +248,33 @@ class Spreader:
         parts = np.where(full, sizes, self._usual)
         shift = np.where(~full & after, self._usual - sizes, 0)
         group = np.repeat(np.arange(len(sizes)), sizes)
-        place = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
-        into = (2 * place * span[group] + parts[group]) // (2 * parts[group])
+        block_before = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
+        into = (2 * block_before * span[group] + parts[group]) // (2 * parts[group])
         times: NDArray[np.int64] = around[1:-1][group] + into
         return times
 
 
-class FillFinder:
-    """Marks rows of zeros, and runs of rows that repeat the one before.
-
-    Rows are given on once it is known whether their run is long enough, so that the marks do not
-    depend on where the blocks of the file end.
+class IdleFill:
+    """Marks rows of zeros, and rows that repeat the one before for long (see `RepeatedSamples`).
 
     Args:
-        least: rows of a run of equal ones, its first included, from which on all but the first are
-            marked; a sensor's noise makes shorter ones.
+        least: rows of a run of equal ones from which on all but the first are marked.
     """
 
     def __init__(self, least: int) -> None:
-        self._least = max(least, 2)
-        self._held: Rows | None = None
-        self._asleep: NDArray[np.int32] | None = None
+        self._repeats = RepeatedSamples(least)
+        self._waiting: Rows | None = None
 
     def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those that are settled (all, where these are the last)."""
-        rows = rows if self._held is None else self._held.then(rows)
-        if not len(rows):
-            return rows
-        repeats = self._repeats(rows)
-        begins = ~repeats
-        begins[0] = True
-        starts = np.flatnonzero(begins)
-        sizes = np.diff(starts, append=len(rows))
-        long = sizes >= self._least
-        long[0] |= repeats[0]
-        settled = len(rows) if last or long[-1] else int(starts[-1])
-        filled = (np.repeat(long, sizes) & repeats) | self._zeros(rows)
-        self._asleep = rows.counts[-1].copy() if long[-1] else None
-        self._held = rows.part(settled, len(rows)) if settled < len(rows) else None
-        return replace(rows.part(0, settled), filled=filled[:settled])
-
-    def _repeats(self, rows: Rows) -> NDArray[np.bool_]:
-        """Rows that equal the one before, (n,); one that cannot be used equals none."""
-        same = rows.fault == Fault.NONE
-        same[0] &= self._asleep is not None and np.array_equal(rows.counts[0], self._asleep)
-        for axis in rows.counts.T:
-            same[1:] &= axis[1:] == axis[:-1]
-        return np.asarray(same)
-
-    def _zeros(self, rows: Rows) -> NDArray[np.bool_]:
-        x, y, z = rows.counts.T
-        return np.asarray((rows.fault == Fault.NONE) & ((x | y | z) == 0))
-
-
-BLOCK_BYTES = 1 << 21
-"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
-
-MOST_JOINED = 1 << 18
-"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
+        rows = rows if self._waiting is None else self._waiting.then(rows)
+        usable = rows.fault == Fault.NONE
+        filled = self._repeats.mark(rows.counts, usable, last=last)
+        settled = len(filled)
+        x, y, z = rows.counts[:settled].T
+        filled |= usable[:settled] & ((x | y | z) == 0)
+        self._waiting = rows.part(settled, len(rows)) if settled < len(rows) else None
+        return replace(rows.part(0, settled), filled=filled)
 
 
 def block_bytes(samples: int, line_bytes: float) -> int:
@@ -312,21 +285,21 @@ def block_bytes(samples: int, line_bytes: float) -> int:
 def joined(parts: Iterable[tuple[Rows, Block]], samples: int) -> Iterator[tuple[Rows, Block]]:
     """Rows of blocks joined as long as they are no more than `samples`, each with its last block."""
     samples = min(samples, MOST_JOINED)
-    held: list[Rows] = []
-    number, place = 0, None
+    stretches: list[Rows] = []
+    number, block_before = 0, None
     for rows, block in parts:
-        if place is not None and number + len(rows) > samples:
-            yield _taken(held), place
+        if block_before is not None and number + len(rows) > samples:
+            yield _emptied(stretches), block_before
             number = 0
-        if len(rows) or not held:
-            held.append(rows)
-        number, place = number + len(rows), block
-    if place is not None:
-        yield _taken(held), place
+        if len(rows) or not stretches:
+            stretches.append(rows)
+        number, block_before = number + len(rows), block
+    if block_before is not None:
+        yield _emptied(stretches), block_before
 
 
-def _taken(held: list[Rows]) -> Rows:
+def _emptied(stretches: list[Rows]) -> Rows:
     """Stretches as one; the list does not keep their memory."""
-    rows = joined_rows(held)
-    held.clear()
+    rows = joined_rows(stretches)
+    stretches.clear()
     return rows

@@ -1,8 +1,6 @@
-"""A text file as blocks of whole lines.
+"""A text file as blocks of whole lines, and blocks as columns of numbers and times.
 
-Slow looks at single lines, taken only where a block does not parse.
-
-A text file as it was understood at opening: layout, columns, units, pace.
+Single lines are looked at only where a block cannot be parsed, to name the first bad one.
 """
 
 from __future__ import annotations
@@ -27,9 +25,14 @@ from accelcal_cli.formats.csv.times import STAMP, TimeFormat, floats
 PIECE_BYTES = 1 << 18
 """Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""
 
-LONGEST_LINE = 1 << 20
+PARSER_BYTES = 1 << 20
+"""What is parsed at a time."""
+
 CACHED_BYTES = 1 << 18
+LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
+PADDING = frozenset(b" \t\r\n")
+SHOWN = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,9 +141,6 @@ def count_lines(data: bytes) -> int:
     )
 
 
-SHOWN = 40
-
-
 @dataclass(frozen=True, slots=True)
 class LineCheck:
     """What every line of a file must be: so many columns, numbers in the used ones, a time."""
@@ -162,7 +162,7 @@ class LineCheck:
 
     def _fault(self, text: str) -> str | None:
         """What is wrong with a line, None where nothing is."""
-        cells = split_line(text, self.dialect.cleaner.delimiter)
+        cells = split_line(text, self.dialect.normaliser.delimiter)
         if len(cells) != self.dialect.columns:
             columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
             return f"the line has {columns}, not {self.dialect.columns} ({shortened(text)!r})"
@@ -190,14 +190,8 @@ def blank_lines_apart(data: bytes) -> NDArray[np.int64]:
     return np.array([number for number, line in enumerate(lines) if line], np.int64)
 
 
-PARSER_BYTES = 1 << 20
-"""What is parsed at a time."""
-
-PADDING = frozenset(b" \t\r\n")
-
-
 @dataclass(frozen=True, slots=True)
-class Cells:
+class ParsedTable:
     """The columns of a block that are used, one entry a row.
 
     line: (n,) number in the file. values: (n, 3) float64 in the file's unit, NaN where empty.
@@ -211,7 +205,7 @@ class Cells:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class TableParser:
     """What is needed to turn a block of lines into columns."""
 
     path: Path
@@ -234,7 +228,7 @@ class Sheet:
         return LineCheck(self.dialect, tuple(self.used), self.roles.time)
 
     def _parse_options(self) -> Any:
-        return pa_csv.ParseOptions(delimiter=self.dialect.cleaner.delimiter, newlines_in_values=False)
+        return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
 
     def _convert_options(self) -> Any:
         types = {str(column): pa.float64() for column in self.used}
@@ -247,13 +241,13 @@ class Sheet:
             quoted_strings_can_be_null=True,
         )
 
-    def cells(self, block: Block) -> Cells:
+    def cells(self, block: Block) -> ParsedTable:
         """The rows of a block's whole lines.
 
         Raises:
             UnreadableError: a line has a wrong number of columns, or a text where a number belongs.
         """
-        data = self.dialect.cleaner(block.data)
+        data = self.dialect.normaliser(block.data)
         table, data = self._table(data, block)
         line = block.line + np.arange(table.num_rows, dtype=np.int64)
         if block.lines != table.num_rows:
@@ -262,15 +256,17 @@ class Sheet:
         for axis, column in enumerate(self.roles.xyz):
             values[:, axis] = floats(table[str(column)])
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
-        spare = self.roles.temperature
-        return Cells(line, values, stamps, None if spare is None else floats(table[str(spare)]))
+        temperature = self.roles.temperature
+        return ParsedTable(
+            line, values, stamps, None if temperature is None else floats(table[str(temperature)])
+        )
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes]:
         """The parsed columns, and the text that they come from, which has the same lines."""
         try:
             return self._parsed(data), data
         except pa.ArrowException:
-            thorough = replace(self.dialect.cleaner, thorough=True)(block.data)
+            thorough = replace(self.dialect.normaliser, thorough=True)(block.data)
         try:
             return self._parsed(thorough), thorough
         except pa.ArrowException as error:
@@ -284,5 +280,5 @@ class Sheet:
             return pa.table({name: pa.array([], kind) for name, kind in types.items()})
         names = [str(column) for column in range(self.dialect.columns)]
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
-        room = pa.system_memory_pool()
-        return pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=room)
+        pool = pa.system_memory_pool()
+        return pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=pool)

@@ -1,10 +1,8 @@
-"""Arrow columns as numpy arrays. Arrow's own ways load pandas, which takes a third of a second.
+"""Times of a text file: how they are written, in which order their dates are, and the sampling rate they
+imply.
 
-Times as a text file writes them, as whole microseconds since 1970.
-
-The sampling rate, from the times of the first rows.
-
-Dates that do not begin with the year: in which order they are written, and year first instead.
+Times are whole microseconds since 1970. Arrow's own ways to numpy load pandas, which takes a third of a
+second; `filled` and `floats` do without.
 """
 
 from __future__ import annotations
@@ -25,28 +23,6 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats.csv.cells import MISSING, number_of
 
-
-def filled(column: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
-    """A chunked column of numbers of eight bytes, (n,), with `null` where a cell is empty."""
-    parts = [_filled(chunk, kind, null) for chunk in column.chunks if len(chunk)]
-    if len(parts) == 1:
-        return parts[0]
-    return np.concatenate(parts) if parts else np.empty(0, kind)
-
-
-def _filled(chunk: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
-    held = np.frombuffer(chunk.buffers()[1], kind, len(chunk), 8 * chunk.offset)
-    if not chunk.null_count:
-        return held
-    empty = np.from_dlpack(chunk.is_null().cast(pa.uint8())) > 0
-    return np.where(empty, np.asarray(null, kind), held)
-
-
-def floats(column: Any) -> NDArray[np.float64]:
-    """A chunked column of doubles, nulls as NaN, (n,)."""
-    return filled(column, np.float64, np.nan)
-
-
 NO_TIME = -(1 << 62)
 """Stands for a missing time; far enough from every real one to subtract without overflow."""
 
@@ -54,6 +30,12 @@ EMPTY_NS = -(1 << 63)
 """Stands for an empty cell among Arrow's times."""
 
 STAMP = re.compile(r"\d{4}[-/]\d\d[-/]\d\d([T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(?P<zone>Z|[+-]\d\d(:?\d\d)?)?)?")
+ORDERS = ("dmy", "mdy", "ymd")
+CENTURY = 2000
+"""Added to years of two digits."""
+
+DATE_BYTES = re.compile(rb"(?<!\d)(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})([ T])(\d(?=:))?")
+ISO = re.compile(r"\d{4}[-/]\d\d[-/]\d\d(?!\d)")
 DAY_US = 86_400e6
 UNITS_US = (1e6, 1e3, 1.0, 1e-3)
 EPOCH_DAYS = (25_569.0, 719_529.0)
@@ -65,6 +47,35 @@ EPOCH_S = (9e8, 5e9)
 LONGEST_PERIOD_US = 60e6
 PLAUSIBLE_HZ = (5.0, 800.0)
 """Wide enough for every actigraph; narrow enough that only one unit of time fits."""
+
+GAP_PERIODS = 3
+DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
+"""Rates that are no whole number, of devices in common use."""
+
+DISAGREEMENT = 1.2
+SHORTFALL = 0.2
+"""Groups of rows that miss the usual size by more lie beside a gap."""
+
+
+def filled(column: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
+    """A chunked column of numbers of eight bytes, (n,), with `null` where a cell is empty."""
+    parts = [_filled(chunk, kind, null) for chunk in column.chunks if len(chunk)]
+    if len(parts) == 1:
+        return parts[0]
+    return np.concatenate(parts) if parts else np.empty(0, kind)
+
+
+def _filled(chunk: Any, kind: type[np.generic], null: float) -> NDArray[Any]:
+    values = np.frombuffer(chunk.buffers()[1], kind, len(chunk), 8 * chunk.offset)
+    if not chunk.null_count:
+        return values
+    empty = np.from_dlpack(chunk.is_null().cast(pa.uint8())) > 0
+    return np.where(empty, np.asarray(null, kind), values)
+
+
+def floats(column: Any) -> NDArray[np.float64]:
+    """A chunked column of doubles, nulls as NaN, (n,)."""
+    return filled(column, np.float64, np.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,15 +188,6 @@ def _fits(period_us: float, rate_hz: float | None) -> bool:
     return period_us > 0 and low <= 1e6 / period_us <= high
 
 
-GAP_PERIODS = 3
-DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
-"""Rates that are no whole number, of devices in common use."""
-
-DISAGREEMENT = 1.2
-SHORTFALL = 0.2
-"""Groups of rows that miss the usual size by more lie beside a gap."""
-
-
 @dataclass(frozen=True, slots=True)
 class Pace:
     """How the rows of a file follow each other in time.
@@ -210,7 +212,7 @@ class Pace:
         return max(1, round(self.rate_hz * self.stamp_period_us / MICROSECONDS))
 
 
-def find_pace(stamps: NDArray[np.int64], said_hz: float | None, path: Path) -> Pace:
+def find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pace:
     """The pace of the first rows, whose times are `stamps` (n,) [us].
 
     Raises:
@@ -220,23 +222,23 @@ def find_pace(stamps: NDArray[np.int64], said_hz: float | None, path: Path) -> P
     starts = np.flatnonzero(np.diff(stamps, prepend=stamps[:1] - 1))
     sizes = np.diff(starts)[1:]
     pace = _shared(stamps[starts], sizes) if len(sizes) and np.median(sizes) >= 2 else _single(stamps)
-    if pace is None and said_hz is None:
+    if pace is None and user_hz is None:
         raise UnreadableError(
             "the times of its rows do not tell the sampling rate", path=path, hint="give it with --rate"
         )
-    if pace is None or said_hz is None:
-        return pace or Pace(float(said_hz or 0), _only_stamp_period(stamps, len(starts)))
-    if not 1 / DISAGREEMENT < said_hz / pace.rate_hz < DISAGREEMENT:
+    if pace is None or user_hz is None:
+        return pace or Pace(float(user_hz or 0), _only_stamp_period(stamps, len(starts)))
+    if not 1 / DISAGREEMENT < user_hz / pace.rate_hz < DISAGREEMENT:
         raise UnreadableError(
-            f"its times say {pace.rate_hz:g} Hz, not {said_hz:g} Hz",
+            f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz",
             path=path,
-            hint="leave --rate out, or let it count alone with --time-column none",
+            hint="omit --rate, or ignore the times with --time-column none",
         )
-    return Pace(said_hz, pace.stamp_period_us)
+    return Pace(user_hz, pace.stamp_period_us)
 
 
 def agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:
-    """The pace of the first rows of a file whose header tells its rate.
+    """The pace of the first rows of a file whose header states its rate.
 
     Raises:
         UnreadableError: the rows are not made at that rate.
@@ -298,14 +300,6 @@ def nice_rate(measured: float) -> float:
     return float(f"{measured:.6g}")
 
 
-ORDERS = ("dmy", "mdy", "ymd")
-CENTURY = 2000
-"""Added to years of two digits."""
-
-DATE_BYTES = re.compile(rb"(?<!\d)(\d{1,4})([-/.])(\d{1,2})\2(\d{1,4})([ T])(\d(?=:))?")
-ISO = re.compile(r"\d{4}[-/]\d\d[-/]\d\d(?!\d)")
-
-
 def year_first(block: bytes, order: str, thorough: bool) -> bytes:
     """Lines with their dates as 2024-03-04; a block holds few different dates.
 
@@ -350,20 +344,22 @@ def order_in(words: str) -> str | None:
     return found if found in ORDERS and "mmm" not in words.lower() else None
 
 
-def find_order(cells: Iterable[str], said: str | None, told: Iterable[str], path: Path, line: int) -> str:
+def find_order(
+    cells: Iterable[str], user_order: str | None, header_orders: Iterable[str], path: Path, line: int
+) -> str:
     """The order of day, month and year in the cells of a time column that do not begin with the year.
 
     Args:
         cells: as they are written; what is no date is left for others to judge.
-        said: what the user said.
-        told: what a vendor's header lets expect, best first.
+        user_order: what the user chose.
+        header_orders: what a vendor's header suggests, best first.
 
     Raises:
-        UnreadableError: several orders fit, or none, or not the one that the user said.
+        UnreadableError: several orders fit, or none, or not the one that the user chose.
     """
     texts = list(dict.fromkeys(re.split("[ T]", c.strip())[0] for c in cells if not is_year_first(c)))
     fitting = _fitting(texts) or _fitting(texts[:1])
-    wanted = [said] if said else [*told, *(fitting if len(fitting) == 1 else ())]
+    wanted = [user_order] if user_order else [*header_orders, *(fitting if len(fitting) == 1 else ())]
     for order in wanted:
         if order in fitting:
             return order

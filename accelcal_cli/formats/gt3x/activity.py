@@ -1,10 +1,4 @@
-"""Idle sleep in recordings that do not mark it: the device writes its last sample over and over.
-
-"While in sleep mode, the last sampled accelerometer value is written into memory at the device's preset
-sample rate" (ActiGraph, "Idle Sleep Mode Explained"). No measured sample repeats itself for a second: the
-longest such run among 980 000 measured samples of seven devices at 30 and 100 Hz is 8 samples.
-
-The older kind of .gt3x: activity.bin, nothing but packed samples, without times or checksums.
+"""The older kind of .gt3x: activity.bin, nothing but packed samples, without times or checksums.
 
 Source: github.com/actigraph/NHANES-GT3X-File-Format, README.md and fileformats/activity.bin.md
 (GT3X+ and ActiSleep+ with firmware up to 2.5.0).
@@ -24,47 +18,6 @@ from accelcal_cli.core.recording import Chunk, Problem, Validity
 from accelcal_cli.formats.gt3x.archive import Archive, Fault, Member, MemberStream
 from accelcal_cli.formats.gt3x.sensors import PAIR_BYTES, YXZ, packed_bytes, packed_samples, unpacked
 from accelcal_cli.formats.gt3x.timeline import fault_problem
-
-
-class Repeats:
-    """Marks the repetitions in runs of equal samples.
-
-    Args:
-        least: how many equal samples in a row are sleep; the first of them was measured.
-    """
-
-    def __init__(self, least: int) -> None:
-        self._least = least
-        self._held = np.empty((0, 3), np.int16)
-        self._given = 0
-        self._value = np.zeros(3, np.int16)
-
-    def feed(self, counts: NDArray[np.int16], *, last: bool) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-        """Rows (n, 3) that are settled now, and which of them the device filled, (n,).
-
-        A last run that may still become long enough is held back.
-        """
-        rows = np.concatenate((self._held, counts))
-        if not len(rows):
-            return rows, np.empty(0, np.bool_)
-        begins = np.append(True, (rows[1:] != rows[:-1]).any(axis=1))
-        goes_on = self._given > 0 and bool((rows[0] == self._value).all())
-        start = np.flatnonzero(begins)
-        length = np.diff(np.append(start, len(rows)))
-        length[0] += self._given if goes_on else 0
-        filled = np.repeat(length >= self._least, np.diff(np.append(start, len(rows))))
-        filled[start[int(goes_on) :]] = False
-        return self._settled(rows, filled, int(start[-1]), int(length[-1]), last=last)
-
-    def _settled(
-        self, rows: NDArray[np.int16], filled: NDArray[np.bool_], begin: int, length: int, *, last: bool
-    ) -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-        """All rows, without the run that begins at `begin` if it is open and still short."""
-        ready = len(rows) if last or length >= self._least else begin
-        self._held, self._value = rows[ready:].copy(), rows[-1].copy()
-        self._given = length if ready == len(rows) else 0
-        return rows[:ready], filled[:ready]
-
 
 PIECE_BYTES = PAIR_BYTES << 16
 ASLEEP = "samples that repeat the one before for a second or longer, taken for idle sleep of the device"
@@ -99,13 +52,18 @@ class ActivityFile:
             UnreadableError: the disk fails, or what was packed is not what comes out: without
                 checksums of their own, any of the values may be wrong.
         """
-        repeats, rows, problems, last = Repeats(self.rate), 0, self.problems, False
+        from accelcal_cli.formats._idle import RepeatedSamples  # log.bin marks idle sleep itself
+
+        repeats, rows, problems, last = RepeatedSamples(self.rate), 0, self.problems, False
+        waiting = np.empty((0, 3), np.int16)
         asleep: list[int] = []
         with MemberStream(self.archive, self.member) as source:
             while not last:
                 data = source.read(PIECE_BYTES)
                 last = len(data) < PIECE_BYTES
-                counts, filled = repeats.feed(samples_of(data), last=last)
+                waiting = np.concatenate((waiting, samples_of(data)))
+                filled = repeats.mark(waiting, last=last)
+                counts, waiting = waiting[: len(filled)], waiting[len(filled) :]
                 asleep += [rows + int(np.argmax(filled)), int(filled.sum())] if filled.any() else []
                 if last:
                     problems += slept(asleep) + self._ending(source, rows + len(counts))

@@ -1,8 +1,6 @@
-"""HDF5's signature, told without h5py: other formats need not wait for it.
+"""HDF5 files of laboratories (docs/hdf5-files.md) and of APDM Opal sensors (`opal.py` has their layout).
 
-APDM Opal recordings: HDF5 files of the vendor's own layout (`readers/_hdf5/opal.py` describes it).
-
-HDF5 files of laboratories: datasets found by name, described by attributes (docs/hdf5-files.md).
+They are recognised without h5py, for which other formats need not wait.
 """
 
 from __future__ import annotations

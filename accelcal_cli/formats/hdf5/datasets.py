@@ -1,6 +1,6 @@
-"""Which datasets of an HDF5 file can be read as rows of one or three numbers.
+"""The datasets of an HDF5 file that can be read as rows of one or three numbers, and which of them hold what.
 
-Which datasets of an HDF5 file hold acceleration, time, temperature and rates of turn.
+Acceleration, time, temperature and rates of turn are found by name.
 """
 
 from __future__ import annotations
@@ -15,6 +15,18 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, members, normal
+
+_ACCEL = (
+    "accel accels acceleration accelerations acc accelerometer accelerometers accelerometerdata "
+    "acceldata accdata accelraw rawaccel rawacc accelxyz accxyz accelerationxyz xyz raw"
+)
+_GYRO = "gyro gyros gyr gyroscope gyroscopes gyrodata gyroraw gyroxyz gyroscopexyz angularvelocity"
+_TEMPERATURE = "temperature temperaturec temp tempc temperaturedegc"
+_TIME = "time times timestamp timestamps t unixtime epoch epochtime datetime"
+_VALUES = "data values value samples xyz"
+_ACCEL_PREFIXES = ("", "a", "acc", "accel", "acceleration", "accelerometer")
+_GYRO_PREFIXES = ("g", "gyr", "gyro", "gyroscope")
+_OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,18 +68,6 @@ def as_track(path: str, dataset: Any) -> Track | None:
 
 
 Group = tuple[Track, ...]
-
-_ACCEL = (
-    "accel accels acceleration accelerations acc accelerometer accelerometers accelerometerdata "
-    "acceldata accdata accelraw rawaccel rawacc accelxyz accxyz accelerationxyz xyz raw"
-)
-_GYRO = "gyro gyros gyr gyroscope gyroscopes gyrodata gyroraw gyroxyz gyroscopexyz angularvelocity"
-_TEMPERATURE = "temperature temperaturec temp tempc temperaturedegc"
-_TIME = "time times timestamp timestamps t unixtime epoch epochtime datetime"
-_VALUES = "data values value samples xyz"
-_ACCEL_PREFIXES = ("", "a", "acc", "accel", "acceleration", "accelerometer")
-_GYRO_PREFIXES = ("g", "gyr", "gyro", "gyroscope")
-_OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
 
 
 def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:

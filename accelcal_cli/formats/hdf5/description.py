@@ -1,8 +1,7 @@
-"""What readers of HDF5 files find out about chosen datasets before the rows stream.
+"""What the attributes and datasets of an HDF5 file tell before its rows are read.
 
-When a recording in an HDF5 file began and how fast it runs: from attributes and time datasets.
-
-Gyroscope and temperature datasets that lie beside the acceleration.
+`find_timeline` finds out when the recording began and how fast it runs, `find_extras` the gyroscope and the
+temperature beside the acceleration; `Plan` holds what to read.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Problem
+from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.formats.hdf5.datasets import (
     Group,
     Track,
@@ -30,7 +29,6 @@ from accelcal_cli.formats.hdf5.datasets import (
 )
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, h5py_guard
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.stream import Axes, Stamps, Temperature
 from accelcal_cli.formats.hdf5.units import (
     EARLIEST_ABSOLUTE_US,
     PER_SECOND,
@@ -49,11 +47,90 @@ from accelcal_cli.formats.hdf5.units import (
 )
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
+RATE_NAMES = (
+    "sample_rate",
+    "sample_rate_hz",
+    "sampling_rate",
+    "sampling_rate_hz",
+    "samplerate",
+    "rate_hz",
+    "sampling_frequency",
+    "sampling_frequency_hz",
+    "sample_frequency",
+    "frequency_hz",
+    "sfreq",
+    "fs",
+    "fs_hz",
+    "hz",
+    "rate",
+    "frequency",
+)
+START_NAMES = (
+    "start_time",
+    "start",
+    "start_timestamp",
+    "start_datetime",
+    "recording_start",
+    "recording_start_time",
+    "start_time_utc",
+)
+_LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
+_DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
+NO_COLUMN = "none"
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Where x, y and z are: one track of three columns or three of one, and their scale."""
+
+    tracks: tuple[Track, ...]
+    scale: Scale
+
+    @property
+    def dps_per_lsb(self) -> tuple[float, float, float]:
+        """Of a gyroscope: deg/s in one count of each axis."""
+        step = 1 / self.scale.lsb
+        return step, step, step
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """A dataset of times. `coarse_us`: how far apart stamps are where several rows share one."""
+
+    track: Track
+    scale: StampScale
+    coarse_us: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Temperature:
+    """A dataset of temperatures, `factor` of its units in one degree; `first_mc` is its first value."""
+
+    track: Track
+    factor: float
+    first_mc: int
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What to read and how, found out when the recording was opened.
+
+    `problems` go with the first rows, those about the `missing_bytes` of a file cut short with the last.
+    """
+
+    recording: Recording
+    rows: int
+    accel: Axes
+    stamps: Stamps | None = None
+    gyro: Axes | None = None
+    temperature: Temperature | None = None
+    problems: tuple[Problem, ...] = ()
+    missing_bytes: int = 0
 
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file being opened: all its datasets, where the acceleration is, what is said about it."""
+    """A file being opened: all its datasets, where the acceleration is, and its attributes."""
 
     file: Any
     path: Path
@@ -122,7 +199,7 @@ def measured_stamps(
         raise UnreadableError(
             f"dataset {track.path} holds no time that can be believed",
             path=path,
-            hint="leave it aside with --time-column none and give --rate HZ",
+            hint="ignore it with --time-column none and give --rate HZ",
         )
     final = _believable(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows)
     last = int(final[-1]) if len(final) else int(times[-1])
@@ -136,7 +213,7 @@ def _believable(rows: TrackRows, scale: StampScale, start: int, stop: int) -> ND
 
 
 def whole_rows_known(*parts: Axes | Stamps | None) -> bool:
-    """Whether every row is usable, as far as the kinds of numbers tell: only whole counts."""
+    """Whether every row is usable, as far as the types of numbers show: only whole counts."""
     return all(isinstance(part, Axes) and part.scale.exact is not None for part in parts if part is not None)
 
 
@@ -149,7 +226,7 @@ def checked_rate(rate_hz: float | None, path: Path) -> float:
     """
     if rate_hz is None:
         raise UnreadableError(
-            "the file does not tell the sampling rate", path=path, hint="give it with --rate HZ"
+            "the file does not state the sampling rate", path=path, hint="give it with --rate HZ"
         )
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise UnreadableError(
@@ -177,39 +254,9 @@ def header_problems(attributes: Attributes, damaged: int = 0) -> tuple[Problem, 
     return (Problem("damaged_header", what, None, 0, count),)
 
 
-RATE_NAMES = (
-    "sample_rate",
-    "sample_rate_hz",
-    "sampling_rate",
-    "sampling_rate_hz",
-    "samplerate",
-    "rate_hz",
-    "sampling_frequency",
-    "sampling_frequency_hz",
-    "sample_frequency",
-    "frequency_hz",
-    "sfreq",
-    "fs",
-    "fs_hz",
-    "hz",
-    "rate",
-    "frequency",
-)
-START_NAMES = (
-    "start_time",
-    "start",
-    "start_timestamp",
-    "start_datetime",
-    "recording_start",
-    "recording_start_time",
-    "start_time_utc",
-)
-NO_COLUMN = "none"
-
-
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Start, rate and stamps; None where the file does not tell."""
+    """Start, rate and stamps; None where the file does not say."""
 
     rate_hz: float | None
     start_us: int | None = None
@@ -229,18 +276,18 @@ def find_timeline(source: Source) -> Timeline:
     """
     attributes, options = source.attributes, source.options
     rate = attributes.number(*RATE_NAMES) if options.rate_hz is None else options.rate_hz
-    told = attributes.value(*START_NAMES)
-    start = None if told is None else parse_moment(told)
+    stated = attributes.value(*START_NAMES)
+    start = None if stated is None else parse_moment(stated)
     track = _time_track(source)
     if track is not None:
         with h5py_guard(source.path, f"dataset of times {track.path}"):
             return _stamped(source.file, track, rate, start, source.path)
     if start is not None:
         return Timeline(rate, start[0], start[1])
-    said = "the file does not tell when the recording began"
-    if told is not None:
-        said = f"the start time {told!r} is not a date and time"
-    problem = Problem("no_start_time", f"{said}; times count from 1970-01-01", None, 0)
+    what = "the file does not tell when the recording began"
+    if stated is not None:
+        what = f"the start time {stated!r} is not a date and time"
+    problem = Problem("no_start_time", f"{what}; times count from 1970-01-01", None, 0)
     return Timeline(rate, problems=(problem,))
 
 
@@ -295,19 +342,19 @@ def _stamp_scale(
     file: Any, track: Track, rate: float | None, start: tuple[int, bool] | None, path: Path
 ) -> tuple[StampScale, bool, bool]:
     """Unit and base of a time dataset, whether it is UTC for certain, whether its start is known."""
-    told = Attributes([file[track.path]]).text("units", "unit")
-    unit = _told_unit(track, told, path)
+    stated = Attributes([file[track.path]]).text("units", "unit")
+    unit = _stated_unit(track, stated, path)
     head = head_rows(file, track, path)[:, 0]
     head = head[head > 0]
     unit = unit or (unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
     if unit is None:
         raise UnreadableError(
-            f"the unit of the times in {track.path} is not told",
+            f"the unit of the times in {track.path} is not stated",
             path=path,
             hint="give that dataset an attribute `units` (s, ms, us or ns), "
-            f"or leave it aside with `--time-column {NO_COLUMN}`",
+            f"or ignore it with `--time-column {NO_COLUMN}`",
         )
-    since = parse_moment(told.split(" since ", 1)[1].strip()) if told and " since " in told else None
+    since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
     if since is not None and since[0]:
         return StampScale(unit, since[0]), since[1], True
     first = float(head[0]) / PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
@@ -316,16 +363,16 @@ def _stamp_scale(
     return StampScale(unit, start[0] if start else 0), bool(start and start[1]), start is not None
 
 
-def _told_unit(track: Track, told: str | None, path: Path) -> str | None:
+def _stated_unit(track: Track, stated: str | None, path: Path) -> str | None:
     """The unit by attribute, or by a name such as `time_ms`."""
-    if told is None:
+    if stated is None:
         return split_time_name(track.name)[1]
-    unit = time_unit(told)
+    unit = time_unit(stated)
     if unit is None:
         raise UnreadableError(
-            f"the unit {told!r} of the times in {track.path} is not known",
+            f"the unit {stated!r} of the times in {track.path} is not known",
             path=path,
-            hint=f"leave that dataset aside with `--time-column {NO_COLUMN}`",
+            hint=f"ignore that dataset with `--time-column {NO_COLUMN}`",
         )
     return unit
 
@@ -338,10 +385,6 @@ def _unit_by_rate(head: Any, rate: float | None) -> str | None:
         if rate and typical and abs(typical[0] * rate / MICROSECONDS - 1) < 0.05:
             return unit
     return None
-
-
-_LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
-_DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
 
 
 @dataclass(frozen=True, slots=True)
@@ -364,8 +407,8 @@ def find_extras(source: Source) -> Extras:
 def _gyro(file: Any, found: tuple[Group, ...], path: Path) -> tuple[Axes | None, tuple[str, ...]]:
     if len(found) != 1:
         return None, _several("gyroscope", found)
-    told = attributes_of(file, found[0][0].path)
-    scale = _gyro_scale(found[0], told)
+    stated = attributes_of(file, found[0][0].path)
+    scale = _gyro_scale(found[0], stated)
     if scale is None:
         return None, (f"{found[0][0].path} is not used: its unit is not deg/s, rad/s or counts per deg/s",)
     if not all(is_readable(file, track, path) for track in found[0]):
@@ -373,14 +416,14 @@ def _gyro(file: Any, found: tuple[Group, ...], path: Path) -> tuple[Axes | None,
     return Axes(found[0], scale), ()
 
 
-def _gyro_scale(group: Group, told: Attributes) -> Scale | None:
+def _gyro_scale(group: Group, stated: Attributes) -> Scale | None:
     """From `lsb_per_dps` or `dps_per_lsb` for counts, from the unit for decimal fractions."""
-    per_count, counts = told.number(*_DPS_PER_LSB), told.number(*_LSB_PER_DPS)
+    per_count, counts = stated.number(*_DPS_PER_LSB), stated.number(*_LSB_PER_DPS)
     lsb = 1 / per_count if counts is None and per_count else counts
     if lsb is not None and lsb > 0:
         widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
         return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
-    factor = per_dps(told.text("units", "unit") or "")
+    factor = per_dps(stated.text("units", "unit") or "")
     return None if factor is None else gyro_scale(factor)
 
 

@@ -1,11 +1,8 @@
-"""The bytes below an HDF5 file, handed to the HDF5 library only where they are sound.
+"""HDF5 files opened, listed and asked for attributes, without an error of h5py ever leaving.
 
-The library (1.14 and 2.0) loops for ever over a global heap whose object sizes are damaged, and
-it refuses a file that was cut short even where the part that is left could be read.
-
-A bound on the memory that reading something small may take.
-
-Opening HDF5 files and reading their attributes, without an h5py error ever leaving.
+The HDF5 library (1.14 and 2.0) loops for ever over a global heap whose object sizes are damaged, and refuses
+a file that was cut short even where what is left could be read: `SoundBytes` stands between it and the file.
+`bounded_memory` keeps it from asking for gigabytes where the length of a text is damaged.
 """
 
 from __future__ import annotations
@@ -28,6 +25,9 @@ from accelcal_cli.core.formats import GZIP_MAGIC
 HEAP_MAGIC = b"GCOL\x01\0\0\0"
 HEAP_HEADER = OBJECT_HEADER = 16
 LARGEST_HEAP_READ = 1 << 20
+LARGEST_ATTRIBUTE = 1 << 16
+SPARE_BYTES = 256 << 20
+STATUS = Path("/proc/self/statm")
 
 
 class SoundBytes(io.RawIOBase):
@@ -35,7 +35,7 @@ class SoundBytes(io.RawIOBase):
 
     Args:
         path: the file.
-        claimed: its size as its header tells, for one that was cut short.
+        claimed: its size according to its header, for one that was cut short.
 
     Raises:
         OSError: from `readinto`, for bytes that are not there and for a damaged heap.
@@ -110,10 +110,6 @@ def _heap_is_sound(heap: bytes) -> bool:
     return place <= size
 
 
-SPARE_BYTES = 256 << 20
-STATUS = Path("/proc/self/statm")
-
-
 @contextmanager
 def bounded_memory() -> Iterator[None]:
     """Let larger allocations in the block fail, on systems that can say how much is in use.
@@ -135,8 +131,6 @@ def bounded_memory() -> Iterator[None]:
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
-
-LARGEST_ATTRIBUTE = 1 << 16
 
 # h5py maps the failures of the HDF5 library to almost any of Python's own kinds.
 H5PY_ERRORS = (

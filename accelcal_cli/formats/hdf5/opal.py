@@ -19,6 +19,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
 from accelcal_cli.formats.hdf5.datasets import Track, as_track
 from accelcal_cli.formats.hdf5.description import (
+    Axes,
+    Plan,
+    Temperature,
     checked_rate,
     first_temperature,
     header_problems,
@@ -36,7 +39,7 @@ from accelcal_cli.formats.hdf5.file import (
     open_hdf5,
     text_list,
 )
-from accelcal_cli.formats.hdf5.stream import Axes, Hdf5Reader, Plan, Temperature
+from accelcal_cli.formats.hdf5.reader import Hdf5Reader
 from accelcal_cli.formats.hdf5.units import (
     PER_G,
     Scale,
@@ -111,9 +114,9 @@ def _contents(file: Any, path: Path) -> tuple[Layout, list[Sensor]]:
         return LAYOUTS[NEW], _new_sensors(file)
     if version is not None and OLDEST <= version <= OLD:
         return LAYOUTS[OLD], _old_sensors(file)
-    said = "is not an APDM Opal file" if version is None else f"is an Opal file of version {version}"
+    what = "is not an APDM Opal file" if version is None else f"is an Opal file of version {version}"
     raise UnreadableError(
-        f"{said}; versions {OLDEST} to {NEW} can be read",
+        f"{what}; versions {OLDEST} to {NEW} can be read",
         path=path,
         byte_offset=0,
         hint="export it anew with the vendor's software, or try --format hdf5",
@@ -168,8 +171,8 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
     stamps, start, last, step = measured_stamps(
         file, _track(file, sensor, TIME, path, accel_track), StampScale("us"), path
     )
-    told = attributes_of(file, f"{sensor.group}/{layout.settings}")
-    rate = options.rate_hz or told.number("Sample Rate", "SampleRate") or (step and nominal_rate(step))
+    settings = attributes_of(file, f"{sensor.group}/{layout.settings}")
+    rate = options.rate_hz or settings.number("Sample Rate", "SampleRate") or (step and nominal_rate(step))
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     gyro = _gyro(file, sensor, layout, accel_track, path)
     temperature = _temperature(file, sensor, layout, accel_track, path)
@@ -179,16 +182,16 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         rate_hz=checked_rate(rate or None, path),
         lsb_per_g=accel.scale.lsb,
         total_bytes=path.stat().st_size,
-        device=Device("Opal", sensor.serial, told.text("Firmware Version", "VersionString1")),
+        device=Device("Opal", sensor.serial, settings.text("Firmware Version", "VersionString1")),
         range_g=_range_g(file, accel_track),
         start_us=start,
         timezone=options.timezone or "UTC",
         duration_s=(last - start + (step or 0)) / MICROSECONDS,
         has_temperature=temperature is not None,
         gyro_dps_per_lsb=None if gyro is None else gyro.dps_per_lsb,
-        notes=_notes(sensor, told),
+        notes=_notes(sensor, settings),
     )
-    problems = header_problems(told)
+    problems = header_problems(settings)
     missing = missing_bytes(file, path)
     return Plan(recording, accel_track.rows, accel, stamps, gyro, temperature, problems, missing)
 
@@ -251,14 +254,14 @@ def _temperature(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: 
 
 def _range_g(file: Any, track: Track) -> float | None:
     """The smaller of the two limits that the vendor gives, in g."""
-    told = Attributes([file[track.path]])
-    limits = [told.number(name) for name in ("Upper Limit", "Lower Limit")]
+    settings = Attributes([file[track.path]])
+    limits = [settings.number(name) for name in ("Upper Limit", "Lower Limit")]
     unit = PER_G.get(accel_unit(_units(file, track, "m/s2")) or "")
     found = [abs(limit) for limit in limits if limit]
     return min(found) / unit if found and unit else None
 
 
-def _notes(sensor: Sensor, told: Attributes) -> tuple[str, ...]:
-    zone = told.text("Timezone")
+def _notes(sensor: Sensor, settings: Attributes) -> tuple[str, ...]:
+    zone = settings.text("Timezone")
     place = (f"worn at: {sensor.label}",) if sensor.label else ()
     return (*place, f"recorded in the time zone {zone}") if zone else place

@@ -1,18 +1,40 @@
-"""Opening HDF5 files of laboratories: what their datasets and attributes say (docs/hdf5-files.md)."""
+"""HDF5 files of laboratories: what their datasets and attributes say, and their rows as chunks.
+
+The names and attributes that are understood are listed in docs/hdf5-files.md. `Hdf5Reader` streams the
+files of other layouts too, once it is known what to read.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Generator, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device, Recording
-from accelcal_cli.formats.hdf5.datasets import all_tracks, chosen_axes, find_accel
+from accelcal_cli.core.parallel import thread_pool
+from accelcal_cli.core.recording import (
+    FLOAT_LSB_PER_G,
+    NO_BREAKS,
+    Chunk,
+    Counts,
+    Device,
+    Problem,
+    Reader,
+    Recording,
+)
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
+from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
 from accelcal_cli.formats.hdf5.description import (
+    Axes,
     Extras,
+    Plan,
     Source,
     Timeline,
     checked_rate,
@@ -31,8 +53,16 @@ from accelcal_cli.formats.hdf5.file import (
     missing_bytes,
     open_hdf5,
 )
-from accelcal_cli.formats.hdf5.stream import Axes, Hdf5Reader, Plan
-from accelcal_cli.formats.hdf5.units import LARGEST_G, PER_G, Scale, accel_unit, count_scale, physical_scale
+from accelcal_cli.formats.hdf5.rows import TrackRows
+from accelcal_cli.formats.hdf5.units import (
+    LARGEST_G,
+    PER_G,
+    Scale,
+    accel_unit,
+    count_scale,
+    millicelsius,
+    physical_scale,
+)
 
 LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
 RANGE_NAMES = ("range_g", "accel_range_g", "full_scale_g", "dynamic_range_g")
@@ -41,13 +71,38 @@ MODEL_NAMES = ("model", "device_model", "device", "device_type", "sensor_model")
 FIRMWARE_NAMES = ("firmware", "firmware_version", "device_firmware")
 ZONE_NAMES = ("timezone", "time_zone", "tz")
 
+SINGLE = 100
+"""Problems of a kind that are given one by one."""
+
+GAP_PERIODS = 3
+PIECE_BYTES = 16 << 20
+"""Of the datasets' values at a time, however many samples are wanted: wide numbers take memory."""
+
+FAULTS = {
+    "missing_value": "rows without a value (NaN) left out",
+    "bad_row": "rows whose counts are not whole numbers left out",
+    "out_of_range": "rows with values beyond anything the sensor can measure left out",
+}
+NO_TIME = ("missing_value", "rows without a believable time left out")
+NO_TEMPERATURE = ("missing_value", "rows without a temperature; the last one before them holds")
+"""One record at the end, however many rows."""
+
+AHEAD = ("clock_gap", "jumps forward of the times")
+BACK = ("clock_back", "jumps back of the times")
+
+Offset = Callable[[int], int | None]
+
+
+def nowhere(_row: int) -> None:
+    """The byte offset of a fault that lies in values, not in bytes."""
+
 
 def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
     """Open an HDF5 file whose acceleration is an (n, 3) dataset or three of length n.
 
     Raises:
         UnreadableError: damaged, cut short, or nothing in it is known as acceleration.
-        UsageError: several datasets fit, or the rate, unit or counts per g are nowhere told.
+        UsageError: several datasets fit, or the rate, unit or counts per g are stated nowhere.
     """
     with open_hdf5(path) as file, h5py_guard(path, "list of datasets"):
         tracks, damaged = all_tracks(file)
@@ -80,7 +135,7 @@ def _plan(source: Source) -> Plan:
 
 
 def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, extras: Extras) -> Recording:
-    told = source.attributes
+    attributes = source.attributes
     rows = source.accel.rows
     zone, zone_notes = _zone(source, timeline)
     known = whole_rows_known(accel, timeline.stamps, extras.gyro)
@@ -90,8 +145,10 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
         rate_hz=rate,
         lsb_per_g=accel.scale.lsb,
         total_bytes=source.path.stat().st_size,
-        device=Device(told.text(*MODEL_NAMES), told.text(*SERIAL_NAMES), told.text(*FIRMWARE_NAMES)),
-        range_g=_range(told),
+        device=Device(
+            attributes.text(*MODEL_NAMES), attributes.text(*SERIAL_NAMES), attributes.text(*FIRMWARE_NAMES)
+        ),
+        range_g=_range(attributes),
         start_us=timeline.start_us,
         timezone=zone,
         samples=rows if known else None,
@@ -102,8 +159,8 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
     )
 
 
-def _range(told: Attributes) -> float | None:
-    value = told.number(*RANGE_NAMES)
+def _range(attributes: Attributes) -> float | None:
+    value = attributes.number(*RANGE_NAMES)
     return value if value is not None and 0 < value <= 1000 else None
 
 
@@ -131,27 +188,27 @@ def _scale(source: Source) -> Scale:
 
 def _unit_and_lsb(source: Source) -> tuple[str, float | None]:
     options = source.options
-    told_unit, told_lsb = _told_alike(source)
-    lsb = told_lsb if options.lsb_per_g is None else options.lsb_per_g
+    file_unit, file_lsb = _shared_unit_and_lsb(source)
+    lsb = file_lsb if options.lsb_per_g is None else options.lsb_per_g
     if options.unit is not None:
         return options.unit, lsb
     whole = all(item.dtype.kind in "iu" for item in source.group)
-    if lsb is not None and (whole or told_unit is None):
+    if lsb is not None and (whole or file_unit is None):
         return "counts", lsb
-    unit = "counts" if told_unit is None and whole else accel_unit(told_unit or "")
+    unit = "counts" if file_unit is None and whole else accel_unit(file_unit or "")
     if unit is not None:
         return unit, lsb
-    said = f"the unit {told_unit!r} is not known" if told_unit else "the file does not tell the unit"
+    what = f"the unit {file_unit!r} is not known" if file_unit else "the file does not state the unit"
     raise UnreadableError(
-        f"{said} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(PER_G)}|counts"
+        f"{what} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(PER_G)}|counts"
     )
 
 
-def _told_alike(source: Source) -> tuple[str | None, float | None]:
+def _shared_unit_and_lsb(source: Source) -> tuple[str | None, float | None]:
     """Unit and counts per g in the attributes of the axes, which must not contradict each other."""
-    told = [attributes_of(source.file, item.path) for item in source.group]
-    units = {found.text("units", "unit") for found in told} - {None}
-    scales = {found.number(*LSB_NAMES) for found in told} - {None}
+    attributes = [attributes_of(source.file, item.path) for item in source.group]
+    units = {found.text("units", "unit") for found in attributes} - {None}
+    scales = {found.number(*LSB_NAMES) for found in attributes} - {None}
     if len(units) > 1 or len(scales) > 1:
         raise UnreadableError(
             "the axes have different units or counts per g", path=source.path, hint="give them one scale"
@@ -161,7 +218,9 @@ def _told_alike(source: Source) -> tuple[str | None, float | None]:
 
 def _checked_lsb(lsb: float | None, path: Path) -> float:
     if lsb is None:
-        raise UnreadableError("the file does not tell the counts per g", path=path, hint="give --lsb-per-g N")
+        raise UnreadableError(
+            "the file does not state the counts per g", path=path, hint="give --lsb-per-g N"
+        )
     if not 0 < lsb <= FLOAT_LSB_PER_G * LARGEST_G:
         raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
     return lsb
@@ -176,3 +235,237 @@ def _count_scale(source: Source, lsb: float, dtype: np.dtype[Any]) -> Scale:
             if np.any(seen != np.rint(seen)):
                 return Scale(FLOAT_LSB_PER_G, lsb, LARGEST_G)
     return count_scale(lsb, dtype)
+
+
+class Hdf5Reader(Reader):
+    """Streams the rows of a plan. The file is open only while a stream runs."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.recording = plan.recording
+        self._plan = plan
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order, from `chunk_samples` rows of the datasets at a time.
+
+        Raises:
+            UnreadableError: no row at all is usable, or the datasets cannot be reached.
+        """
+        delivered = 0
+        with closing(self._pieces(0, self._plan.rows, chunk_samples)) as pieces:
+            for chunk in pieces:
+                delivered += len(chunk)
+                yield chunk
+        if not delivered:
+            self._refuse()
+
+    def _refuse(self) -> None:
+        plan, path = self._plan, self.recording.path
+        with explaining(path, plan.missing_bytes):
+            raise UnreadableError(
+                f"none of the {plan.rows} rows of {plan.accel.tracks[0].path} is usable",
+                path=path,
+                hint="copy the file again from its source",
+            )
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Yield up to `pieces` chunks spread evenly over the file."""
+        rows = self._plan.rows
+        if rows <= pieces * chunk_samples:
+            yield from self.chunks(chunk_samples)
+            return
+        for piece in range(pieces):
+            start = piece * rows // pieces
+            yield from self._pieces(start, start + chunk_samples, chunk_samples)
+
+    def _pieces(self, start: int, stop: int, chunk_samples: int) -> Generator[Chunk, None, None]:
+        path = self.recording.path
+        with open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
+            with explaining(path, self._plan.missing_bytes), h5py_guard(path, "datasets"):
+                opened = partial(TrackRows, file, path=path, pool=pool)
+                stream = _Stream(opened, self._plan, start)
+            step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
+            for row in range(start, stop, step):
+                yield stream.piece(row, min(row + step, stop), last=row + step >= stop)
+
+
+class RowSelection:
+    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others.
+
+    Args:
+        row_bytes: bytes of a row in all datasets together.
+    """
+
+    def __init__(self, start: int, stop: int, row_bytes: int) -> None:
+        self.start = start
+        self.stop = stop
+        self.row_bytes = row_bytes
+        self.keep = np.ones(stop - start, np.bool_)
+        self._faults: list[tuple[Kind, NDArray[np.int64], Offset, int]] = []
+
+    def read(self, source: TrackRows) -> NDArray[Any]:
+        """All rows of a dataset (n, width); lost ones are zero and left out."""
+        values, good = source.read(self.start, self.stop)
+        if not good.all():
+            kind = ("bad_page", f"rows lost in damaged or missing parts of {source.path}")
+            self.leave_out(kind, ~good, source.chunk_offset)
+        return values
+
+    def leave_out(self, kind: Kind, bad: NDArray[np.bool_], offset: Offset = nowhere) -> None:
+        """Drop rows; those dropped before are not noted again."""
+        bad = bad & self.keep
+        self.note(kind, np.flatnonzero(bad), offset, self.row_bytes)
+        self.keep &= ~bad
+
+    def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere, row_bytes: int = 0) -> None:
+        """Note rows, given by their numbers within the selection, without dropping them."""
+        if len(rows):
+            self._faults.append((kind, rows, offset, row_bytes))
+
+    def kept(self, values: Any) -> Any:
+        """The kept ones of the rows of an array."""
+        return values if self.keep.all() else values[self.keep]
+
+    def rows(self) -> NDArray[np.int64]:
+        """Numbers of the kept rows within the selection, (n,)."""
+        return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
+
+    def events(self, log: ProblemLog, first_sample: int) -> Iterator[Event]:
+        """What was noted, as the log takes it; `first_sample` is the number of the first kept row."""
+        kept = self.rows() if self._faults else np.empty(0, np.int64)
+        for kind, rows, offset, row_bytes in self._faults:
+            runs = [(0, len(rows), True)] if kind == NO_TEMPERATURE else log.runs(kind, rows)
+            for index, count, scattered in runs:
+                row = int(rows[index])
+                start, sample = self.start + row, first_sample + int(np.searchsorted(kept, row))
+                amounts = (count, 0, count * row_bytes)
+                yield Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)
+
+
+class _Stream:
+    """One run through the rows: what is carried from one chunk to the next."""
+
+    def __init__(self, opened: Callable[[Track], TrackRows], plan: Plan, start: int) -> None:
+        self._plan = plan
+        self._rate = rate_fraction(plan.recording.rate_hz)
+        self._accel = [*map(opened, plan.accel.tracks)]
+        self._gyro = [*map(opened, plan.gyro.tracks)] if plan.gyro else []
+        self._stamps = [opened(plan.stamps.track)] if plan.stamps else []
+        self._temperatures = [opened(plan.temperature.track)] if plan.temperature else []
+        self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
+        problems = plan.problems if start == 0 else ()
+        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
+        self._sample = start
+        self._last_row: int | None = None
+        self._last_time = 0
+        sources = (*self._accel, *self._gyro, *self._stamps, *self._temperatures)
+        self.row_bytes = sum(source.row_bytes for source in sources)
+
+    def piece(self, start: int, stop: int, last: bool) -> Chunk:
+        """The usable ones among rows start..stop-1 of the datasets."""
+        selection = RowSelection(start, stop, self.row_bytes)
+        counts = _counts(self._accel, self._plan.accel.scale, selection)
+        gyro = _counts(self._gyro, self._plan.gyro.scale, selection) if self._plan.gyro else None
+        times = self._times(selection)
+        temperature = self._millicelsius(selection)
+        rows = selection.rows()
+        clock = self._clock(times, rows, selection)
+        breaks = self._breaks(times, rows, selection)
+        for event in sorted(selection.events(self._log, self._sample), key=lambda event: event.position):
+            self._log.add(event)
+        chunk = Chunk(
+            first_sample=self._sample,
+            counts=selection.kept(counts),
+            clock=clock,
+            end_byte=self._plan.recording.total_bytes * stop // self._plan.rows,
+            breaks=breaks,
+            temperature_mc=None if temperature is None else selection.kept(temperature),
+            gyro_counts=None if gyro is None else selection.kept(gyro),
+            problems=self._log.take(None if last else stop) + self._end(last, len(rows)),
+            used_bytes=len(rows) * self.row_bytes,
+        )
+        self._sample += len(rows)
+        return chunk
+
+    def _end(self, last: bool, rows: int) -> tuple[Problem, ...]:
+        """With the last rows: that the file was cut short."""
+        missing, total = self._plan.missing_bytes, self._plan.recording.total_bytes
+        if not missing or not last:
+            return ()
+        what = f"the file is cut short: its last {missing} bytes are missing"
+        return (Problem("truncated", what, total, self._sample + rows, missing),)
+
+    def _times(self, selection: RowSelection) -> NDArray[np.int64] | None:
+        if self._plan.stamps is None:
+            return None
+        times, believable = self._plan.stamps.scale.times(selection.read(self._stamps[0])[:, 0])
+        selection.leave_out(NO_TIME, ~believable)
+        return times
+
+    def _millicelsius(self, selection: RowSelection) -> NDArray[np.int32] | None:
+        """Temperatures of all rows; where one is missing, the last one before it holds."""
+        if self._plan.temperature is None:
+            return None
+        values, good = self._temperatures[0].read(selection.start, selection.stop)
+        degrees = millicelsius(values, good, self._plan.temperature.factor)
+        missing = np.isnan(degrees)
+        if missing.any():
+            selection.note(NO_TEMPERATURE, np.flatnonzero(missing))
+            latest = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))
+            degrees = np.where(latest < 0, self._temperature_mc, degrees[latest])
+        self._temperature_mc = int(degrees[-1])
+        return degrees.astype(np.int32)
+
+    def _clock(
+        self, times: NDArray[np.int64] | None, rows: NDArray[np.int64], selection: RowSelection
+    ) -> Clock:
+        """The times of the kept rows: their own, or by their place in the dataset."""
+        if times is not None:
+            return StampClock(selection.kept(times))
+        even = UniformClock(self._plan.recording.start_us or 0, selection.start, self._rate)
+        if len(rows) == len(selection.keep):
+            return even
+        return StampClock(selection.kept(even.times(0, len(selection.keep))))
+
+    def _breaks(
+        self, times: NDArray[np.int64] | None, rows: NDArray[np.int64], selection: RowSelection
+    ) -> NDArray[np.int64]:
+        """Where the kept rows do not follow on the ones before them, in place or in time."""
+        if not len(rows):
+            return NO_BREAKS
+        before = self._last_row
+        every = len(rows) == len(selection.keep)
+        jumps = np.zeros(len(rows), np.bool_) if every else np.diff(rows, prepend=rows[0]) != 1
+        jumps[0] = before is not None and int(rows[0]) + selection.start != before + 1
+        if times is not None:
+            jumps |= self._time_jumps(times[rows], rows, jumps, selection)
+        self._last_row = int(rows[-1]) + selection.start
+        return np.flatnonzero(jumps)
+
+    def _time_jumps(
+        self,
+        times: NDArray[np.int64],
+        rows: NDArray[np.int64],
+        explained: NDArray[np.bool_],
+        selection: RowSelection,
+    ) -> NDArray[np.bool_]:
+        """Where the times jump; a problem unless lost rows explain it."""
+        coarse = self._plan.stamps.coarse_us if self._plan.stamps else 0
+        longest = GAP_PERIODS * 1_000_000 / self._plan.recording.rate_hz + coarse
+        steps = np.diff(times, prepend=times[0] if self._last_row is None else self._last_time)
+        self._last_time = int(times[-1])
+        selection.note(AHEAD, rows[(steps > longest) & ~explained])
+        selection.note(BACK, rows[steps < 0])
+        return (steps > longest) | (steps < 0)
+
+
+def _counts(sources: list[TrackRows], scale: Scale, selection: RowSelection) -> Counts:
+    """Counts (n, 3) of all rows of the selection; those that have none are left out of it."""
+    parts = [selection.read(source) for source in sources]
+    counts, faults = scale.counts(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
+    for code, bad in faults.items():
+        selection.leave_out((code, FAULTS[code]), bad)
+    return counts
+
+
+def _message(run: Run) -> str:
+    return f"{run.count} {run.event.text}"

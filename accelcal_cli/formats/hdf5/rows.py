@@ -1,24 +1,21 @@
-"""Gzip-packed HDF5 chunks, taken as they are stored and unpacked beside other threads' work.
+"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out (`TrackRows`).
 
-h5py lets nothing else run while it unpacks; zlib and numpy do. Whatever is not plain here (a chunk that
-is missing, damaged or packed in another way than its dataset says) is left to h5py.
+Chunks that are packed with gzip are taken as they are stored (`StoredChunks`) and unpacked on several
+threads: h5py lets nothing else run while it unpacks; zlib and numpy do. Whatever is not plain there (a chunk
+that is missing, damaged or packed in another way than its dataset says) is left to h5py.
 
-Gzip-packed HDF5 chunks that are too large to unpack at once, unpacked bit by bit.
-
-The bytes of an unpacked chunk fall into planes that run side by side: one for each byte of a
-number where the shuffle filter was used (all first bytes, then all second bytes, ...), and one
-for each axis where the rows run along the second dimension. One pass through the packed bytes
-keeps a copy of the unpacker at the beginning of each plane; then all planes advance together.
-
-Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out.
+Chunks that are too large to unpack at once are unpacked bit by bit (`DeflatedChunks`). The bytes of an
+unpacked chunk fall into planes, one behind the other: one for each byte of a number where the shuffle filter
+was used (all first bytes, then all second bytes, ...), and one for each axis where the rows run along the
+second dimension. One pass through the packed bytes keeps a copy of the unpacker at the beginning of each
+plane; then all planes advance together.
 """
 
 from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
-from concurrent.futures import Executor, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +27,19 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats.hdf5.datasets import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
 
+BLOCK_ROWS = 65_536
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
 """At most so much is unpacked together, about what is asked for; one chunk if that has more rows."""
+
 LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
 """Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
 
-
-def unpackers(threads: int) -> AbstractContextManager[Executor | None]:
-    """A pool that unpacks ahead; none where only one thread may work."""
-    return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix="hdf5")
+STREAM_ABOVE_BYTES = 16 << 20
+REFUSE_ABOVE_BYTES = 256 << 20
+PIECE = 1 << 18
+SMALLEST_LOSS_ROWS = 16
+HIGHEST_RATIO = 1100
+"""No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
 
 def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:
@@ -110,7 +111,7 @@ class StoredChunks:
             return False
         if len(raw) < self._bytes:
             raise OSError("a chunk holds too little")
-        values = together(raw, self._bytes_apart).view(self._dtype)
+        values = unshuffled(raw, self._bytes_apart).view(self._dtype)
         rows = values.reshape(self._width, -1).T if self._axis else values.reshape(-1, self._width)
         into[:] = rows[: len(into)]
         return True
@@ -126,7 +127,7 @@ class StoredChunks:
             return None
 
 
-def together(raw: bytes, size: int) -> NDArray[Any]:
+def unshuffled(raw: bytes, size: int) -> NDArray[Any]:
     """Undo the shuffle filter: all first bytes of numbers of `size`, then all second ones, ...
 
     Neighbours are put together two by two, so that each step works on whole numbers.
@@ -138,9 +139,6 @@ def together(raw: bytes, size: int) -> NDArray[Any]:
         wide |= parts[::2]
         parts = wide
     return parts.reshape(-1)
-
-
-PIECE = 1 << 18
 
 
 class PackedStream:
@@ -246,14 +244,6 @@ class DeflatedChunks:
         return values.transpose(1, 0, 2).reshape(rows, self._width)
 
 
-BLOCK_ROWS = 65_536
-STREAM_ABOVE_BYTES = 16 << 20
-REFUSE_ABOVE_BYTES = 256 << 20
-SMALLEST_LOSS_ROWS = 16
-HIGHEST_RATIO = 1100
-"""No filter in use packs rows more densely than deflate's 1032 bytes in one."""
-
-
 class TrackRows:
     """Reads rows of a track in order; each HDF5 chunk is decompressed once.
 
@@ -327,7 +317,7 @@ class TrackRows:
             )
 
     def _is_unwritten(self) -> bool:
-        """Whether no value was ever written; a damaged index of chunks does not tell."""
+        """Whether no value was ever written; a damaged index of chunks does not say."""
         try:
             return bool(self._dataset.id.get_storage_size() == 0)
         except H5PY_ERRORS:

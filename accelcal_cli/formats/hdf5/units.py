@@ -1,7 +1,4 @@
-"""From the numbers of a dataset to raw counts, and which rows cannot be.
-
-Times in HDF5 files: start attributes and time datasets.
-"""
+"""Numbers of a dataset as raw counts, millidegrees and times, and the units that attributes name."""
 
 from __future__ import annotations
 
@@ -22,9 +19,22 @@ from accelcal_cli.formats.hdf5.file import normal
 LARGEST_G = 127.0
 GYRO_LSB_PER_DPS = 65_536.0
 """Counts per deg/s given to rates of turn that arrive as decimal fractions."""
+
 LARGEST_DPS = 32_767.0
 COLDEST_C, HOTTEST_C = -273.15, 1000.0
+LATEST_US = 4_102_444_800 * MICROSECONDS
+"""2100-01-01: a later time is damage."""
 
+EARLIEST_ABSOLUTE_US = 315_532_800 * MICROSECONDS
+"""1980-01-01: a smaller number counts from the start of the recording, not from 1970."""
+
+PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_UNIT_NAMES = {
+    "s": "s sec secs second seconds",
+    "ms": "ms msec millisecond milliseconds",
+    "us": "us usec microsecond microseconds µs μs",
+    "ns": "ns nsec nanosecond nanoseconds",
+}
 PER_G = {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}
 _ACCEL_UNITS = {
     "g": "g gs gee grav gravity gravities gforce standardgravity",
@@ -160,20 +170,6 @@ def millicelsius(values: NDArray[Any], good: NDArray[np.bool_], factor: float) -
         if not believable.all():
             degrees[~believable] = np.nan
         return degrees
-
-
-LATEST_US = 4_102_444_800 * MICROSECONDS
-"""2100-01-01: a later time is damage."""
-EARLIEST_ABSOLUTE_US = 315_532_800 * MICROSECONDS
-"""1980-01-01: a smaller number counts from the start of the recording, not from 1970."""
-
-PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-_UNIT_NAMES = {
-    "s": "s sec secs second seconds",
-    "ms": "ms msec millisecond milliseconds",
-    "us": "us usec microsecond microseconds µs μs",
-    "ns": "ns nsec nanosecond nanoseconds",
-}
 
 
 def time_unit(text: str) -> str | None:

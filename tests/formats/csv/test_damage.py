@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
-from accelcal_cli.formats.csv import table as _csv_blocks
+from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.make_csv import make, read, stamp, written
 
 HEADER = "time,x,y,z\n"
@@ -63,7 +63,7 @@ def test_gzip_with_a_flipped_byte_never_crashes_nor_depends_on_chunks(
 ) -> None:
     truth = make(tmp_path, COUNTS[:20], 100.0, 256.0)
     data = gzip.compress(truth.path.read_bytes(), mtime=0)
-    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", 200)
+    monkeypatch.setattr(csv_table, "PIECE_BYTES", 200)
     for place in range(10, len(data), 5):
         path = written(tmp_path, data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :], "bad.csv.gz")
         try:
@@ -143,7 +143,7 @@ def test_many_problems_become_few_records_whatever_the_blocks(
     assert counted["missing_value"] == sum(wrong.count(cell) for cell in ("0,,1", "0,0,", ",0,0"))
     assert counted["out_of_range"] == wrong.count("0,999,1")
     assert len(whole.counts) == wrong.count("0,0,1")
-    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", piece)
+    monkeypatch.setattr(csv_table, "PIECE_BYTES", piece)
     assert read(path, chunk_samples).same_as(whole)
 
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +11,10 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.parallel import AHEAD, MOST_THREADS, side_by_side
 from accelcal_cli.formats import open_recording
-from accelcal_cli.formats.csv import detect as _csv_examine
-from accelcal_cli.formats.csv import rows as _csv_join
-from accelcal_cli.formats.csv import table as _csv_blocks
+from accelcal_cli.formats.csv import detect as csv_detect
+from accelcal_cli.formats.csv import rows as csv_rows
+from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.make_csv import stamp, written
 
 HEADER = "time,x,y,z,temperature\n"
@@ -30,62 +26,9 @@ def line(number: int, cells: str = "0,0,1,20.5") -> str:
 
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_csv_join, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", 100)
-    monkeypatch.setattr(_csv_examine, "HEAD_BYTES", 4000)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 9])
-@pytest.mark.parametrize("number", [0, 1, 3, 40])
-def test_results_come_in_the_order_of_the_items(threads: int, number: int) -> None:
-    def work(item: int) -> int:
-        time.sleep(0.002 * (item % 3 == 0))
-        return 10 * item
-
-    assert list(side_by_side(work, range(number), threads)) == [10 * item for item in range(number)]
-
-
-def test_several_items_are_worked_on_at_a_time() -> None:
-    both = threading.Barrier(2, timeout=20)
-    assert list(side_by_side(lambda _: both.wait() >= 0, range(4), 2)) == [True] * 4
-
-
-def test_with_one_thread_nothing_is_taken_before_it_is_asked_for() -> None:
-    taken: list[int] = []
-    for number in side_by_side(lambda item: item, (taken.append(n) or n for n in range(5)), 1):
-        assert taken == list(range(number + 1))
-
-
-def test_few_items_are_taken_ahead() -> None:
-    taken: list[int] = []
-    for number in side_by_side(lambda item: item, (taken.append(n) or n for n in range(50)), 99):
-        assert len(taken) <= number + 1 + MOST_THREADS + AHEAD
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_the_first_failure_counts_wherever_it_happened(threads: int) -> None:
-    def items() -> Iterator[int]:
-        yield from range(4)
-        raise KeyError("no more")
-
-    def work(item: int) -> int:
-        return 1 // (3 - item)
-
-    running = side_by_side(work, items(), threads)
-    assert [next(running) for _ in range(3)] == [0, 0, 1]
-    with pytest.raises(ZeroDivisionError):
-        next(running)
-    running = side_by_side(lambda item: item, items(), threads)
-    assert [next(running) for _ in range(4)] == [0, 1, 2, 3]
-    with pytest.raises(KeyError, match="no more"):
-        next(running)
-
-
-def test_leaving_early_ends_the_threads() -> None:
-    running = side_by_side(lambda item: item, range(1000), 2)
-    next(running)
-    running.close()
-    assert not any(thread.name.startswith("side-by-side") for thread in threading.enumerate())
+    monkeypatch.setattr(csv_rows, "BLOCK_BYTES", 400)
+    monkeypatch.setattr(csv_table, "PIECE_BYTES", 100)
+    monkeypatch.setattr(csv_detect, "HEAD_BYTES", 4000)
 
 
 @pytest.mark.usefixtures("small_blocks")
@@ -130,5 +73,5 @@ def test_the_memory_does_not_grow_with_the_samples_wanted(tmp_path: Path) -> Non
     path = written(tmp_path, b"x,y,z\n" + b"0.125,0.5,0.75\n" * 700_000)
     with open_recording(path, ReadOptions(unit="g", rate_hz=100.0)) as reader:
         sizes = [len(chunk) for chunk in reader.chunks(1 << 20)]
-    assert sum(sizes) == 700_000 and max(sizes) <= _csv_join.MOST_JOINED
-    assert 0 < pa.system_memory_pool().max_memory() < 6 * _csv_join.BLOCK_BYTES
+    assert sum(sizes) == 700_000 and max(sizes) <= csv_rows.MOST_JOINED
+    assert 0 < pa.system_memory_pool().max_memory() < 6 * csv_rows.BLOCK_BYTES

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.formats.csv import table as _csv_blocks
+from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.make_csv import START_US, Read, read, stamp, written
 
 SECOND = 1_000_000
@@ -203,7 +203,7 @@ def test_spreading_and_gaps_do_not_depend_on_blocks(
     cells[0] = ""
     whole = with_times(tmp_path, cells)
     assert {"clock_gap", "clock_back", "missing_value"} <= set(whole.codes)
-    monkeypatch.setattr(_csv_blocks, "PIECE_BYTES", piece)
+    monkeypatch.setattr(csv_table, "PIECE_BYTES", piece)
     assert with_times(tmp_path, cells, chunk_samples=chunk_samples).same_as(whole)
 
 

@@ -16,7 +16,7 @@ from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import Problem
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.csv import FORMAT, vendors
-from accelcal_cli.formats.csv.vendors import Vendor, all_vendors, known_of
+from accelcal_cli.formats.csv.vendors import Vendor, all_vendors, export_description
 from tests.formats.make_csv import read, written
 
 HERE = Path(__file__).parent
@@ -98,7 +98,7 @@ def test_a_damaged_head_gives_rows_or_an_error_of_ours(
             st.binary(max_size=8) | st.sampled_from([b"\n", b",", b"9999", b"-", b"/"])
         )
     path = written(tmp_path, bytes(mutant), "mutant.csv")
-    known_of(bytes(mutant))
+    export_description(bytes(mutant))
     try:
         found = read(path)
     except AccelcalError as error:

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.formats.hdf5 import HDF5
-from accelcal_cli.formats.hdf5 import rows as _chunks
-from accelcal_cli.formats.hdf5 import rows as _rows
+from accelcal_cli.formats.hdf5 import rows as hdf5_rows
 from accelcal_cli.formats.hdf5.datasets import Track
 from tests.formats.make_hdf5 import Read, about, joined, write
 
@@ -35,14 +35,14 @@ def path(tmp_path: Path) -> Path:
 def done(monkeypatch: pytest.MonkeyPatch) -> list[tuple[range, bool]]:
     """What was read by chunks, and whether h5py was not needed for it."""
     seen: list[tuple[range, bool]] = []
-    read = _chunks.StoredChunks.read
+    read = hdf5_rows.StoredChunks.read
 
-    def spy(self: _chunks.StoredChunks, rows: range) -> Any:
+    def spy(self: hdf5_rows.StoredChunks, rows: range) -> Any:
         values = read(self, rows)
         seen.append((rows, values is not None))
         return values
 
-    monkeypatch.setattr(_chunks.StoredChunks, "read", spy)
+    monkeypatch.setattr(hdf5_rows.StoredChunks, "read", spy)
     return seen
 
 
@@ -54,7 +54,7 @@ def streamed(path: Path, threads: int = 1, samples: int = 7000) -> Read:
 
 def by_h5py(path: Path, monkeypatch: pytest.MonkeyPatch) -> Read:
     with monkeypatch.context() as patch:
-        patch.setattr(_rows, "LEAST_BYTES", 1 << 40)
+        patch.setattr(hdf5_rows, "LEAST_BYTES", 1 << 40)
         return streamed(path)
 
 
@@ -86,7 +86,7 @@ def test_chunks_are_unpacked_as_they_were_packed(
 def test_shuffled_bytes_are_put_together(size: int) -> None:
     raw = np.random.default_rng(size).integers(0, 256, size * 999, np.uint8)
     expected = raw.reshape(size, -1).T.tobytes()
-    assert _chunks.together(raw.tobytes(), size).tobytes() == expected
+    assert hdf5_rows.unshuffled(raw.tobytes(), size).tobytes() == expected
 
 
 def overwrite(path: Path, row: int, change: Callable[[bytes], tuple[int, bytes]]) -> None:
@@ -117,7 +117,7 @@ CHANGES: dict[str, Callable[[bytes], tuple[int, bytes]]] = {
 def test_a_chunk_that_is_not_plain_gives_what_h5py_gives(
     path: Path, monkeypatch: pytest.MonkeyPatch, change: str, threads: int
 ) -> None:
-    monkeypatch.setattr(_rows, "STORED_ROWS", 3 * CHUNK)
+    monkeypatch.setattr(hdf5_rows, "STORED_ROWS", 3 * CHUNK)
     write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
     overwrite(path, 2 * CHUNK, CHANGES[change])
     got = streamed(path, threads)
@@ -198,7 +198,7 @@ def test_numbers_that_numpy_does_not_know_are_left_to_h5py(
 def test_large_chunks_are_left_to_h5py(
     path: Path, monkeypatch: pytest.MonkeyPatch, done: list[tuple[range, bool]]
 ) -> None:
-    monkeypatch.setattr(_rows, "MOST_BYTES", 6 * CHUNK - 1)
+    monkeypatch.setattr(hdf5_rows, "MOST_BYTES", 6 * CHUNK - 1)
     write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
     assert (streamed(path).counts == counts()).all()
     assert done == []
@@ -207,11 +207,11 @@ def test_large_chunks_are_left_to_h5py(
 def test_what_was_unpacked_ahead_is_not_taken_for_other_rows(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(_rows, "STORED_ROWS", CHUNK)
+    monkeypatch.setattr(hdf5_rows, "STORED_ROWS", CHUNK)
     write(path, {"accel": counts()}, chunks=(CHUNK, 3), compression="gzip")
     track = Track("/accel", ROWS, 3, 0, np.dtype("i2"))
-    with h5py.File(path) as file, _chunks.unpackers(2) as pool:
-        rows = _rows.TrackRows(file, track, path, pool)
+    with h5py.File(path) as file, thread_pool(2, "hdf5") as pool:
+        rows = hdf5_rows.TrackRows(file, track, path, pool)
         for start in (0, 3 * CHUNK, 100, CHUNK):
             assert (rows.read(start, start + 200)[0] == counts()[start : start + 200]).all()
 
@@ -220,17 +220,17 @@ def test_what_was_unpacked_ahead_is_not_taken_for_other_rows(
 def test_only_where_several_may_work_is_anything_unpacked_ahead(
     path: Path, monkeypatch: pytest.MonkeyPatch, threads: int
 ) -> None:
-    monkeypatch.setattr(_rows, "STORED_ROWS", CHUNK)
+    monkeypatch.setattr(hdf5_rows, "STORED_ROWS", CHUNK)
     begun: list[tuple[int, str]] = []
-    unpack = _chunks.StoredChunks._unpack
+    unpack = hdf5_rows.StoredChunks._unpack
 
-    def spy(self: _chunks.StoredChunks, row: int, into: np.ndarray) -> bool:
+    def spy(self: hdf5_rows.StoredChunks, row: int, into: np.ndarray) -> bool:
         begun.append((row, threading.current_thread().name))
         return unpack(self, row, into)
 
     write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
     with HDF5.open(path, ReadOptions()) as reader:
-        monkeypatch.setattr(_chunks.StoredChunks, "_unpack", spy)
+        monkeypatch.setattr(hdf5_rows.StoredChunks, "_unpack", spy)
         reader.threads = threads
         stream = reader.chunks(CHUNK)
         next(stream)
@@ -241,7 +241,7 @@ def test_only_where_several_may_work_is_anything_unpacked_ahead(
 
 
 def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("accelcal_cli.formats.hdf5.stream.PIECE_BYTES", 24_000)
+    monkeypatch.setattr("accelcal_cli.formats.hdf5.reader.PIECE_BYTES", 24_000)
     write(path, {"accel": counts().astype("f8")}, about())
     with HDF5.open(path, ReadOptions()) as reader:
         parts = [chunk.counts for chunk in reader.chunks(1 << 20)]

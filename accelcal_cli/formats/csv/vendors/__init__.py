@@ -1,4 +1,7 @@
-"""The contract of a vendor's export: one frozen record that each file in `vendors/` binds as VENDOR."""
+"""The contract of a vendor's export: one frozen record that each file of this folder binds as VENDOR.
+
+A vendor's file says whether the head of a file is its export, and describes what the header tells.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,7 @@ from pathlib import Path
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.formats import HEAD_BYTES
-from accelcal_cli.core.plugins import bound
+from accelcal_cli.core.plugins import find_plugins
 from accelcal_cli.core.recording import Device
 from accelcal_cli.formats.csv import is_text
 from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, decode
@@ -68,7 +71,7 @@ class Doubt:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class ExportDescription:
     """What a vendor's head tells. What it does not tell is found out as in any other file.
 
     Attributes:
@@ -113,16 +116,16 @@ class Vendor:
 
     name: str
     recognise: Callable[[Head], bool]
-    describe: Callable[[Head], Known]
+    describe: Callable[[Head], ExportDescription]
 
 
 @cache
 def all_vendors() -> tuple[Vendor, ...]:
     """Every vendor, by name."""
-    return tuple(bound(__name__, __path__, "VENDOR"))
+    return tuple(find_plugins(__name__, __path__, "VENDOR"))
 
 
-def known_of(head: bytes) -> Known | None:
+def export_description(head: bytes) -> ExportDescription | None:
     """What the head of a vendor's export tells; None where it is no known vendor's."""
     if not is_text(head[:HEAD_BYTES]):
         return None

@@ -13,7 +13,7 @@ import re
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
 from accelcal_cli.formats.csv.times import order_in
-from accelcal_cli.formats.csv.vendors import Doubt, Head, Known, Start, Vendor
+from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Start, Vendor
 
 HEADER_LINES = 15
 FASTEST_HZ = 1000.0
@@ -31,11 +31,11 @@ def recognise(head: Head) -> bool:
     return FIRST.search(head[0]) is not None
 
 
-def describe(head: Head) -> Known:
+def describe(head: Head) -> ExportDescription:
     """All that the header tells; ActiLife writes raw acceleration in g."""
     first = head[0]
-    model, firmware, dates = (_found(pattern, first) for pattern in (FIRST, FIRMWARE, DATES))
-    return Known(
+    model, firmware, dates = (_group(pattern, first) for pattern in (FIRST, FIRMWARE, DATES))
+    return ExportDescription(
         title="ActiGraph",
         device=Device(f"ActiGraph {model}", _value(head, "Serial Number:?"), firmware),
         preamble=_preamble(head),
@@ -56,32 +56,32 @@ def _preamble(head: Head) -> int:
     return lines
 
 
-def _found(pattern: re.Pattern[str], line: str) -> str | None:
-    found = pattern.search(line)
-    return None if found is None else found[1].rstrip(",;")
+def _group(pattern: re.Pattern[str], line: str) -> str | None:
+    match = pattern.search(line)
+    return None if match is None else match[1].rstrip(",;")
 
 
 def _value(head: Head, key: str) -> str | None:
     """What stands behind a key; tables saved by a spreadsheet have delimiters after it."""
     pattern = re.compile(rf"\W*{key}\s*([^,;\t]+)")
-    found = next((match for line in head[1:HEADER_LINES] if (match := pattern.match(line))), None)
-    return None if found is None else found[1].strip().strip('"') or None
+    match = next((match for line in head[1:HEADER_LINES] if (match := pattern.match(line))), None)
+    return None if match is None else match[1].strip().strip('"') or None
 
 
 def _rate(first: str) -> float | None:
-    written = _found(RATE, first)
+    written = _group(RATE, first)
     rate = 0.0 if written is None else float(written.replace(",", "."))
     return rate if 0 < rate <= FASTEST_HZ else None
 
 
 def _seconds(text: str | None) -> int | None:
     """Seconds in `10:54:00` or `10:54:00 PM`."""
-    found = CLOCK.match(text or "")
-    if found is None:
+    match = CLOCK.match(text or "")
+    if match is None:
         return None
-    hour, minute, second = (int(found[part]) for part in (1, 2, 3))
-    if found[4]:
-        hour = hour % 12 + (12 if found[4].upper() == "PM" else 0)
+    hour, minute, second = (int(match[part]) for part in (1, 2, 3))
+    if match[4]:
+        hour = hour % 12 + (12 if match[4].upper() == "PM" else 0)
     return hour * 3600 + minute * 60 + second if max(hour - 23, minute - 59, second - 59) <= 0 else None
 
 
@@ -95,13 +95,13 @@ def _start(head: Head) -> Start | None:
 
 def _doubt(head: Head) -> Doubt | None:
     """Tables of counts have an epoch; raw data has one of zero length."""
-    found = CLOCK.match(_value(head, r"(?:Epoch|Window|Cycle) \w+ \(hh:mm:ss\)") or "")
-    epoch = 0 if found is None else int(found[1]) * 3600 + int(found[2]) * 60 + int(found[3])
+    match = CLOCK.match(_value(head, r"(?:Epoch|Window|Cycle) \w+ \(hh:mm:ss\)") or "")
+    epoch = 0 if match is None else int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3])
     if not epoch:
         return None
     return Doubt(
         f"it holds counts of {epoch} s each, not raw acceleration",
-        "export the raw data from ActiLife; or give --unit to read it all the same",
+        "export the raw data from ActiLife; or give --unit to read it anyway",
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.formats.csv.vendors import Head, Known, Vendor
+from accelcal_cli.formats.csv.vendors import ExportDescription, Head, Vendor
 
 VALUE = r",(-?\d{1,2}\.\d{6})"
 ROW = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3}" + 3 * VALUE + r"(,[-+.\d]*)*")
@@ -32,10 +32,10 @@ def _on_grid(row: re.Match[str]) -> bool:
     return all(abs(count - round(count)) <= 0.51e-6 * FINEST_LSB_PER_G for count in counts)
 
 
-def describe(head: Head) -> Known:
+def describe(head: Head) -> ExportDescription:
     """Which columns are what."""
     others = head[0].count(",") - 3
-    return Known(title="Axivity", names=("time", "x", "y", "z", *("other",) * others), unit="g")
+    return ExportDescription(title="Axivity", names=("time", "x", "y", "z", *("other",) * others), unit="g")
 
 
 VENDOR = Vendor("axivity", recognise, describe)

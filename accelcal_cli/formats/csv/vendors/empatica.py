@@ -10,7 +10,7 @@ from fractions import Fraction
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
-from accelcal_cli.formats.csv.vendors import Head, Known, Start, Vendor
+from accelcal_cli.formats.csv.vendors import ExportDescription, Head, Start, Vendor
 
 LSB_PER_G = 64.0
 RANGE_G = 2.0
@@ -43,10 +43,10 @@ def recognise(head: Head) -> bool:
     return _start_and_rate(head) is not None
 
 
-def describe(head: Head) -> Known:
+def describe(head: Head) -> ExportDescription:
     """Start, rate, scale and range; E4 files do not name their device."""
     start, rate = _start_and_rate(head) or (Fraction(0), Fraction(0))
-    return Known(
+    return ExportDescription(
         title="Empatica E4",
         device=Device("Empatica E4"),
         preamble=2,

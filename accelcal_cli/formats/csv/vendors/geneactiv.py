@@ -10,7 +10,7 @@ import re
 
 from accelcal_cli.core.clock import WIDEST_OFFSET_H
 from accelcal_cli.core.recording import Device
-from accelcal_cli.formats.csv.vendors import Doubt, Head, Known, Vendor
+from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Vendor
 
 FIRST = re.compile(r"\W*Device Type\s*([,;\t])\s*GENEActiv", re.IGNORECASE)
 ROW = re.compile(r'"?\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d')
@@ -27,60 +27,60 @@ def recognise(head: Head) -> bool:
     return FIRST.match(head[0]) is not None
 
 
-def describe(head: Head) -> Known:
+def describe(head: Head) -> ExportDescription:
     """All that the header tells."""
-    found = FIRST.match(head[0])
-    delimiter = found[1] if found else ","
-    told = _pairs(head, delimiter)
+    match = FIRST.match(head[0])
+    delimiter = match[1] if match else ","
+    header = _pairs(head, delimiter)
     first_row = next((number for number, line in enumerate(head) if ROW.match(line)), len(head))
     columns = head[first_row].count(delimiter) + 1 if first_row < len(head) else 0
     named = head[first_row - 1].count(delimiter) + 1 == columns > 2
-    return Known(
+    return ExportDescription(
         title="GENEActiv",
-        device=_device(told),
+        device=_device(header),
         preamble=first_row - named,
         names=COLUMNS if columns == len(COLUMNS) else None,
-        unit="g" if told.get("Units", "g") == "g" else None,
-        rate_hz=_number(RATE.match(told.get("Measurement Frequency", ""))),
-        timezone=_zone(told.get("Time Zone", "")),
-        range_g=_range(told.get("Range", "")),
+        unit="g" if header.get("Units", "g") == "g" else None,
+        rate_hz=_number(RATE.match(header.get("Measurement Frequency", ""))),
+        timezone=_zone(header.get("Time Zone", "")),
+        range_g=_range(header.get("Range", "")),
         doubt=_doubt(columns),
     )
 
 
 def _pairs(head: Head, delimiter: str) -> dict[str, str]:
     """The first value of every key: of three sensors that tell their range, the first is x."""
-    told: dict[str, str] = {}
+    header: dict[str, str] = {}
     for line in head:
         if ROW.match(line):
             break
         key, _, value = line.partition(delimiter)
-        told.setdefault(key.strip().strip('"'), value.strip(' "\t,;'))
-    return told
+        header.setdefault(key.strip().strip('"'), value.strip(' "\t,;'))
+    return header
 
 
-def _device(told: dict[str, str]) -> Device:
-    model = f"GENEActiv {told.get('Device Model', '')}".strip()
-    serial, firmware = told.get("Device Unique Serial Code"), told.get("Device Firmware Version")
+def _device(header: dict[str, str]) -> Device:
+    model = f"GENEActiv {header.get('Device Model', '')}".strip()
+    serial, firmware = header.get("Device Unique Serial Code"), header.get("Device Firmware Version")
     return Device(model, serial or None, firmware or None)
 
 
-def _number(found: re.Match[str] | None) -> float | None:
-    number = 0.0 if found is None else float(found[1].replace(",", "."))
+def _number(match: re.Match[str] | None) -> float | None:
+    number = 0.0 if match is None else float(match[1].replace(",", "."))
     return number if number > 0 else None
 
 
 def _range(text: str) -> float | None:
-    found = RANGE.match(text)
-    return _number(found) if found and found[1] == found[2] else None
+    match = RANGE.match(text)
+    return _number(match) if match and match[1] == match[2] else None
 
 
 def _zone(text: str) -> str | None:
     """`GMT +01:00` as `+01:00`."""
-    found = ZONE.match(text)
-    if found is None or int(found[2]) > WIDEST_OFFSET_H or int(found[3] or 0) > 59:
+    match = ZONE.match(text)
+    if match is None or int(match[2]) > WIDEST_OFFSET_H or int(match[3] or 0) > 59:
         return None
-    return f"{found[1]}{int(found[2]):02d}:{found[3] or '00'}"
+    return f"{match[1]}{int(match[2]):02d}:{match[3] or '00'}"
 
 
 def _doubt(columns: int) -> Doubt | None:
@@ -88,7 +88,7 @@ def _doubt(columns: int) -> Doubt | None:
         return None
     return Doubt(
         "it holds means and sums over epochs, not raw acceleration",
-        "export the raw data; or give --columns and --unit to read it all the same",
+        "export the raw data; or give --columns and --unit to read it anyway",
     )
 
 
