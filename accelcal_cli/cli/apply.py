@@ -10,13 +10,14 @@ from typing import Any
 import click
 
 from accelcal_cli.cli.options import (
+    FILE,
     damage_option,
-    gravity,
     gravity_options,
     place_options,
+    printing_options,
     read_options,
     reading_options,
-    saying_options,
+    with_given,
 )
 from accelcal_cli.cli.output import each
 from accelcal_cli.core.settings import DEFAULT
@@ -30,13 +31,13 @@ from accelcal_cli.pipeline.jobs import Request, plan
 @click.option(
     "--coefficients",
     required=True,
-    type=click.Path(path_type=Path, readable=False),
+    type=FILE,
     metavar="STEM.calibration.json",
     help="Report that holds the coefficients.",
 )
 @click.option("--any-device", is_flag=True, help="Apply them to whatever device recorded.")
 @click.option("--no-temperature", is_flag=True, help="Use them as at their reference temperature.")
-@saying_options
+@printing_options
 @reading_options
 @damage_option
 @gravity_options
@@ -49,17 +50,9 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)
-    place = gravity(values)
     request = Request(
         options=read_options(values),
-        settings=replace(
-            DEFAULT,
-            temperature=not values["no_temperature"],
-            precision_mg=values["precision_mg"],
-            latitude=place.latitude,
-            altitude_m=place.altitude_m,
-            max_damage_percent=values["max_damage"],
-        ),
+        settings=replace(with_given(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

@@ -49,8 +49,8 @@ def command(label: str, as_json: bool, **values: Any) -> None:
 
 def _rest_g(values: dict[str, Any]) -> Fraction:
     if values["local_gravity"] is not None and values["latitude"] is not None:
-        raise UsageError("--local-gravity and --latitude say the same thing", hint="give one of them")
-    if values["latitude"] is not None or values["altitude"] is not None:
+        raise UsageError("--local-gravity and --latitude exclude each other", hint="give one of them")
+    if values["latitude"] is not None or values["altitude_m"] is not None:
         return gravity(values).local_g()
     return standard_g(values["local_gravity"] or TABLE_8_GRAVITY)
 

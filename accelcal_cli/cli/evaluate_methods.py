@@ -9,7 +9,13 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
+from accelcal_cli.cli.options import (
+    FILE,
+    method_options,
+    read_options,
+    reading_options,
+    settings,
+)
 from accelcal_cli.cli.output import aligned, comma_separated, number, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
@@ -25,7 +31,7 @@ PUBLISHED = (
 
 
 @click.command("methods")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
 @click.option("--only", metavar="A,B", help="These optimizers only.  [default: all]")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table.")

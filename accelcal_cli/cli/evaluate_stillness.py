@@ -9,7 +9,13 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import fitting_options, fitting_settings, read_options, reading_options
+from accelcal_cli.cli.options import (
+    FILE,
+    fitting_options,
+    fitting_settings,
+    read_options,
+    reading_options,
+)
 from accelcal_cli.cli.output import aligned, comma_separated, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.settings import STILLNESS
@@ -34,7 +40,7 @@ FIGURES = {
 
 
 @click.command("stillness")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print one table of comma-separated values.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import fitting_options, fitting_settings
+from accelcal_cli.cli.options import FILE, fitting_options, fitting_settings
 from accelcal_cli.cli.output import line
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
@@ -19,10 +19,8 @@ from accelcal_cli.pipeline.outputs import refuse_foreign_report, save_report, wi
 
 
 @click.command("fit")
-@click.argument("points", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Write the report there."
-)
+@click.argument("points", type=FILE)
+@click.option("-o", "--output", type=FILE, help="Write the report there.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
 @click.option("--force", is_flag=True, help="Overwrite a file that accelcal did not write.")
 @fitting_options

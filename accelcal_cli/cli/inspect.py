@@ -11,7 +11,14 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import damage_option, method_options, read_options, reading_options, settings
+from accelcal_cli.cli.options import (
+    FILE,
+    damage_option,
+    method_options,
+    read_options,
+    reading_options,
+    settings,
+)
 from accelcal_cli.cli.output import stdin
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.settings import DEFAULT, Settings
@@ -23,7 +30,7 @@ QUICK = "gauss-newton"
 
 
 @click.command("inspect")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
 @click.option("--full", is_flag=True, help="Read everything, not only pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object a line.")
 @reading_options

@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from accelcal_cli.cli.options import Positive, Within
+from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.formats import all_encoders
@@ -18,7 +18,7 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 
 
 @click.command("simulate")
-@click.argument("out", type=click.Path(path_type=Path, readable=False))
+@click.argument("out", type=FILE)
 @click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
 @click.option("--days", type=Positive(), default=1.0, show_default=True)

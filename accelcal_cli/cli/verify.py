@@ -10,7 +10,7 @@ import click
 
 from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import chunk_option
+from accelcal_cli.cli.options import FILE, chunk_option
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
 from accelcal_cli.verify import ParquetCheck, Verified, Wanted, verify
@@ -20,22 +20,22 @@ SHOWN_KEYS = 5
 
 
 @click.command("verify")
-@click.argument("report", type=click.Path(path_type=Path, readable=False))
-@click.argument("recording", type=click.Path(path_type=Path, readable=False))
+@click.argument("report", type=FILE)
+@click.argument("recording", type=FILE)
 @click.option("--values", is_flag=True, help="Also compare every value of the Parquet beside the report.")
 @click.option(
     "--layout",
-    type=click.Path(path_type=Path, readable=False),
+    type=FILE,
     help="Layout file of a raw dump, where it is not beside it.",
 )
 @click.option(
     "--poses",
-    type=click.Path(path_type=Path, readable=False),
+    type=FILE,
     help="List of poses of a session, where it is not beside it.",
 )
 @click.option(
     "--coefficients",
-    type=click.Path(path_type=Path, readable=False),
+    type=FILE,
     help="Coefficient file of a report of `apply`, where it is not where it was.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")

@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import PROFILES, SIX_POSE, STILLNESS, PoseSettings, Settings
+from accelcal_cli.core.settings import SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
 from accelcal_cli.formats import named_format
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report_reading import Document, damaged
@@ -103,53 +103,6 @@ def _of_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
         raise TypeError
     return tuple(converted(item, kind) for item, kind in zip(value, kinds, strict=True))
 
-
-LIMITS: dict[str, tuple[float, float]] = {
-    "segment_seconds": (1e-6, 3600),
-    "stillness_threshold_g": (1e-9, 4),
-    "stillness_deviation_g": (1e-9, 4),
-    "stillness_axes": (0, 2),
-    "cells_per_g": (1, 1000),
-    "norm_low_g": (0, 10),
-    "norm_high_g": (0, 10),
-    "posture_degrees": (1e-3, 180),
-    "folds": (2, 1000),
-    "min_postures": (2, 1_000_000),
-    "coverage_g": (0, 4),
-    "max_error_mg": (0, 1e6),
-    "min_temperature_range_c": (0, 1e3),
-    "temperature_block_c": (1e-3, 1e3),
-    "face_degrees": (0.1, 90),
-    "state_degrees": (1e-3, 180),
-    "min_state_seconds": (0, 3600),
-    "max_condition": (1, 1e9),
-    "max_vector_error_mg": (0, 1e6),
-    "precision_mg": (1e-3, 1e3),
-    "latitude": (-90, 90),
-    "altitude_m": (-500, 9000),
-    "max_damage_percent": (0, 100),
-    "rate_hz": (1e-3, 1e5),
-    "lsb_per_g": (1e-9, 1e9),
-}
-"""Between which a number can be used at all; a report with others was not written so."""
-
-ADAPTIVE_LIMITS: dict[str, tuple[int, int]] = {
-    "acceleration_factor": (1, 30),
-    "rotation_factor": (1, 30),
-    "min_samples": (1, 1_000_000),
-    "min_windows": (1, 1_000_000),
-    "max_windows": (1, 1_000_000),
-    "held_windows": (1, 1_000_000),
-}
-"""The same for the numbers of stillness rule `adaptive`: what its integers and the memory hold."""
-
-CHOICES = {
-    "profile": tuple(PROFILES),
-    "stillness": tuple(STILLNESS),
-    "model": ("auto", "9", "6", "3"),
-    "unit": ("g", "mg", "m/s2", "counts"),
-    "date_format": ("dmy", "mdy", "ymd"),
-}
 
 POINTS = "points"
 """What `fit` calls the format of its tables."""
@@ -259,26 +212,27 @@ def _odd(
 
 
 def _check(record: Settings | PoseSettings | ReadOptions) -> None:
-    """Raise ValueError for a number out of its limits, AccelcalError for a name this version lacks."""
-    for name in record.__dataclass_fields__:
-        value = getattr(record, name)
-        low, high = LIMITS.get(name, (float("-inf"), float("inf")))
-        numbers = value if isinstance(value, tuple) else (value,)
-        if name in LIMITS and value is not None and not all(low <= v <= high for v in numbers):
-            raise ValueError(f"{name} cannot be {value}")
-        if name in CHOICES and value is not None and value not in CHOICES[name]:
-            raise ValueError(f"{name} cannot be {value!r}")
+    """Raise ValueError for a value that its field does not allow, AccelcalError for an unknown name."""
+    _check_values(record)
     if isinstance(record, Settings):
         named_optimizer(record.optimizer)
-        _check_rule(record)
+        _check_stillness(record)
     elif isinstance(record, ReadOptions):
         utc_offset_s(record.timezone, 0)
         if record.format is not None:
             named_format(record.format)
 
 
-def _check_rule(record: Settings) -> None:
-    """Raise ValueError for numbers of a rule of stillness that cannot be, or that belong to another."""
+def _check_values(record: Any, start: str = "") -> None:
+    """Raise ValueError for a value beyond its bounds or not among its choices."""
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        if value is not None and not setting_of(record, name).allows(value):
+            raise ValueError(f"{start}{name} cannot be {value!r}")
+
+
+def _check_stillness(record: Settings) -> None:
+    """Raise ValueError for numbers of a rule of stillness that are impossible, or belong to another rule."""
     rule = STILLNESS[record.stillness]
     for name in ("stillness_axes", "stillness_threshold_g", "stillness_deviation_g"):
         value = getattr(record, name)
@@ -286,9 +240,8 @@ def _check_rule(record: Settings) -> None:
             raise ValueError(f"{name} cannot be {value}")
     if (record.adaptive is not None) != (record.stillness == "adaptive"):
         raise ValueError(f"adaptive cannot be {record.adaptive}")
-    for name, (low, high) in ADAPTIVE_LIMITS.items():
-        if record.adaptive is not None and not low <= getattr(record.adaptive, name) <= high:
-            raise ValueError(f"adaptive.{name} cannot be {getattr(record.adaptive, name)}")
+    if record.adaptive is not None:
+        _check_values(record.adaptive, "adaptive.")
 
 
 def _file(values: Mapping[str, Any], name: str) -> NamedFile | None:

@@ -18,13 +18,24 @@ from accelcal_cli.core.settings import (
     Adaptive,
     PoseSettings,
     Settings,
+    setting_of,
     with_stillness,
 )
 from accelcal_cli.output.report_reading import Document
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.report_settings import ADAPTIVE_LIMITS, LIMITS, Rebuilt, rebuild
+from accelcal_cli.pipeline.report_settings import Rebuilt, rebuild
 from accelcal_cli.segment.adaptive import MOVING, NEVER
 from accelcal_cli.six_pose.run import PoseRequest
+
+
+def bounded(*kinds: Any) -> dict[str, tuple[float, float]]:
+    """Lower and upper bounds of all fields that have them."""
+    declared = {name: setting_of(kind, name) for kind in kinds for name in kind.__dataclass_fields__}
+    return {name: (one.low, one.high) for name, one in declared.items() if None not in (one.low, one.high)}
+
+
+LIMITS = bounded(Settings, PoseSettings, ReadOptions)
+ADAPTIVE_LIMITS = bounded(Adaptive)
 
 
 def stored(request: Request) -> dict[str, Any]:
@@ -67,8 +78,8 @@ def test_missing_and_unknown_settings_are_told() -> None:
 
 def test_every_number_has_its_limits() -> None:
     """A setting without limits could bring a report that makes nonsense of them to a bug."""
-    read = ((record, LIMITS) for record in (DEFAULT, PoseSettings(), ReadOptions()))
-    for record, limits in (*read, (Adaptive(), ADAPTIVE_LIMITS)):
+    for record in (Settings, PoseSettings, ReadOptions, Adaptive):
+        limits = bounded(record)
         for name, field in record.__dataclass_fields__.items():
             assert name in limits or not any(kind in str(field.type) for kind in ("int", "float")), name
 
