@@ -26,7 +26,7 @@ from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import ParquetSource
+from accelcal_cli.output.parquet import Column, ParquetSource, schema_of, values_of
 from accelcal_cli.output.report import ReportInput, build, significant
 from accelcal_cli.output.report_reading import (
     Coefficients,
@@ -39,8 +39,8 @@ from accelcal_cli.output.report_reading import (
 from accelcal_cli.pipeline import apply, calibrate
 from accelcal_cli.pipeline import pool as pooled
 from accelcal_cli.pipeline.apply import relation
-from accelcal_cli.pipeline.calibrate import Passes, applier_of, writes_parquet
-from accelcal_cli.pipeline.export import calibrated, columns_of, rows
+from accelcal_cli.pipeline.calibrate import Passes, writes_parquet
+from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
 from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.jobs import (
     DEFAULT_CHUNK_SAMPLES,
@@ -144,11 +144,11 @@ def compare_values(passes: Passes, data: ReportInput, path: Path) -> Values:
     """
     columns = columns_of(data)
     with ParquetSource(path) as source:
-        wrong = source.other_column(columns.schema({}))
+        wrong = source.other_column(schema_of(columns, {}))
         if wrong is not None:
             return Values(0, 0, wrong)
         done = 0
-        for held, made in _pairs(passes, data, source):
+        for held, made in _pairs(passes, data, source, columns):
             found = _first_difference(held, made)
             if found is not None:
                 return Values(done + found[0], done + found[0], source.names[found[1]])
@@ -157,14 +157,13 @@ def compare_values(passes: Passes, data: ReportInput, path: Path) -> Values:
 
 
 def _pairs(
-    passes: Passes, data: ReportInput, source: ParquetSource
+    passes: Passes, data: ReportInput, source: ParquetSource, columns: list[Column]
 ) -> Iterator[tuple[list[NDArray[Any]], list[NDArray[Any]]]]:
     """Columns as they are in the file and as they should be, some rows at a time."""
     shown = passes.progress("comparing", data.recording.total_bytes)
     chunks = passes.reader.chunks(passes.request.chunk_samples)
-    offset_s = data.facts.utc_offset_s or 0
-    for chunk, xyz in calibrated(data.recording, chunks, applier_of(data), shown):
-        yield source.take(len(chunk)), rows(chunk, xyz, data.recording, source.names, offset_s)
+    for chunk, xyz in calibrated(data.recording, chunks, transform_of(data), shown):
+        yield source.take(len(chunk)), values_of(columns, chunk, xyz)
 
 
 def _first_difference(held: list[NDArray[Any]], made: list[NDArray[Any]]) -> tuple[int, int] | None:

@@ -21,12 +21,10 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline.export import (
-    Applier,
-    Target,
-    applier,
     beyond,
     calibrated,
     columns_of,
+    transform_of,
     write_calibrated,
 )
 from accelcal_cli.pipeline.jobs import (
@@ -126,16 +124,14 @@ class Passes:
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.parquet import ParquetSink
 
-        facts, recording = data.facts, data.recording
         columns, threads = columns_of(data), self.request.threads
-        shown, metadata = self.progress("writing", recording.total_bytes), reports.parquet_metadata(data)
+        shown, metadata = self.progress("writing", data.recording.total_bytes), reports.parquet_metadata(data)
         chunks = self.reader.chunks(self.request.chunk_samples)
         with (
             replacing(self.job.parquet) as temporary,
             ParquetSink(temporary, self.job.parquet, columns, metadata, threads) as sink,
         ):
-            target = Target(applier_of(data), sink, facts.utc_offset_s or 0, threads)
-            over = write_calibrated(recording, chunks, target, shown)
+            over = write_calibrated(data, chunks, sink, threads, shown)
             sink.close()
             same(self.bytes_at, self.before)
             remove(self.job.report)
@@ -149,19 +145,13 @@ class Passes:
             return replace(data, clipped_after=0)
         shown = self.progress("applying", data.recording.total_bytes)
         chunks = self.reader.chunks(self.request.chunk_samples)
-        parts = calibrated(data.recording, chunks, applier_of(data), shown)
+        parts = calibrated(data.recording, chunks, transform_of(data), shown)
         return replace(data, clipped_after=sum(beyond(xyz, data.recording.range_g) for _, xyz in parts))
 
 
 def writes_parquet(data: reports.ReportInput) -> bool:
     """Whether calibrated data belong to a result."""
     return data.judgement.calibration is not None and not data.settings["report_only"]
-
-
-def applier_of(data: reports.ReportInput) -> Applier:
-    """What applies a result's calibration to its recording."""
-    assert data.judgement.calibration is not None
-    return applier(data.judgement.calibration, data.recording.lsb_per_g, data.settings["precision_mg"])
 
 
 def calibrate(
