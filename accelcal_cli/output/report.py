@@ -1,12 +1,9 @@
-"""Sections of a report that several documents share, from plain records.
+"""The JSON report: its sections made from plain records, one function each, and checked against its schema.
 
-Checking a document against the part of JSON Schema that report.schema.json uses.
-
-Keys that the schema does not know are passed over: a later version may add some.
-
-The JSON report: one function a section, all from plain records.
-
-The fit as integers: points in, coefficients out, for firmware and for a check bit by bit.
+`build` makes the report of a recording; those of a table of points and of a pool (report_kinds.py) share its
+sections. `fault` checks a document against the part of JSON Schema that report.schema.json uses; keys that
+the schema does not know are passed over, since a later version may add some. `integers_json` is the fit as
+integers: points in, coefficients out, for firmware and for a check bit by bit.
 """
 
 from __future__ import annotations
@@ -34,7 +31,7 @@ from accelcal_cli.core.points import (
     Fit,
     PointSet,
 )
-from accelcal_cli.core.recording import Problem, Recording, as_json_device
+from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Coverage, ErrorSummary, Facts, Gap, Holdout, Judgement, Trial
 
 EQUATION = "a = K (v + o + s (T - Tref))"
@@ -349,8 +346,52 @@ class WindowUse:
 
 
 @dataclass(frozen=True, slots=True)
-class ReportInput:
-    """All that a report is made of, save the provenance.
+class ReportRecording:
+    """The report's `recording`, in the order of its keys; by default that of no samples."""
+
+    path: str
+    sha256: str
+    bytes: int
+    format: str
+    device: Device = field(default_factory=Device)
+    sample_rate_hz: float | None = None
+    lsb_per_g: float | None = None
+    range_g: float | None = None
+    start_time: str | None = None
+    timezone: str | None = None
+    samples: int = 0
+    duration_s: float | None = None
+    gaps: list[dict[str, Any]] = field(default_factory=list)
+    gaps_omitted: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class FileHealth:
+    """The report's `file_health`, in the order of its keys; by default that of no samples."""
+
+    problems: list[dict[str, Any]] = field(default_factory=list)
+    filled_samples: int = 0
+    clipped_samples_before: int = 0
+    clipped_samples_after: int | None = None
+    rate_hz_measured: float | None = None
+    lost_bytes: int = 0
+    lost_percent: float = 0.0
+    clock: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedInput:
+    """What the reports of all kinds are made of."""
+
+    settings: dict[str, Any]
+    judgement: Judgement
+    optimizer: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportInput(JudgedInput):
+    """All that a recording's report is made of, save the provenance.
 
     Attributes:
         taken: sections of the report that do not follow from the judgement: those of another report
@@ -360,49 +401,36 @@ class ReportInput:
     recording: Recording
     sha256: str
     facts: Facts
-    settings: dict[str, Any]
-    judgement: Judgement
     windows: WindowUse
-    optimizer: dict[str, Any]
     clipped_after: int | None
     taken: dict[str, Any] = field(default_factory=dict)
 
 
 def build(data: ReportInput) -> dict[str, Any]:
     """The report without `provenance`: the same for the same input, settings and version."""
-    source = {
-        "recording": recording_json(data.recording, data.sha256, data.facts),
-        "settings": data.settings,
-        "file_health": _health(data),
-    }
-    windows = {name: getattr(data.windows, name) for name in data.windows.__dataclass_fields__}
     raw = data.facts.still_error_mg
-    used = {**windows, "raw_error_mg": None if raw is None else round(raw, 4)}
-    return document(source, data.judgement, data.optimizer, used) | data.taken
+    windows = {**asdict(data.windows), "raw_error_mg": None if raw is None else round(raw, 4)}
+    return document(_recording(data), _health(data), windows, data) | data.taken
 
 
 def document(
-    source: dict[str, Any], verdict: Judgement, optimizer: dict[str, Any], windows: dict[str, Any]
+    recording: ReportRecording, health: FileHealth, windows: dict[str, Any], data: JudgedInput
 ) -> dict[str, Any]:
-    """A report in the order of its keys.
-
-    Args:
-        source: the objects `recording`, `settings` and `file_health`.
-        windows: the object `fit.windows`.
-    """
+    """A report in the order of its keys; `windows` is the object `fit.windows`."""
+    verdict = data.judgement
     return {
         "schema_version": SCHEMA_VERSION,
         "accelcal_version": __version__,
-        "recording": source["recording"],
-        "settings": source["settings"],
+        "recording": asdict(recording),
+        "settings": data.settings,
         "outcome": str(verdict.outcome),
         "message": verdict.message,
-        "calibration": calibration_json(verdict, optimizer),
+        "calibration": calibration_json(verdict, data.optimizer),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
         "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),
         "models_tried": [trial_json(trial) for trial in verdict.trials],
-        "file_health": source["file_health"],
+        "file_health": asdict(health),
     }
 
 
@@ -411,31 +439,31 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
     return {
         "accelcal_version": __version__,
         "calibration": data.taken.get("calibration") or calibration_json(data.judgement, data.optimizer),
-        "recording": recording_json(data.recording, data.sha256, data.facts),
+        "recording": asdict(_recording(data)),
     }
 
 
-def recording_json(recording: Recording, sha256: str, facts: Facts) -> dict[str, Any]:
-    """The `recording` object."""
+def _recording(data: ReportInput) -> ReportRecording:
+    recording, facts = data.recording, data.facts
     start = facts.first_us if recording.start_us is None else recording.start_us
-    known = not any(problem.code == "no_start_time" for problem in facts.problems)
-    return {
-        "path": printable(recording.path),
-        "sha256": sha256,
-        "bytes": recording.total_bytes,
-        "format": recording.format,
-        "device": as_json_device(recording.device),
-        "sample_rate_hz": recording.rate_hz,
-        "lsb_per_g": recording.lsb_per_g,
-        "range_g": recording.range_g,
-        "start_time": iso_time(start, facts.utc_offset_s) if known else None,
-        "timezone": recording.timezone,
-        "samples": facts.samples,
-        "duration_s": duration_s(recording, facts),
-        "gaps": [_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
-        "gaps_omitted": facts.gaps_omitted,
-        "notes": notes_json(recording, facts),
-    }
+    dated = not any(problem.code == "no_start_time" for problem in facts.problems)
+    return ReportRecording(
+        path=printable(recording.path),
+        sha256=data.sha256,
+        bytes=recording.total_bytes,
+        format=recording.format,
+        device=recording.device,
+        sample_rate_hz=recording.rate_hz,
+        lsb_per_g=recording.lsb_per_g,
+        range_g=recording.range_g,
+        start_time=iso_time(start, facts.utc_offset_s) if dated else None,
+        timezone=recording.timezone,
+        samples=facts.samples,
+        duration_s=duration_s(recording, facts),
+        gaps=[_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
+        gaps_omitted=facts.gaps_omitted,
+        notes=notes_json(recording, facts),
+    )
 
 
 def duration_s(recording: Recording, facts: Facts) -> float:
@@ -453,17 +481,17 @@ def _gap(gap: Gap, offset_s: int | None) -> dict[str, Any]:
     }
 
 
-def _health(data: ReportInput) -> dict[str, Any]:
+def _health(data: ReportInput) -> FileHealth:
     facts = data.facts
-    return {
-        "problems": [problem_json(problem) for problem in facts.problems],
-        "filled_samples": facts.filled,
-        "clipped_samples_before": facts.clipped,
-        "clipped_samples_after": data.clipped_after,
-        "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
+    return FileHealth(
+        problems=[problem_json(problem) for problem in facts.problems],
+        filled_samples=facts.filled,
+        clipped_samples_before=facts.clipped,
+        clipped_samples_after=data.clipped_after,
+        rate_hz_measured=None if facts.rate_hz is None else round(facts.rate_hz, 6),
         **damage_json(facts),
-        "clock": clock_json(data.recording, facts),
-    }
+        clock=clock_json(data.recording, facts),
+    )
 
 
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:
