@@ -15,8 +15,7 @@ from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.cases import ALL, Plan, methods
-from accelcal_cli.evaluate.gravity import Residuals, run
-from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY
+from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY, Residuals, gravity_residuals
 from accelcal_cli.output.report import significant
 
 
@@ -43,8 +42,10 @@ def command(label: str, as_json: bool, **values: Any) -> None:
     (method,) = methods((label,))
     with progress_bars("gravity", quiet=values["quiet"], unit="cases") as bars:
         progress = bars("fitting", values["cases"])
-        found = run(plan, method, values["cases"], values["seed"], progress)
-    click.echo(json.dumps(_record(plan, values, label, found)) if as_json else _text(plan, values, found))
+        residuals = gravity_residuals(plan, method, values["cases"], values["seed"], progress)
+    click.echo(
+        json.dumps(_record(plan, values, label, residuals)) if as_json else _text(plan, values, residuals)
+    )
 
 
 def _rest_g(values: dict[str, Any]) -> Fraction:
@@ -55,10 +56,12 @@ def _rest_g(values: dict[str, Any]) -> Fraction:
     return standard_g(values["local_gravity"] or TABLE_8_GRAVITY)
 
 
-def _record(plan: Plan, values: dict[str, Any], label: str, found: tuple[Residuals, ...]) -> dict[str, Any]:
+def _record(
+    plan: Plan, values: dict[str, Any], label: str, residuals: tuple[Residuals, ...]
+) -> dict[str, Any]:
     fits = [
         {name: significant(value, 7 if name == "assumed_m_s2" else 4) for name, value in asdict(row).items()}
-        for row in found
+        for row in residuals
     ]
     return {
         "accelcal_version": __version__,
@@ -70,7 +73,7 @@ def _record(plan: Plan, values: dict[str, Any], label: str, found: tuple[Residua
     }
 
 
-def _text(plan: Plan, values: dict[str, Any], found: tuple[Residuals, ...]) -> str:
+def _text(plan: Plan, values: dict[str, Any], residuals: tuple[Residuals, ...]) -> str:
     rest = float(plan.rest_g) * STANDARD_GRAVITY
     head = (
         f"{values['cases']} cases (seed {values['seed']}) of {plan.number} points, noise "
@@ -78,7 +81,7 @@ def _text(plan: Plan, values: dict[str, Any], found: tuple[Residuals, ...]) -> s
     )
     names = ("gravity assumed", "E, assumed g", "E, true g", "| |a| - g | mg", "paper's E", "failed")
     rows = []
-    for row, paper in zip(found, TABLE_8, strict=True):
+    for row, paper in zip(residuals, TABLE_8, strict=True):
         shown = figure(row.against_assumed), figure(row.against_true), figure(row.norm_error_mg)
         known = f"{paper:.4f}" if round(rest, 6) == TABLE_8_GRAVITY else "-"
         rows.append((f"{row.assumed_m_s2:.5f} m/s2", *shown, known, str(values["cases"] - row.fitted)))

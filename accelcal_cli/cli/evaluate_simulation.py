@@ -1,7 +1,4 @@
-"""What `accelcal evaluate simulation` prints for people.
-
-`accelcal evaluate simulation`.
-"""
+"""`accelcal evaluate simulation`: the command, and its tables for people."""
 
 from __future__ import annotations
 

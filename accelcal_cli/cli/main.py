@@ -1,7 +1,4 @@
-"""Groups of commands that are imported only when asked for.
-
-The `accelcal` command: loads a subcommand only when it is used.
-"""
+"""The `accelcal` command: groups that import a subcommand only when it is used."""
 
 from __future__ import annotations
 

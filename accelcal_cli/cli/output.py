@@ -1,11 +1,4 @@
-"""Tables on standard output: aligned text, CSV.
-
-One result as a line of tab-separated fields.
-
-Progress on stderr, only where it is a terminal.
-
-What commands share that make a result of each recording: the loop, the line, the comments.
-"""
+"""What commands print: result lines, tables, CSV, progress and comments; and the loop over recordings."""
 
 from __future__ import annotations
 

@@ -1,10 +1,7 @@
-"""CPUs and memory that this process was given, not the machine's; how many workers they keep busy.
+"""The machine under this process: its CPUs and memory, its processes, its C library and linear algebra.
 
-Processes of this host: what it is called, and which of them live.
-
-How the C library deals with memory that was used and will be used again.
-
-How many threads the linear algebra below numpy takes.
+CPUs and memory are those that this process was given, not the machine's; from them follows how many
+workers are kept busy.
 """
 
 from __future__ import annotations

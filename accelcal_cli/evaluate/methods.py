@@ -1,6 +1,6 @@
 """Every optimizer on the same points and the same hold-out (F section III.B, Table 3).
 
-What is known of a simulated recording, and how far a calibration is from it.
+Also what is known of a simulated recording, and how far a calibration is from that truth.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, ste
 from accelcal_cli.pipeline.method import Procedure, fitting, make_method
 from accelcal_cli.pipeline.survey import survey
 
+TRUTH_SUFFIX = ".truth.json"
 TABLE_3_OF_F = (
     ("our method", 25.1, 3.06, 820),
     ("non-iterative (Gietzelt et al.)", 25.1, 4.08, 615),
@@ -140,9 +141,6 @@ def as_json(rows: list[Row]) -> dict[str, Any]:
         "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
         "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
     }
-
-
-TRUTH_SUFFIX = ".truth.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,6 +1,6 @@
-"""Files that appear complete or not at all.
+"""Files that appear complete or not at all, and whose Parquet files are already there.
 
-What a Parquet file of ours says of itself: whose it is, without pyarrow where there is no file.
+What a Parquet file of ours says of itself is read without loading pyarrow where there is no file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The calibrated recording as Parquet: its columns, a sink that writes them, a source that reads them back.
 
-Columns and metadata are described in docs/outputs.md. Files are streamed in row groups of fixed size, which
-do not depend on how the rows were chunked, so that the file's bytes do not either.
+Columns and metadata are described in docs/outputs.md. Files are streamed in row groups of fixed size,
+which do not depend on how the rows were chunked, so that the file's bytes do not either.
 """
 
 from __future__ import annotations

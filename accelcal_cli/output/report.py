@@ -1,9 +1,9 @@
 """The JSON report: its sections made from plain records, one function each, and checked against its schema.
 
-`build` makes the report of a recording; those of a table of points and of a pool (report_kinds.py) share its
-sections. `fault` checks a document against the part of JSON Schema that report.schema.json uses; keys that
-the schema does not know are passed over, since a later version may add some. `integers_json` is the fit as
-integers: points in, coefficients out, for firmware and for a check bit by bit.
+`build` makes the report of a recording; those of a table of points and of a pool (report_kinds.py) share
+its sections. `fault` checks a document against the part of JSON Schema that report.schema.json uses;
+keys that the schema does not know are passed over, since a later version may add some. `integers_json`
+is the fit as integers: points in, coefficients out, for firmware and for a check bit by bit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Reports as documents, read back from their files.
-
-The coefficients of a report, read back to apply them: exact, and checked one against another.
-"""
+"""Reports read back from their files, and their coefficients: exact, and checked one against another."""
 
 from __future__ import annotations
 

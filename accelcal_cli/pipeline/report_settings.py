@@ -1,6 +1,6 @@
-"""Records back from JSON, by the types of their fields.
+"""Settings and reading options back from a report's `settings`.
 
-Settings and reading options back from a report's `settings`.
+Records are made from JSON by the types of their fields, and checked against what their fields allow.
 """
 
 from __future__ import annotations
