@@ -83,12 +83,12 @@ def _shown(rows: list[Row], values: dict[str, Any]) -> str:
 
 def _tables(rows: list[Row]) -> list[str]:
     """A table for each recording, and its refusals by name."""
-    found = []
+    tables = []
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [row for row in rows if row.recording == recording]
-        said = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
-        found.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *said]))
-    return found
+        refusals = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
+        tables.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
+    return tables
 
 
 def _cells(row: Row) -> list[str]:

@@ -33,8 +33,8 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     """
     if output is not None and not force:
         refuse_foreign_report(output)
-    made = fit_points(points, fitting_settings(values))
-    report = with_provenance(made, ("accelcal", *sys.argv[1:]))
+    fitted = fit_points(points, fitting_settings(values))
+    report = with_provenance(fitted, ("accelcal", *sys.argv[1:]))
     refused = report["outcome"] == Outcome.REFUSED
     if output is not None and not refused:
         save_report(output, report)

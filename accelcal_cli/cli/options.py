@@ -118,8 +118,8 @@ def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], C
     shown = f"{default:g}" if isinstance(default, float) else default
     shown = option.default or shown
     text = option.help if shown is None else f"{option.help}  [default: {shown}]"
-    told = {"type": _type_of(declared), "metavar": option.metavar, "help": text} | words
-    return click.option(option.name, name, **told)
+    given = {"type": _type_of(declared), "metavar": option.metavar, "help": text} | words
+    return click.option(option.name, name, **given)
 
 
 def _type_of(declared: Setting) -> click.ParamType[Any] | None:

@@ -54,15 +54,15 @@ def number(value: float | None, form: str) -> str:
 
 def line(report: dict[str, Any], source: Path, written: Path | None) -> str:
     """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
-    held, found = report["holdout"], report["calibration"]
-    told = held is not None and found is not None
+    holdout, calibration = report["holdout"], report["calibration"]
+    judged = holdout is not None and calibration is not None
     fields = [
         printable(source),
         report["outcome"],
-        "-" if found is None else found["model"],
-        "-" if held is None else f"{held['before_mg']['mean']:.3f}",
-        f"{held['after_mg']['mean']:.3f}" if told else "-",
-        _percent(held["improvement_percent"]) if told else "-",
+        "-" if calibration is None else calibration["model"],
+        "-" if holdout is None else f"{holdout['before_mg']['mean']:.3f}",
+        f"{holdout['after_mg']['mean']:.3f}" if judged else "-",
+        _percent(holdout["improvement_percent"]) if judged else "-",
         "-" if written is None else printable(written),
     ]
     return "\t".join(fields)
@@ -169,8 +169,8 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
     if result.outcome is Outcome.BORROWED:
         from accelcal_cli.pipeline.apply import warning
 
-        if (beware := warning(report)) is not None:
-            exit_codes.say(f"{printable(result.job.source)}: {beware}")
+        if (caution := warning(report)) is not None:
+            exit_codes.say(f"{printable(result.job.source)}: {caution}")
     if values["quiet"]:
         return
     if result.up_to_date:
@@ -186,5 +186,7 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
     if values["verbose"]:
         exit_codes.say(f"{printable(result.job.source)}: {report['message']}")
         for trial in report["models_tried"]:
-            found = trial["reason"] if trial["after_mg"] is None else f"{trial['after_mg']:.3f} mg held out"
-            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {found}")
+            result_text = (
+                trial["reason"] if trial["after_mg"] is None else f"{trial['after_mg']:.3f} mg held out"
+            )
+            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {result_text}")

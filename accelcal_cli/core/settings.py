@@ -66,8 +66,8 @@ def setting(
 
 def setting_of(kind: Any, name: str) -> Setting:
     """The Setting of a dataclass's field."""
-    found: Setting = kind.__dataclass_fields__[name].metadata.get(SETTING, Setting())
-    return found
+    declared: Setting = kind.__dataclass_fields__[name].metadata.get(SETTING, Setting())
+    return declared
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,10 +38,10 @@ def threads(workers: int) -> int:
 
 def cpus() -> int:
     """CPUs this process may use: the least of affinity, cgroup quota (v2) and Slurm's word."""
-    told = os.environ.get("SLURM_CPUS_PER_TASK", "")
+    slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
     limits = [_affinity(), *_quotas()]
-    if told.isdecimal():
-        limits.append(int(told))
+    if slurm.isdecimal():
+        limits.append(int(slurm))
     return max(1, min(limits))
 
 
@@ -61,8 +61,8 @@ def _quotas() -> Iterator[int]:
 
 def available_bytes() -> int | None:
     """Memory that is left to this process: the machine's and its cgroup's (v2); None where neither tells."""
-    found = [*_machine_bytes(), *_cgroup_bytes()]
-    return max(0, min(found)) if found else None
+    limits = [*_machine_bytes(), *_cgroup_bytes()]
+    return max(0, min(limits)) if limits else None
 
 
 def _machine_bytes() -> Iterator[int]:

@@ -127,13 +127,13 @@ class Tally:
         """Fit a case; a fit that fails is counted."""
         began = perf_counter()
         try:
-            found = self.method.fit(case.points)
+            fit = self.method.fit(case.points)
         except DivergedError as error:
             self.failures[error.message] += 1
             return
         self.seconds.append(perf_counter() - began)
-        self.fits.append(found)
-        self.errors.append(np.subtract(found.parameters, case.truth)[:9] / ONE)
+        self.fits.append(fit)
+        self.errors.append(np.subtract(fit.parameters, case.truth)[:9] / ONE)
         self.bounds.append(bound)
 
     def scores(self) -> Scores:

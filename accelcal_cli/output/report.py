@@ -40,62 +40,62 @@ DAY_S = 86_400
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
     """The `calibration` object; None where there is none."""
-    found, fit = verdict.calibration, verdict.fit
-    if found is None or fit is None:
+    calibration, fit = verdict.calibration, verdict.fit
+    if calibration is None or fit is None:
         return None
     return {
-        **coefficients_json(found),
-        "standard_errors": _standard_errors(found, verdict.standard_errors),
+        **coefficients_json(calibration),
+        "standard_errors": _standard_errors(calibration, verdict.standard_errors),
         "optimizer": {**optimizer, **_effort(fit, optimizer["arithmetic"])},
     }
 
 
-def coefficients_json(found: Calibration) -> dict[str, Any]:
+def coefficients_json(calibration: Calibration) -> dict[str, Any]:
     """What is needed to apply a calibration."""
     return {
-        "model": found.model,
-        "gain": found.gain().tolist(),
-        "offset_g": found.offset_g().tolist(),
-        "parameters": {name: to_float(value) for name, value in _integers(found, 9).items()},
-        "temperature": _temperature(found),
+        "model": calibration.model,
+        "gain": calibration.gain().tolist(),
+        "offset_g": calibration.offset_g().tolist(),
+        "parameters": {name: to_float(value) for name, value in _integers(calibration, 9).items()},
+        "temperature": _temperature(calibration),
         "equation": EQUATION,
-        "fixed_point": _fixed_point(found),
+        "fixed_point": _fixed_point(calibration),
         "gravity": {
-            "local_g": float(found.gravity.local_g()),
-            "latitude": found.gravity.latitude,
-            "altitude": found.gravity.altitude_m,
+            "local_g": float(calibration.gravity.local_g()),
+            "latitude": calibration.gravity.latitude,
+            "altitude": calibration.gravity.altitude_m,
         },
     }
 
 
-def _integers(found: Calibration, number: int) -> dict[str, int]:
+def _integers(calibration: Calibration, number: int) -> dict[str, int]:
     """Parameters by name; those above K's diagonal only where there are any."""
-    named = dict(zip(PARAMETER_NAMES[:number], found.parameters, strict=False))
-    return named | dict(zip(UPPER_NAMES, found.upper, strict=True)) if any(found.upper) else named
+    named = dict(zip(PARAMETER_NAMES[:number], calibration.parameters, strict=False))
+    return named | dict(zip(UPPER_NAMES, calibration.upper, strict=True)) if any(calibration.upper) else named
 
 
-def _temperature(found: Calibration) -> dict[str, Any] | None:
-    if found.temperature is None:
+def _temperature(calibration: Calibration) -> dict[str, Any] | None:
+    if calibration.temperature is None:
         return None
-    return {"slope_g_per_c": found.slope_g_per_c().tolist(), "reference_c": found.reference_c()}
+    return {"slope_g_per_c": calibration.slope_g_per_c().tolist(), "reference_c": calibration.reference_c()}
 
 
-def _standard_errors(found: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
+def _standard_errors(calibration: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
     if errors is None:
         return None
-    span = 1.0 if found.temperature is None else found.temperature.span_c
+    span = 1.0 if calibration.temperature is None else calibration.temperature.span_c
     scaled = [value / span if 9 <= index < 12 else value for index, value in enumerate(errors)]
-    number = 9 if found.temperature is None else 12
+    number = 9 if calibration.temperature is None else 12
     named = dict(zip(PARAMETER_NAMES[:number], scaled, strict=False))
     named |= dict(zip(UPPER_NAMES, scaled[12:], strict=False))
     return {name: significant(value) for name, value in named.items()}
 
 
-def _fixed_point(found: Calibration) -> dict[str, Any]:
-    scale = found.temperature
+def _fixed_point(calibration: Calibration) -> dict[str, Any]:
+    scale = calibration.temperature
     return {
         "fraction_bits": FRACTION_BITS,
-        "parameters": _integers(found, 12),
+        "parameters": _integers(calibration, 12),
         "temperature_reference_mc": None if scale is None else scale.reference_mc,
         "temperature_span_c": None if scale is None else scale.span_c,
     }
@@ -111,16 +111,16 @@ def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
     }
 
 
-def holdout_json(held: Holdout) -> dict[str, Any]:
+def holdout_json(holdout: Holdout) -> dict[str, Any]:
     """The `holdout` object: the number to quote."""
     return {
-        "method": held.method,
-        "points": held.points,
-        "postures": held.postures,
-        "before_mg": summary_json(held.before),
-        "after_mg": summary_json(held.after),
-        "improvement_percent": round(held.improvement_percent(), 1) if held.after.mean else None,
-        "ci95_mg": [round(value, 4) for value in held.ci95],
+        "method": holdout.method,
+        "points": holdout.points,
+        "postures": holdout.postures,
+        "before_mg": summary_json(holdout.before),
+        "after_mg": summary_json(holdout.after),
+        "improvement_percent": round(holdout.improvement_percent(), 1) if holdout.after.mean else None,
+        "ci95_mg": [round(value, 4) for value in holdout.ci95],
     }
 
 
@@ -141,14 +141,14 @@ def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def coverage_json(seen: Coverage) -> dict[str, Any]:
+def coverage_json(coverage: Coverage) -> dict[str, Any]:
     """The `coverage` object."""
-    worst, condition = seen.worst_direction_mg, seen.condition_number
+    worst, condition = coverage.worst_direction_mg, coverage.condition_number
     return {
-        "subsets": [list(row) for row in seen.subsets],
-        "axis_min_g": [round(value, 4) for value in seen.axis_min_g],
-        "axis_max_g": [round(value, 4) for value in seen.axis_max_g],
-        "cells": seen.cells,
+        "subsets": [list(row) for row in coverage.subsets],
+        "axis_min_g": [round(value, 4) for value in coverage.axis_min_g],
+        "axis_max_g": [round(value, 4) for value in coverage.axis_max_g],
+        "cells": coverage.cells,
         "condition_number": None if condition is None else significant(condition),
         "worst_direction_mg": None if worst is None else significant(worst),
     }
@@ -156,11 +156,11 @@ def coverage_json(seen: Coverage) -> dict[str, Any]:
 
 def trial_json(trial: Trial) -> dict[str, Any]:
     """One entry of `models_tried`."""
-    held = trial.holdout
+    holdout = trial.holdout
     return {
         "model": trial.model,
-        "after_mg": None if held is None else round(held.after.mean, 4),
-        "compared_mg": None if held is None else round(held.compared_mg(), 4),
+        "after_mg": None if holdout is None else round(holdout.after.mean, 4),
+        "compared_mg": None if holdout is None else round(holdout.compared_mg(), 4),
         "reason": trial.reason,
     }
 
@@ -232,9 +232,9 @@ def fault(value: Any, schema: dict[str, Any], where: str = "") -> str | None:
     if kind is not None and not _is(value, kind):
         return f"{where or 'it'} is not {_NAMES[kind]}"
     for check in _CHECKS:
-        found = check(value, schema, where)
-        if found is not None:
-            return found
+        wrong = check(value, schema, where)
+        if wrong is not None:
+            return wrong
     return None
 
 
@@ -295,24 +295,24 @@ def _items(value: Any, schema: dict[str, Any], where: str) -> str | None:
 
 
 def _first(parts: Any) -> str | None:
-    return next((found for part in parts if (found := fault(*part)) is not None), None)
+    return next((wrong for part in parts if (wrong := fault(*part)) is not None), None)
 
 
 def _branches(value: Any, schema: dict[str, Any], where: str) -> str | None:
     """`anyOf`: the fault of the branch that the value is of the kind of, else of the first."""
     faults = [(branch, fault(value, branch, where)) for branch in schema.get("anyOf", ())]
-    if any(found is None for _, found in faults) or not faults:
+    if any(wrong is None for _, wrong in faults) or not faults:
         return None
-    alike = (found for branch, found in faults if _is(value, branch.get("type", "null")))
+    alike = (wrong for branch, wrong in faults if _is(value, branch.get("type", "null")))
     return next(alike, faults[0][1])
 
 
 def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
     for part in schema.get("allOf", ()):
         chosen = "then" if fault(value, part.get("if", {}), where) is None else "else"
-        found = fault(value, part.get(chosen, {}), where)
-        if found is not None:
-            return found
+        wrong = fault(value, part.get(chosen, {}), where)
+        if wrong is not None:
+            return wrong
     return None
 
 

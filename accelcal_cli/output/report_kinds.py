@@ -105,14 +105,14 @@ class PoolInput(JudgedInput):
 def build_pool(data: PoolInput) -> dict[str, Any]:
     """The report without `provenance`."""
     windows = {**asdict(data.windows), "raw_error_mg": None}
-    made = document(_pool_recording(data), FileHealth(), windows, data)
+    report = document(_pool_recording(data), FileHealth(), windows, data)
     device = data.example.device
-    told = {
+    section = {
         "serial": device.serial,
         "recordings": [member.as_json() for member in data.members],
         "left_out": [{**member.as_json(), "reason": printable(why)} for member, why in data.left_out],
     }
-    return {**made, "pool": told}
+    return {**report, "pool": section}
 
 
 def _pool_recording(data: PoolInput) -> ReportRecording:
@@ -129,18 +129,18 @@ def _pool_recording(data: PoolInput) -> ReportRecording:
     )
 
 
-def of_member(pool: Document, report: Path, held: Holdout | None) -> dict[str, Any]:
+def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str, Any]:
     """Sections of a member's report: those of the pool, and what the pool does to its own windows.
 
     Args:
         report: where the member's report will be; the pool's is named by its way from there.
-        held: errors on the member's own points, which are some of those that were fitted.
+        holdout: errors on the member's own points, which are some of those that were fitted.
     """
-    way = Path(os.path.relpath(pool.path, report.parent)).as_posix()
+    relative = Path(os.path.relpath(pool.path, report.parent)).as_posix()
     own = None
-    if held is not None:
-        errors = {"before_mg": summary_json(held.before), "after_mg": summary_json(held.after)}
-        own = {"points": held.points, "postures": held.postures, **errors}
-    said = pool.report["pool"]
-    told = {**said, "path": printable(way), "sha256": pool.content_sha256, "own_windows": own}
-    return {**{name: pool.report[name] for name in TAKEN}, "pool": told}
+    if holdout is not None:
+        errors = {"before_mg": summary_json(holdout.before), "after_mg": summary_json(holdout.after)}
+        own = {"points": holdout.points, "postures": holdout.postures, **errors}
+    pooled = pool.report["pool"]
+    section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}
+    return {**{name: pool.report[name] for name in TAKEN}, "pool": section}

@@ -45,15 +45,15 @@ def restored(kind: type[T], values: Mapping[str, Any]) -> Restored[T]:
     """
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     hints = get_type_hints(kind)
-    held = {}
+    converted_values = {}
     for name in names:
         if name in values:
             try:
-                held[name] = converted(values[name], hints[name])
+                converted_values[name] = converted(values[name], hints[name])
             except TypeError as error:
                 raise ValueError(f"{name} cannot be {str(values[name])[:80]!r}") from error
     missing = tuple(name for name in names if name not in values)
-    return Restored(kind(**held), missing, tuple(name for name in values if name not in names))
+    return Restored(kind(**converted_values), missing, tuple(name for name in values if name not in names))
 
 
 def converted(value: Any, hint: Any) -> Any:
@@ -151,11 +151,11 @@ def rebuild(document: Document) -> Rebuilt:
     Raises:
         UnreadableError: they are missing, or one cannot be what it is.
     """
-    held = document.report.get("settings")
-    if not isinstance(held, dict) or not isinstance(held.get("input"), dict):
+    values = document.report.get("settings")
+    if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        return _rebuilt(held)
+        return _rebuilt(values)
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:
@@ -164,33 +164,33 @@ def rebuild(document: Document) -> Rebuilt:
         ) from error
 
 
-def _rebuilt(held: dict[str, Any]) -> Rebuilt:
-    settings, options = _settings(held), _options(held["input"])
+def _rebuilt(values: dict[str, Any]) -> Rebuilt:
+    settings, options = _settings(values), _options(values["input"])
     _check(settings.record)
     _check(options.record)
-    missing, unknown = _odd(held, settings, options)
+    missing, unknown = _odd(values, settings, options)
     return Rebuilt(
         settings=settings.record,
         options=options.record,
-        report_only=_typed(held, "report_only", bool, default=False),
-        layout=_file(held["input"], "layout"),
-        poses=_file(held, "poses"),
+        report_only=_typed(values, "report_only", bool, default=False),
+        layout=_file(values["input"], "layout"),
+        poses=_file(values, "poses"),
         missing=missing,
         unknown=unknown,
     )
 
 
-def _settings(held: Mapping[str, Any]) -> Restored[Any]:
-    if held.get("profile") == SIX_POSE:
-        return restored(PoseSettings, _without(held, NOT_POSE_SETTINGS))
-    return restored(Settings, _without(held, NOT_SETTINGS))
+def _settings(values: Mapping[str, Any]) -> Restored[Any]:
+    if values.get("profile") == SIX_POSE:
+        return restored(PoseSettings, _without(values, NOT_POSE_SETTINGS))
+    return restored(Settings, _without(values, NOT_SETTINGS))
 
 
-def _options(held: Mapping[str, Any]) -> Restored[ReadOptions]:
+def _options(values: Mapping[str, Any]) -> Restored[ReadOptions]:
     """Reading options; a table of points has none."""
-    if held.get("format") == POINTS:
+    if values.get("format") == POINTS:
         return Restored(ReadOptions(), (), ())
-    return restored(ReadOptions, _without(held, NOT_OPTIONS))
+    return restored(ReadOptions, _without(values, NOT_OPTIONS))
 
 
 def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
@@ -198,13 +198,13 @@ def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any
 
 
 def _odd(
-    held: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
+    values: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Missing and unknown keys, by their places in `settings`."""
-    outer = [name for name in NOT_SETTINGS if name not in held]
+    outer = [name for name in NOT_SETTINGS if name not in values]
     read = [name for name in options.missing if name not in NOT_OPTIONS]
-    if held["input"].get("format") != POINTS:
-        read += [name for name in NOT_OPTIONS if name not in held["input"]]
+    if values["input"].get("format") != POINTS:
+        read += [name for name in NOT_OPTIONS if name not in values["input"]]
     return (
         (*settings.missing, *outer, *(f"input.{name}" for name in read)),
         (*settings.unknown, *(f"input.{name}" for name in options.unknown)),
@@ -245,9 +245,9 @@ def _check_stillness(record: Settings) -> None:
 
 
 def _file(values: Mapping[str, Any], name: str) -> NamedFile | None:
-    told = _typed(values, name, str, default=None)
-    digest = _typed(values, f"{name}_sha256", str, default=None)
-    return None if told is None else NamedFile(told, digest)
+    file_name = _typed(values, name, str, default=None)
+    sha256 = _typed(values, f"{name}_sha256", str, default=None)
+    return None if file_name is None else NamedFile(file_name, sha256)
 
 
 def _typed(values: Mapping[str, Any], name: str, kind: type, *, default: Any) -> Any:
