@@ -20,8 +20,8 @@ from accelcal_cli.cli.options import (
 )
 from accelcal_cli.cli.output import each
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.pipeline.jobs import Result, plan_report
-from accelcal_cli.six_pose.run import PoseRequest, six_pose
+from accelcal_cli.pipeline.jobs import Request, Result, plan_report
+from accelcal_cli.six_pose.run import six_pose
 
 
 @click.command("six-pose")
@@ -47,10 +47,11 @@ def command(recording: Path, **values: Any) -> int:
     """
     inputs = [] if values["poses"] is None else [values["poses"]]
     job = plan_report(recording, values["output_dir"], values["output"], *inputs)
-    request = PoseRequest(
+    request = Request(
         options=read_options(values),
         settings=with_given(PoseSettings(), values),
         poses=values["poses"],
+        report_only=True,
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

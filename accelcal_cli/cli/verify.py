@@ -13,7 +13,7 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, chunk_option
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
-from accelcal_cli.verify import ParquetCheck, Verified, Wanted, verify
+from accelcal_cli.verify import ParquetCheck, Verified, VerifyOptions, verify
 
 DIFFERS = 1
 SHOWN_KEYS = 5
@@ -50,9 +50,9 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     anything differs.
     """
     names = ("layout", "poses", "coefficients", "values", "chunk_samples")
-    wanted = Wanted(**{name: values[name] for name in names})
+    options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
-        verified = verify(report, recording, wanted, bars)
+        verified = verify(report, recording, options, bars)
     click.echo(
         json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
     )

@@ -1,11 +1,8 @@
-"""Still windows as integer sums: what flows from the segmenter to the collector.
-
-Calibration points, parameters and fits: what flows from the collector to the judge.
-"""
+"""What flows from the segmenter to the judge: still windows as integer sums, calibration points, fits."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any, Literal
@@ -19,7 +16,7 @@ from accelcal_cli.core.gravity import STANDARD, Gravity
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
-    """m still windows.
+    """m still windows, in the order of time.
 
     Attributes:
         samples: (m,) int64, number of samples in each.
@@ -27,6 +24,8 @@ class Windows:
         sums: (m, 3) int64, sums of the raw counts.
         spread: (m, 3) int64, max - min of the raw counts.
         temperature_sums: (m,) int64, sums of thousandths of a degree C, or None.
+        start_us, end_us: (m,) int64, time of the first sample, and one period after the last, on the
+            device's clock [us]; None where the segmenter was not asked for times.
     """
 
     samples: NDArray[np.int64]
@@ -34,28 +33,34 @@ class Windows:
     sums: NDArray[np.int64]
     spread: NDArray[np.int64]
     temperature_sums: NDArray[np.int64] | None = None
+    start_us: NDArray[np.int64] | None = None
+    end_us: NDArray[np.int64] | None = None
 
     def __len__(self) -> int:
         return len(self.first_sample)
 
     def select(self, which: NDArray[np.bool_]) -> Windows:
         """The windows of a mask."""
-        warm = None if self.temperature_sums is None else self.temperature_sums[which]
-        return Windows(
-            self.samples[which], self.first_sample[which], self.sums[which], self.spread[which], warm
-        )
+        return Windows(**{name: _selected(getattr(self, name), which) for name in _WINDOW_COLUMNS})
 
 
-def joined_windows(parts: list[Windows]) -> Windows:
-    """Windows one after another, all of them with temperatures or none."""
-    warm = [part.temperature_sums for part in parts if part.temperature_sums is not None]
-    return Windows(
-        np.concatenate([part.samples for part in parts]),
-        np.concatenate([part.first_sample for part in parts]),
-        np.concatenate([part.sums for part in parts]),
-        np.concatenate([part.spread for part in parts]),
-        np.concatenate(warm) if warm else None,
-    )
+_WINDOW_COLUMNS = {name: (0, 3) if name in ("sums", "spread") else (0,) for name in Windows.__annotations__}
+"""Shapes of no windows, by column."""
+
+
+def _selected(column: Any, which: NDArray[np.bool_]) -> Any:
+    return None if column is None else column[which]
+
+
+def joined_windows(parts: Sequence[Windows]) -> Windows:
+    """Windows one after another; an optional column that some of them lack is left out."""
+    return Windows(**{name: _joined([getattr(p, name) for p in parts], name) for name in _WINDOW_COLUMNS})
+
+
+def _joined(columns: Sequence[Any], name: str) -> Any:
+    if any(column is None for column in columns):
+        return None
+    return np.concatenate([np.empty(_WINDOW_COLUMNS[name], np.int64), *columns])
 
 
 @dataclass(frozen=True, slots=True)

@@ -281,6 +281,11 @@ class PoseSettings:
         return Gravity(self.latitude, self.altitude_m)
 
     @property
+    def profile(self) -> str:
+        """What the report's `settings` call these."""
+        return SIX_POSE
+
+    @property
     def stillness(self) -> Settings:
         """The same as settings of the segmenter."""
         names = (
@@ -296,7 +301,7 @@ class PoseSettings:
 
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
-        fixed = {"profile": SIX_POSE, "optimizer": "least-squares", "model": "12", "temperature": False}
+        fixed = {"profile": self.profile, "optimizer": "least-squares", "model": "12", "temperature": False}
         return {**fixed, "stillness": self.stillness.stillness, **asdict(self)}
 
 

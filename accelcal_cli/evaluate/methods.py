@@ -20,10 +20,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import Calibration, Fit, Model, PointSet
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
 from accelcal_cli.pipeline.method import Procedure, fitting, make_method
-from accelcal_cli.pipeline.survey import survey
+from accelcal_cli.pipeline.survey import open_marked, survey
 
 TRUTH_SUFFIX = ".truth.json"
 TABLE_3_OF_F = (
@@ -97,10 +96,10 @@ def collected(path: Path, options: ReadOptions, settings: Settings, progress: Pr
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_recording(path, options) as reader:
+    with open_marked(path, options) as reader:
         method = make_method(reader.recording, settings)
         shown = progress("reading", reader.recording.total_bytes)
-        survey(reader.recording, reader.chunks(DEFAULT_CHUNK_SAMPLES), method, shown)
+        survey(reader.chunks(DEFAULT_CHUNK_SAMPLES), method.segmenter, (method.procedure,), shown)
     return method.procedure
 
 

@@ -19,12 +19,11 @@ from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import STILLNESS, Settings, with_stillness
 from accelcal_cli.evaluate.methods import Truth, truth_beside
-from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.method import fitting, make_method
-from accelcal_cli.pipeline.survey import survey
+from accelcal_cli.pipeline.survey import open_marked, survey
 
 RAW = "raw"
 """Instead of a rule: no calibration."""
@@ -85,7 +84,7 @@ def compare(
         AccelcalError: it cannot be read, or its truth file cannot.
     """
     truth = truth_beside(path)
-    with open_recording(path, options) as reader:
+    with open_marked(path, options) as reader:
         found = [
             _by_rule(reader, with_stillness(settings, rule), chunk_samples, progress) for rule in STILLNESS
         ]
@@ -97,8 +96,8 @@ def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: P
     recording = reader.recording
     method = make_method(recording, settings)
     shown = progress(f"by rule {settings.stillness}", recording.total_bytes)
-    survey(recording, reader.chunks(chunk_samples), method, shown)
-    use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.points()
+    survey(reader.chunks(chunk_samples), method.segmenter, (method.procedure,), shown)
+    use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.result()
     still_s = (use.used + use.joined) * method.segmenter.length / recording.rate_hz
     label = postures(points, settings.posture_degrees)
     return Found(

@@ -1,10 +1,7 @@
-"""What coefficients have to do with a recording: are they its own, its device's, another's?
+"""Known coefficients onto a recording: whose they are, what they do to its stillness, what the report says.
 
-What is said of borrowed coefficients: the report's `message`, and the warning on stderr.
-
-Known coefficients onto a recording, judged by the recording's own stillness.
-
-Coefficients of a device's other recordings onto one, if they prove themselves on its own stillness.
+`apply` applies those of one report; `borrow` those of the first of a device's other recordings that prove
+themselves. Whose coefficients they are is the donor, what they are applied to the recipient.
 """
 
 from __future__ import annotations
@@ -21,67 +18,154 @@ from accelcal_cli.core.points import Calibration, PointSet
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import DEFAULT, SIX_POSE, Settings
-from accelcal_cli.formats import open_recording
-from accelcal_cli.judge.errors import coverage
-from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, damage_verdict, held_out
+from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
 from accelcal_cli.output.report import ReportInput, coefficients_json
 from accelcal_cli.output.report_reading import COPIED, Coefficients, check_sections, read_coefficients
-from accelcal_cli.pipeline import calibrate
-from accelcal_cli.pipeline.calibrate import Passes
+from accelcal_cli.pipeline.calibrate import (
+    Judge,
+    OwnCalibration,
+    RecordingRun,
+    Survey,
+    Verdict,
+    open_run,
+)
 from accelcal_cli.pipeline.jobs import (
+    FileStamp,
     Job,
     ProgressMaker,
     Request,
     Result,
-    Seen,
-    hashing,
     no_progress,
     real,
-    seen,
     sha256,
 )
-from accelcal_cli.pipeline.outputs import prepare, up_to_date
+from accelcal_cli.pipeline.method import Method, make_method
+from accelcal_cli.pipeline.outputs import prepare
 from accelcal_cli.pipeline.report_settings import rebuild
 
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that decide the values themselves."""
 
 ANY_DEVICE = "use --any-device to apply them all the same"
+SHOWN_HASH = 12
+UNSEEN = "coefficients of another recording: all points are held out"
+REREAD = "coefficients of the same file read otherwise: points may have been fitted"
 
 
-class Link(Enum):
-    """Own: found from this very recording, read as it is read now. Reread: from the same file, but
-    read otherwise. Other: from another recording."""
+class Relation(Enum):
+    """Of a donor to the recipient. Own: found from this very recording, read as it is read now.
+    Reread: from the same file, but read otherwise. Other: from another recording."""
 
     OWN = "own"
     REREAD = "reread"
     OTHER = "other"
 
 
-def link(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Link:
+def apply(
+    job: Job, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
+) -> Result:
+    """Apply the request's coefficients to one recording, unless its outputs are up to date.
+
+    Args:
+        source: where the recording's bytes are, if not at the job's source.
+
+    Raises:
+        AccelcalError: it cannot be read, is not of the coefficients' device, lacks the temperature
+            they need, or its outputs cannot be written.
+    """
+    assert request.coefficients is not None
+    with open_run(job, request, progress, source) as opened:
+        run, judge = given(opened, request.coefficients)
+        return run.complete(judge)
+
+
+def given(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCoefficients]:
+    """The run with a donor's coefficients and the settings that go with them, and its judge.
+
+    Raises:
+        UsageError: they cannot be applied to the recording, or not without the user saying so.
+        UnreadableError: the donor's report has settings that cannot be.
+    """
+    recording, request = run.reader.recording, run.request
+    relation = checked_relation(donor, recording, run.bytes_at, request)
+    settings = settings_for(donor, relation, request.recording_settings)
+    need_temperature(applied(donor, settings), recording, has=recording.has_temperature)
+    request = replace(request, settings=settings, coefficients=donor)
+    return replace(run, request=request), GivenCoefficients(settings, donor, relation)
+
+
+@dataclass(frozen=True)
+class GivenCoefficients(Judge):
+    """Judges a donor's coefficients by the recipient's stillness."""
+
+    donor: Coefficients
+    relation: Relation
+
+    @property
+    def calibration(self) -> Calibration:
+        """What is applied."""
+        return applied(self.donor, self.settings)
+
+    def method(self, recording: Recording) -> Method:
+        """As for the recording's own calibration; raises UnreadableError for a damaged report of its own."""
+        if self.relation is Relation.OWN:
+            check_sections(self.donor.document, COPIED)
+        return make_method(recording, self.settings)
+
+    def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
+        """The donor's verdict on its own recording; else what the coefficients do to this one's points."""
+        need_temperature(self.calibration, found.recording, has=found.facts.has_temperature)
+        named = {"coefficients": _coefficients(self.donor)}
+        if found.damage is not None:
+            return Verdict(found.damage, named)
+        judgement = self._own(found) if self.relation is Relation.OWN else self._borrowed(found)
+        return Verdict(judgement, self._donor_sections() | named)
+
+    def _own(self, found: Survey) -> Judgement:
+        """The recording's own verdict; its sections are taken from its report."""
+        report = self.donor.document.report
+        text = printable(f"{report['message']}; these are the recording's own coefficients")
+        return Judgement(Outcome(report["outcome"]), text, found.coverage, (), self.donor.calibration)
+
+    def _borrowed(self, found: Survey) -> Judgement:
+        settings, calibration = self.settings, self.calibration
+        method = REREAD if self.relation is Relation.REREAD else UNSEEN
+        holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, method)
+        text = sentence(self.donor, calibration, found.recording, holdout, settings.max_error_mg)
+        return Judgement(Outcome.BORROWED, text, found.coverage, (), calibration, holdout=holdout)
+
+    def _donor_sections(self) -> dict[str, Any]:
+        """Sections of the donor's report that hold here too."""
+        report = self.donor.document.report
+        copied = COPIED if self.relation is Relation.OWN else ()
+        section = _calibration(report["calibration"], self.donor.calibration, self.calibration)
+        return {"calibration": section, **{name: report[name] for name in copied}}
+
+
+def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
     """How a recording and the coefficients to apply to it belong together.
 
     Raises:
         UsageError: they are not of the same device, or it is not known, and the user did not say
             that this does not matter; or they are its own, but not as they would be applied.
     """
-    found = relation(donor, recording, bytes_at, request)
-    if found is Link.OWN:
-        _refuse_changes(donor, recording, request)
+    relation = relation_of(donor, recording, bytes_at, request)
+    if relation is Relation.OWN:
+        _refuse_changes(donor, recording, request.recording_settings)
     elif not request.any_device:
-        _refuse_other_device(donor, recording, found)
-    return found
+        _refuse_other_device(donor, recording, relation)
+    return relation
 
 
-def relation(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Link:
+def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
     """How a recording and coefficients belong together, whatever is asked for."""
     report = donor.document.report
     if report["recording"]["bytes"] != bytes_at.stat().st_size and "coefficients" not in report:
-        return Link.OTHER
+        return Relation.OTHER
     if sha256(bytes_at) != donor.origin.sha256:
-        return Link.OTHER
+        return Relation.OTHER
     own = report["recording"]["sha256"] == donor.origin.sha256
-    return Link.OWN if own and not _read_otherwise(report, recording, request) else Link.REREAD
+    return Relation.OWN if own and not _read_otherwise(report, recording, request) else Relation.REREAD
 
 
 def _read_otherwise(report: dict[str, Any], recording: Recording, request: Request) -> bool:
@@ -92,33 +176,33 @@ def _read_otherwise(report: dict[str, Any], recording: Recording, request: Reque
         recording.lsb_per_g,
     ):
         return True
-    used = report.get("settings")
-    before = used.get("input") if isinstance(used, dict) else None
+    settings = report.get("settings")
+    before = settings.get("input") if isinstance(settings, dict) else None
     if not isinstance(before, dict):
         return True
     now = request.effective_settings(recording.companion)["input"]
     return any(before.get(name) != now[name] for name in READING)
 
 
-def _refuse_changes(donor: Coefficients, recording: Recording, request: Request) -> None:
+def _refuse_changes(donor: Coefficients, recording: Recording, wanted: Settings) -> None:
     """A recording's own result holds only as it was found."""
-    found, wanted = donor.calibration, request.settings
-    if found.temperature is not None and not wanted.temperature:
+    calibration = donor.calibration
+    if calibration.temperature is not None and not wanted.temperature:
         option = "--no-temperature"
-    elif wanted.latitude is not None and wanted.gravity != found.gravity:
+    elif wanted.latitude is not None and wanted.gravity != calibration.gravity:
         option = "--latitude"
     else:
         return
     raise UsageError(
-        f"the coefficients are this recording's own, and {option} was not in their making",
+        f"the coefficients are this recording's own, and were found without {option}",
         path=recording.path,
         hint=f"leave {option} out, or calibrate it again with it",
     )
 
 
-def _refuse_other_device(donor: Coefficients, recording: Recording, found: Link) -> None:
+def _refuse_other_device(donor: Coefficients, recording: Recording, relation: Relation) -> None:
     theirs, ours = donor.origin.device.serial, recording.device.serial
-    if found is Link.REREAD:
+    if relation is Relation.REREAD:
         raise UsageError(
             "the coefficients are of this very file, but the report is not, or the file was read otherwise",
             path=recording.path,
@@ -137,7 +221,7 @@ def _refuse_other_device(donor: Coefficients, recording: Recording, found: Link)
     raise UsageError(printable(text), path=recording.path, hint=ANY_DEVICE)
 
 
-def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings:
+def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> Settings:
     """What finds and judges the recording's stillness: what was used on the donor's, as far as it fits.
 
     Profile `paper` keeps only eighteen points; another recording is judged by all it has.
@@ -145,12 +229,12 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
     Raises:
         UnreadableError: the donor's report has settings that cannot be.
     """
-    held = donor.document.report.get("settings")
-    known = isinstance(held, dict) and held.get("profile") != SIX_POSE
-    rebuilt = rebuild(donor.document).settings if known else DEFAULT
-    base = rebuilt if isinstance(rebuilt, Settings) else DEFAULT
+    section = donor.document.report.get("settings")
+    known = isinstance(section, dict) and section.get("profile") != SIX_POSE
+    settings = rebuild(donor.document).settings if known else DEFAULT
+    base = settings if isinstance(settings, Settings) else DEFAULT
     base = replace(base, precision_mg=wanted.precision_mg)
-    if found is Link.OWN:
+    if relation is Relation.OWN:
         return replace(base, max_damage_percent=wanted.max_damage_percent)
     base = base if base.profile == DEFAULT.profile else DEFAULT
     place = wanted.gravity if wanted.latitude is not None else donor.calibration.gravity
@@ -168,11 +252,12 @@ def settings_for(donor: Coefficients, found: Link, wanted: Settings) -> Settings
 
 def applied(donor: Coefficients, settings: Settings) -> Calibration:
     """The calibration to apply: the donor's, at its reference temperature where none is to be used."""
-    found = donor.calibration
-    if found.temperature is None or settings.temperature:
-        return found
-    still = (*found.parameters[:9], 0, 0, 0)
-    return replace(found, model=found.model.removesuffix("T"), parameters=still, temperature=None)
+    calibration = donor.calibration
+    if calibration.temperature is None or settings.temperature:
+        return calibration
+    still = (*calibration.parameters[:9], 0, 0, 0)
+    model = calibration.model.removesuffix("T")
+    return replace(calibration, model=model, parameters=still, temperature=None)
 
 
 def need_temperature(calibration: Calibration, recording: Recording, *, has: bool) -> None:
@@ -183,100 +268,6 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
             path=recording.path,
             hint=f"--no-temperature uses them as at {calibration.reference_c():.1f} C",
         )
-
-
-SHOWN_HASH = 12
-
-
-def sentence(
-    donor: Coefficients, calibration: Calibration, recording: Recording, held: Holdout | None, limit_mg: float
-) -> str:
-    """Whose the coefficients are, what they did, what is different here, and what to beware of."""
-    beware = [] if held is None else _warnings(held.before.mean, held.after.mean, limit_mg)
-    about = f"coefficients of {_named(donor)}: {_change(held)}"
-    return printable("; ".join([about, *beware, *_notes(donor, calibration, recording)]))
-
-
-def _named(donor: Coefficients) -> str:
-    origin = donor.origin
-    device = " ".join(word for word in (origin.device.model, origin.device.serial) if word)
-    return f"{origin.path} (sha256 {origin.sha256[:SHOWN_HASH]}, device {device or 'unknown'})"
-
-
-def _change(held: Holdout | None) -> str:
-    if held is None:
-        return "no two postures of stillness to judge them by"
-    return (
-        f"{held.before.mean:.1f} mg before, {held.after.mean:.2f} mg after "
-        f"on {held.postures} postures, none of which they were found from"
-    )
-
-
-def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
-    """What is different from the donor, but does not hinder."""
-    notes, then = [], donor.document.report["recording"]
-    theirs, ours = donor.origin.device, recording.device
-    if theirs.serial != ours.serial or not ours.serial:
-        notes.append(f"this recording's device is {ours.serial or 'unknown'}")
-    elif theirs.model and ours.model and theirs.model != ours.model:
-        notes.append(f"this recording's device is a {ours.model} of the same serial")
-    direct = then["sha256"] == donor.origin.sha256
-    if direct and then["lsb_per_g"] not in (None, recording.lsb_per_g):
-        notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then['lsb_per_g']:.10g} there")
-    if donor.calibration.temperature is not None and calibration.temperature is None:
-        at_c = donor.calibration.reference_c()
-        notes.append(f"used as at {at_c:.1f} C, their temperature slopes are left out")
-    return notes
-
-
-def _warnings(before_mg: float, after_mg: float, limit_mg: float) -> list[str]:
-    found = []
-    if after_mg > before_mg:
-        found.append("the error is larger with them than without")
-    if after_mg >= limit_mg:
-        found.append(f"{limit_mg:g} mg or more are left")
-    return found
-
-
-def warning(report: dict[str, Any]) -> str | None:
-    """What a user must be told of a report of borrowed coefficients, or None."""
-    held = report["holdout"]
-    if report["outcome"] != Outcome.BORROWED or held is None:
-        return None
-    before_mg, after_mg = held["before_mg"]["mean"], held["after_mg"]["mean"]
-    found = _warnings(before_mg, after_mg, report["settings"]["max_error_mg"])
-    return f"warning: {report['message']}" if found else None
-
-
-UNSEEN = "coefficients of another recording: all points are held out"
-REREAD = "coefficients of the same file read otherwise: points may have been fitted"
-
-
-def apply(
-    job: Job, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
-) -> Result:
-    """Apply the request's coefficients to one recording, unless its outputs are up to date.
-
-    Args:
-        source: where the recording's bytes are, if not at the job's source.
-
-    Raises:
-        AccelcalError: it cannot be read, is not of the coefficients' device, lacks the temperature
-            they need, or its outputs cannot be written.
-    """
-    path, donor = source or job.source, request.coefficients
-    assert donor is not None
-    before = seen(path)
-    with open_recording(path, request.options, request.threads) as reader:
-        found = link(donor, reader.recording, path, request)
-        request = replace(request, settings=settings_for(donor, found, request.settings))
-        calibration = applied(donor, request.settings)
-        need_temperature(calibration, reader.recording, has=reader.recording.has_temperature)
-        prepare(job, force=request.force)
-        if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
-            return held
-        passes = Passes(job, request, progress, reader, path, before)
-        return passes.write(judged(passes, donor, found))
 
 
 def keep_coefficients(path: Path, jobs: list[Job]) -> None:
@@ -290,52 +281,68 @@ def keep_coefficients(path: Path, jobs: list[Job]) -> None:
             )
 
 
-def judged(passes: Passes, donor: Coefficients, found: Link) -> ReportInput:
-    """First pass: survey the recording, and judge the coefficients; nothing is written.
-
-    Raises:
-        UnreadableError: the recording cannot be read on, or its own report is damaged.
-    """
-    if found is Link.OWN:
-        check_sections(donor.document, COPIED)
-    method, settings = passes.method(), passes.request.settings
-    calibration = applied(donor, settings)
-    with hashing(passes.bytes_at) as digest:
-        facts = passes.survey(method)
-        need_temperature(calibration, passes.reader.recording, has=facts.has_temperature)
-        points = method.procedure.points()
-        own = found is Link.OWN
-        spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(points))
-        verdict = spoiled or (_own(donor, points) if own else _borrowed(passes, donor, found, points))
-        data = passes.found(method, facts, verdict, digest.result())
-    named = {"coefficients": _coefficients(donor)}
-    return replace(data, taken=named if spoiled else _taken(donor, calibration, own=own) | named)
+def sentence(
+    donor: Coefficients,
+    calibration: Calibration,
+    recording: Recording,
+    holdout: Holdout | None,
+    limit_mg: float,
+) -> str:
+    """Whose the coefficients are, what they did, what is different here, and what to beware of."""
+    cautions = [] if holdout is None else _warnings(holdout.before.mean, holdout.after.mean, limit_mg)
+    about = f"coefficients of {_named(donor)}: {_change(holdout)}"
+    return printable("; ".join([about, *cautions, *_notes(donor, calibration, recording)]))
 
 
-def _own(donor: Coefficients, points: PointSet) -> Judgement:
-    """The recording's own verdict; its sections are taken from its report."""
-    report = donor.document.report
-    text = printable(f"{report['message']}; these are the recording's own coefficients")
-    return Judgement(Outcome(report["outcome"]), text, coverage(points), (), donor.calibration)
+def _named(donor: Coefficients) -> str:
+    origin = donor.origin
+    device = " ".join(word for word in (origin.device.model, origin.device.serial) if word)
+    return f"{origin.path} (sha256 {origin.sha256[:SHOWN_HASH]}, device {device or 'unknown'})"
 
 
-def _borrowed(passes: Passes, donor: Coefficients, found: Link, points: PointSet) -> Judgement:
-    settings = passes.request.settings
-    calibration = applied(donor, settings)
-    method = REREAD if found is Link.REREAD else UNSEEN
-    held = held_out(points, calibration, settings.gravity, settings.posture_degrees, method)
-    text = sentence(donor, calibration, passes.reader.recording, held, settings.max_error_mg)
-    return Judgement(Outcome.BORROWED, text, coverage(points), (), calibration, holdout=held)
+def _change(holdout: Holdout | None) -> str:
+    if holdout is None:
+        return "no two postures of stillness to judge them by"
+    return (
+        f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after "
+        f"on {holdout.postures} postures, none of which they were found from"
+    )
 
 
-def _taken(donor: Coefficients, calibration: Calibration, *, own: bool) -> dict[str, Any]:
-    """Sections of the donor's report that hold here too."""
-    report = donor.document.report
-    copied = {name: report[name] for name in COPIED} if own else {}
-    return {
-        "calibration": _calibration(report["calibration"], donor.calibration, calibration),
-        **copied,
-    }
+def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
+    """What is different from the donor, but does not hinder."""
+    notes, then = [], donor.document.report["recording"]
+    theirs, ours = donor.origin.device, recording.device
+    if theirs.serial != ours.serial or not ours.serial:
+        notes.append(f"this recording's device is {ours.serial or 'unknown'}")
+    elif theirs.model and ours.model and theirs.model != ours.model:
+        notes.append(f"this recording's device is a {ours.model} of the same serial")
+    found_there = then["sha256"] == donor.origin.sha256
+    if found_there and then["lsb_per_g"] not in (None, recording.lsb_per_g):
+        notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then['lsb_per_g']:.10g} there")
+    if donor.calibration.temperature is not None and calibration.temperature is None:
+        at_c = donor.calibration.reference_c()
+        notes.append(f"used as at {at_c:.1f} C, their temperature slopes are left out")
+    return notes
+
+
+def _warnings(before_mg: float, after_mg: float, limit_mg: float) -> list[str]:
+    warnings = []
+    if after_mg > before_mg:
+        warnings.append("the error is larger with them than without")
+    if after_mg >= limit_mg:
+        warnings.append(f"{limit_mg:g} mg or more are left")
+    return warnings
+
+
+def warning(report: dict[str, Any]) -> str | None:
+    """The warning about a report of borrowed coefficients, None where nothing speaks against them."""
+    holdout = report["holdout"]
+    if report["outcome"] != Outcome.BORROWED or holdout is None:
+        return None
+    before_mg, after_mg = holdout["before_mg"]["mean"], holdout["after_mg"]["mean"]
+    warnings = _warnings(before_mg, after_mg, report["settings"]["max_error_mg"])
+    return f"warning: {report['message']}" if warnings else None
 
 
 def _calibration(section: dict[str, Any], whole: Calibration, used: Calibration) -> dict[str, Any]:
@@ -360,11 +367,11 @@ def _coefficients(donor: Coefficients) -> dict[str, Any]:
 
 
 @dataclass(frozen=True, slots=True)
-class Loan:
-    """What came of asking.
+class Borrowed:
+    """What came of borrowing.
 
     Attributes:
-        result: with the coefficients of the first that was accepted; None where none was.
+        result: with the coefficients of the first donor that was accepted; None where none was.
         reasons: why those before it were not.
     """
 
@@ -377,7 +384,7 @@ class _Own:
     """What a recording's own calibration does to its own points."""
 
     points: PointSet
-    held: Holdout | None
+    holdout: Holdout | None
 
 
 def borrow(
@@ -387,9 +394,9 @@ def borrow(
     progress: ProgressMaker = no_progress,
     *,
     must_be_better: bool,
-    before: Seen | None = None,
-) -> Loan:
-    """Apply the coefficients of the first report that stands the test.
+    before: FileStamp | None = None,
+) -> Borrowed:
+    """Apply the coefficients of the first donor that stands the test.
 
     They are tested on all still windows of the recording, none of which they were found from: the error
     must be less than before (no more, where they change nothing), and below the settings' limit.
@@ -398,50 +405,42 @@ def borrow(
         reports: of recordings of the same device, found with the request's settings.
         must_be_better: also less than that of the recording's own calibration, by more than the
             uncertainty.
-        before: how the recording was when its own result was found; None if that does not matter.
+        before: the recording's stamp when its own result was found; None if that does not matter.
 
     Raises:
         AccelcalError: the recording or a report cannot be read, or changed; or the outputs cannot be written.
     """
-    with open_recording(job.source, request.options, request.threads) as reader:
+    with open_run(job, request, progress, before=before) as run:
         prepare(job, force=request.force)
-        passes = Passes(job, request, progress, reader, job.source, before)
-        own = _own_result(passes) if must_be_better else None
+        own = _own_result(run) if must_be_better else None
         reasons: list[str] = []
         for path in reports:
             donor = read_coefficients(path, by_content=True)
             try:
-                mine, data = _tested(passes, donor)
+                recipient, judge = _other(run, donor)
+                data, _ = recipient.result(judge)
                 if data.judgement.holdout is None:
-                    return Loan(None, (_untested(data.judgement),))
-                why = _why_not(data, donor.calibration) or _why_own(own, donor, mine)
+                    return Borrowed(None, (_untested(data.judgement),))
+                why = _why_not(judge, data.judgement.holdout) or _why_own(own, judge)
             except UsageError as error:
                 why = error.message
             if why is None:
-                return Loan(mine.write(_placed(data, job)), tuple(reasons))
+                return Borrowed(recipient.write(_relocatable(data, job)), tuple(reasons))
             reasons.append(printable(f"with the coefficients of {donor.origin.path}, {why}"))
-        return Loan(None, tuple(reasons))
+        return Borrowed(None, tuple(reasons))
 
 
-def _own_result(passes: Passes) -> _Own:
-    data, points = calibrate.judged(passes)
+def _own_result(run: RecordingRun) -> _Own:
+    data, points = run.result(OwnCalibration(run.request.recording_settings))
     return _Own(points, data.judgement.holdout)
 
 
-def _tested(passes: Passes, donor: Coefficients) -> tuple[Passes, ReportInput]:
-    """The recording judged with coefficients, and the passes to write it.
-
-    Raises:
-        UsageError: they cannot be applied to it.
-    """
-    recording = passes.reader.recording
-    found = link(donor, recording, passes.bytes_at, passes.request)
-    if found is not Link.OTHER:
+def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCoefficients]:
+    """See `given`; raises UsageError also for the recording's own coefficients."""
+    recipient, judge = given(run, donor)
+    if judge.relation is not Relation.OTHER:
         raise UsageError("it is the same recording")
-    settings = settings_for(donor, found, passes.request.settings)
-    need_temperature(applied(donor, settings), recording, has=recording.has_temperature)
-    mine = replace(passes, request=replace(passes.request, settings=settings, coefficients=donor))
-    return mine, judged(mine, donor, found)
+    return recipient, judge
 
 
 def _untested(verdict: Judgement) -> str:
@@ -451,32 +450,29 @@ def _untested(verdict: Judgement) -> str:
     return f"there is no stillness in {FEWEST_POSTURES} postures to test coefficients on"
 
 
-def _why_not(data: ReportInput, lent: Calibration) -> str | None:
+def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
     """Why coefficients are not accepted, or None."""
-    held, limit_mg = data.judgement.holdout, data.settings["max_error_mg"]
-    assert held is not None
-    before, after = held.before.mean, held.after.mean
-    changed = f"{before:.1f} mg become {after:.2f} mg on {held.postures} postures"
-    if after > before or (after == before and lent.model != "0"):
+    before, after, limit_mg = holdout.before.mean, holdout.after.mean, judge.settings.max_error_mg
+    changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures"
+    if after > before or (after == before and judge.donor.calibration.model != "0"):
         return f"{changed}, which is no less"
     return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
 
 
-def _why_own(own: _Own | None, donor: Coefficients, mine: Passes) -> str | None:
+def _why_own(own: _Own | None, judge: GivenCoefficients) -> str | None:
     """Why the recording's own calibration is preferred, or None."""
-    if own is None or own.held is None:
+    if own is None or own.holdout is None:
         return None
-    settings = mine.request.settings
-    calibration = applied(donor, settings)
-    lent = held_out(own.points, calibration, settings.gravity, settings.posture_degrees, UNSEEN)
-    if lent is None or not better(lent, own.held):
-        shown = "no" if lent is None else f"{lent.after.mean:.2f} mg"
-        return f"{shown} instead of its own {own.held.after.mean:.2f} mg is no less beyond the uncertainty"
+    settings = judge.settings
+    borrowed = held_out(own.points, judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
+    if borrowed is None or not better(borrowed, own.holdout):
+        shown = "no" if borrowed is None else f"{borrowed.after.mean:.2f} mg"
+        return f"{shown} instead of its own {own.holdout.after.mean:.2f} mg is no less beyond the uncertainty"
     return None
 
 
-def _placed(data: ReportInput, job: Job) -> ReportInput:
-    """The coefficient file by its way from the report, so that both may be moved together."""
+def _relocatable(data: ReportInput, job: Job) -> ReportInput:
+    """The coefficient file by its path from the report, so that both may be moved together."""
     used = data.taken["coefficients"]
-    way = Path(os.path.relpath(used["path"], job.report.parent)).as_posix()
-    return replace(data, taken={**data.taken, "coefficients": {**used, "path": way}})
+    path = Path(os.path.relpath(used["path"], job.report.parent)).as_posix()
+    return replace(data, taken={**data.taken, "coefficients": {**used, "path": path}})

@@ -1,19 +1,23 @@
-"""The two passes over an open recording: reading what is judged, and writing what is calibrated.
+"""The main job: a recording in, calibrated Parquet and a report out.
 
-The main job: a recording in, calibrated Parquet and an honest report out.
+`RecordingRun` is one open recording. Its first pass surveys the recording and asks a `Judge`: for the
+calibration found from the recording itself (here), for known coefficients (`apply`), for those of a pool
+(`pool`), or for known orientations (`six_pose.run`). Its second pass writes what is calibrated.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.points import PointSet
-from accelcal_cli.core.recording import Reader
-from accelcal_cli.core.results import Facts, Judgement
+from accelcal_cli.core.recording import Reader, Recording
+from accelcal_cli.core.results import Coverage, Facts, Judgement
+from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import give_back_freed_memory
-from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.optimize import named_optimizer
@@ -28,15 +32,15 @@ from accelcal_cli.pipeline.export import (
     write_calibrated,
 )
 from accelcal_cli.pipeline.jobs import (
+    FileStamp,
     Job,
     ProgressMaker,
     Request,
     Result,
-    Seen,
+    check_unchanged,
+    file_stamp,
     hashing,
     no_progress,
-    same,
-    seen,
 )
 from accelcal_cli.pipeline.method import Method, fitting, make_method, optimizer_json
 from accelcal_cli.pipeline.outputs import (
@@ -47,20 +51,123 @@ from accelcal_cli.pipeline.outputs import (
     up_to_date,
     with_provenance,
 )
-from accelcal_cli.pipeline.survey import survey
+from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
 
 SURVEYED_AT_ONCE = 4
 """Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
 threads that each take Python's lock for longer wait less for each other."""
 
 
+def calibrate(
+    job: Job, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
+) -> Result:
+    """Calibrate one recording from its own stillness, unless its outputs are up to date.
+
+    Args:
+        source: where the recording's bytes are, if not at the job's source.
+
+    Raises:
+        AccelcalError: it cannot be read, or its outputs cannot be written.
+    """
+    with open_run(job, request, progress, source) as run:
+        return run.complete(OwnCalibration(request.recording_settings))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Survey:
+    """What the first pass over a recording found.
+
+    Attributes:
+        method: with all still windows taken in.
+        points: those of its procedure.
+        damage: the refusal of a recording that is too damaged; None for any other.
+    """
+
+    recording: Recording
+    facts: Facts
+    method: Method
+    points: PointSet
+    coverage: Coverage
+    damage: Judgement | None
+
+
 @dataclass(frozen=True, slots=True)
-class Passes:
+class Verdict:
+    """What a judge says.
+
+    Attributes:
+        sections: of the report, instead of those that follow from the judgement, or besides them.
+        used_windows: how many still windows were used, where the procedure does not know.
+    """
+
+    judgement: Judgement
+    sections: dict[str, Any] = field(default_factory=dict)
+    used_windows: int | None = None
+
+
+@dataclass(frozen=True)
+class Judge:
+    """Decides what comes of a recording.
+
+    Attributes:
+        settings: how stillness is found and judged.
+    """
+
+    settings: Settings
+
+    def method(self, recording: Recording) -> Method:
+        """What the first pass is to find, before it begins."""
+        return make_method(recording, self.settings)
+
+    def optimizer(self) -> dict[str, Any]:
+        """The report's `optimizer`; raises UsageError for an unknown one."""
+        return optimizer_json(named_optimizer(self.settings.optimizer), self.settings)
+
+    def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
+        """Judge what the first pass found."""
+        raise NotImplementedError
+
+
+class OwnCalibration(Judge):
+    """Fits a recording's own points."""
+
+    def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
+        """The judgement of the profile's procedure."""
+        if found.damage is not None:
+            return Verdict(found.damage)
+        return Verdict(advised(found.method.procedure.judge(fitting(self.settings)), found.facts))
+
+
+@contextmanager
+def open_run(
+    job: Job,
+    request: Request,
+    progress: ProgressMaker = no_progress,
+    source: Path | None = None,
+    before: FileStamp | None = None,
+) -> Iterator[RecordingRun]:
+    """Open a job's recording.
+
+    Args:
+        source: where the recording's bytes are, if not at the job's source.
+        before: its stamp when an earlier result was found that must be of the same bytes.
+
+    Raises:
+        AccelcalError: it cannot be read.
+    """
+    path = source or job.source
+    before = before or file_stamp(path)
+    with open_marked(path, request.options, request.threads) as reader:
+        yield RecordingRun(job, request, progress, reader, path, before)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingRun:
     """One open recording, what is asked for, and where the results go.
 
     Attributes:
         bytes_at: where the recording's bytes are; the job's source but for standard input.
-        before: how it was before it was opened; None if it may change while it is read.
+        before: its stamp before it was opened; None if it may change while it is read.
     """
 
     job: Job
@@ -68,36 +175,67 @@ class Passes:
     progress: ProgressMaker
     reader: Reader
     bytes_at: Path
-    before: Seen | None = None
+    before: FileStamp | None = None
 
-    def method(self) -> Method:
-        """How the settings find and judge the recording's stillness."""
-        return make_method(self.reader.recording, self.request.settings)
+    def complete(self, judge: Judge) -> Result:
+        """The existing result if it still holds, else that of both passes.
 
-    def survey(self, method: Method) -> Facts:
-        """First pass: facts, and still windows into the method."""
-        recording, request = self.reader.recording, self.request
-        shown = self.progress("reading", recording.total_bytes)
-        chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
-        facts = survey(recording, chunks, method, shown, request.threads)
-        give_back_freed_memory()
-        return facts
+        Raises:
+            AccelcalError: see `result` and `write`; or the outputs are those of another recording.
+        """
+        prepare(self.job, force=self.request.force)
+        if not self.request.force:
+            existing = up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
+            if existing is not None:
+                return existing
+        data, points = self.result(judge)
+        return self.write(data, integers_json(data, points) if self.request.integers else None)
 
-    def found(self, method: Method, facts: Facts, judgement: Judgement, sha256: str) -> reports.ReportInput:
-        """Everything the report says but what the second pass counts."""
-        recording, settings = self.reader.recording, self.request.settings
-        return reports.ReportInput(
+    def result(self, judge: Judge) -> tuple[ReportInput, PointSet]:
+        """First pass: survey the recording and judge it; nothing is written.
+
+        Returns:
+            all that the report says but what the second pass counts, and the recording's points.
+
+        Raises:
+            UnreadableError: the recording cannot be read on.
+        """
+        recording, optimizer = self.reader.recording, judge.optimizer()
+        method = judge.method(recording)
+        with hashing(self.bytes_at) as digest:
+            facts = self.survey(method)
+            points = method.procedure.result()
+            seen = coverage(points)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, seen)
+            verdict = judge.verdict(self, Survey(recording, facts, method, points, seen, damage))
+            sha256 = digest.result()
+        windows = method.procedure.window_use(method.segmenter.counts)
+        used = windows.used if verdict.used_windows is None else verdict.used_windows
+        data = ReportInput(
             recording=replace(recording, path=self.job.source),
             sha256=sha256,
             facts=facts,
             settings=self.request.effective_settings(recording.companion),
-            judgement=judgement,
-            windows=method.procedure.window_use(method.segmenter.counts),
-            optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
+            judgement=verdict.judgement,
+            windows=replace(windows, used=used),
+            optimizer=optimizer,
             clipped_after=None,
+            taken=verdict.sections,
         )
+        return data, points
 
-    def write(self, data: reports.ReportInput, integers: dict[str, Any] | None = None) -> Result:
+    def survey(self, method: Method) -> Facts:
+        """Facts of the recording, and its still windows into the method."""
+        recording, request = self.reader.recording, self.request
+        facts = FactsObserver(recording, method.rest_lsb)
+        observers = (facts, method.procedure)
+        shown = self.progress("reading", recording.total_bytes)
+        chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
+        survey(chunks, method.segmenter, observers, shown, request.threads)
+        give_back_freed_memory()
+        return facts.result()
+
+    def write(self, data: ReportInput, integers: dict[str, Any] | None = None) -> Result:
         """Parquet first, the report last: it is the commit mark.
 
         The report of an earlier result is removed only when the new Parquet is complete.
@@ -106,7 +244,7 @@ class Passes:
             UnreadableError: the recording changed between the passes or within one.
             OutputError: a file cannot be written.
         """
-        same(self.bytes_at, self.before)
+        check_unchanged(self.bytes_at, self.before)
         if writes_parquet(data):
             data = replace(data, clipped_after=self._write_parquet(data))
         else:
@@ -119,7 +257,7 @@ class Passes:
         save_report(self.job.report, report)
         return Result(self.job, report)
 
-    def _write_parquet(self, data: reports.ReportInput) -> int:
+    def _write_parquet(self, data: ReportInput) -> int:
         """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.parquet import ParquetSink
@@ -133,11 +271,11 @@ class Passes:
         ):
             over = write_calibrated(data, chunks, sink, threads, shown)
             sink.close()
-            same(self.bytes_at, self.before)
+            check_unchanged(self.bytes_at, self.before)
             remove(self.job.report)
             return over
 
-    def count_beyond(self, data: reports.ReportInput) -> reports.ReportInput:
+    def count_beyond(self, data: ReportInput) -> ReportInput:
         """Second pass without writing: what writing would have counted."""
         if not writes_parquet(data):
             return data
@@ -145,45 +283,10 @@ class Passes:
             return replace(data, clipped_after=0)
         shown = self.progress("applying", data.recording.total_bytes)
         chunks = self.reader.chunks(self.request.chunk_samples)
-        parts = calibrated(data.recording, chunks, transform_of(data), shown)
+        parts = calibrated(chunks, transform_of(data), shown)
         return replace(data, clipped_after=sum(beyond(xyz, data.recording.range_g) for _, xyz in parts))
 
 
-def writes_parquet(data: reports.ReportInput) -> bool:
+def writes_parquet(data: ReportInput) -> bool:
     """Whether calibrated data belong to a result."""
     return data.judgement.calibration is not None and not data.settings["report_only"]
-
-
-def calibrate(
-    job: Job, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
-) -> Result:
-    """Calibrate one recording, unless its outputs are up to date.
-
-    Args:
-        source: where the recording's bytes are, if not at the job's source.
-
-    Raises:
-        AccelcalError: it cannot be read, or its outputs cannot be written.
-    """
-    path = source or job.source
-    before = seen(path)
-    with open_recording(path, request.options, request.threads) as reader:
-        prepare(job, force=request.force)
-        if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:
-            return held
-        passes = Passes(job, request, progress, reader, path, before)
-        data, points = judged(passes)
-        return passes.write(data, integers_json(data, points) if request.integers else None)
-
-
-def judged(passes: Passes) -> tuple[ReportInput, PointSet]:
-    """First pass: survey the recording, fit and judge; nothing is written."""
-    settings = passes.request.settings
-    how, method = fitting(settings), passes.method()
-    with hashing(passes.bytes_at) as digest:
-        facts = passes.survey(method)
-        points = method.procedure.points()
-        spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(points))
-        verdict = spoiled or advised(method.procedure.judge(how), facts)
-        data = passes.found(method, facts, verdict, digest.result())
-    return data, points

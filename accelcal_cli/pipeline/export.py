@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.parallel import ahead
-from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.core.recording import Chunk
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
-from accelcal_cli.pipeline.survey import with_clipping
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
     from accelcal_cli.output.parquet import Column, ParquetSink
@@ -110,11 +109,10 @@ def transform_of(data: ReportInput) -> Transform:
 
 
 def calibrated(
-    recording: Recording, chunks: Iterable[Chunk], transform: Transform, progress: Progress
+    chunks: Iterable[Chunk], transform: Transform, progress: Progress
 ) -> Iterator[tuple[Chunk, list[NDArray[np.float32]]]]:
     """A recording's chunks, none of them empty, each with its calibrated x, y, z [g]."""
-    for raw in chunks:
-        chunk = with_clipping(raw, recording)
+    for chunk in chunks:
         if len(chunk):
             yield chunk, transform.apply(chunk)
         progress(chunk.end_byte)
@@ -152,7 +150,7 @@ def write_calibrated(
     from accelcal_cli.output.parquet import values_of
 
     total, recording = 0, data.recording
-    for chunk, xyz in ahead(calibrated(recording, chunks, transform_of(data), progress), threads):
+    for chunk, xyz in ahead(calibrated(chunks, transform_of(data), progress), threads):
         total += beyond(xyz, recording.range_g)
         sink.write(values_of(sink.columns, chunk, xyz))
     return total

@@ -17,12 +17,11 @@ from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
 from accelcal_cli.pipeline.method import fitting, make_method
-from accelcal_cli.pipeline.survey import survey
+from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15
@@ -50,15 +49,17 @@ def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool)
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_recording(path, options) as reader:
+    with open_marked(path, options) as reader:
         recording = reader.recording
         how, method = fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
-        facts = survey(recording, pieces, method, lambda _end_byte: None)
+        observer = FactsObserver(recording, method.rest_lsb)
+        survey(pieces, method.segmenter, (observer, method.procedure))
+    facts = observer.result()
     whole = full or facts.samples == recording.samples
-    spoiled = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.points()))
-    guess = spoiled or advised(method.procedure.judge(how), facts)
-    return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, guess, whole)
+    damage = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.result()))
+    prediction = damage or advised(method.procedure.judge(how), facts)
+    return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, prediction, whole)
 
 
 def _to_its_end(facts: Facts, recording: Recording) -> Facts:

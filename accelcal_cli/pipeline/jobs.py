@@ -1,8 +1,6 @@
-"""Which outputs belong to which recording, decided before any work.
+"""Jobs: which outputs belong to which recording, decided before any work; requests and results.
 
-The identity of an input, and copies of inputs that can be read only once.
-
-What is asked for, and what came of it.
+Also the identity of input files, and copies of inputs that can be read only once.
 """
 
 from __future__ import annotations
@@ -14,12 +12,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.core.settings import DEFAULT, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
 from accelcal_cli.formats import all_formats
 
@@ -30,6 +28,21 @@ STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
 INTEGERS_SUFFIX = ".integers.json"
+DEFAULT_CHUNK_SAMPLES = 1 << 18
+
+FileStamp = tuple[int, int]
+"""Size [bytes] and time of the last change [ns since 1970] of a file."""
+
+Progress = Callable[[int], None]
+"""Called with the number of bytes of the file that have been read."""
+
+ProgressMaker = Callable[[str, int], Progress]
+"""Called with the name of a stage and the bytes to read; makes a Progress."""
+
+
+def no_progress(_stage: str, _total: int) -> Progress:
+    """Shows nothing."""
+    return lambda _end_byte: None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,22 +150,18 @@ def sha256(path: Path) -> str:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
 
 
-Seen = tuple[int, int]
-"""Size [bytes] and time of the last change [ns since 1970] of a file."""
-
-
-def seen(path: Path) -> Seen | None:
-    """How a file is found; None where it cannot be looked at."""
+def file_stamp(path: Path) -> FileStamp | None:
+    """The stamp of a file; None where it cannot be looked at."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return None
-    return found.st_size, found.st_mtime_ns
+    return status.st_size, status.st_mtime_ns
 
 
-def same(path: Path, before: Seen | None) -> None:
-    """Raise UnreadableError if a file changed, or went, since it was seen: what was read does not agree."""
-    if before is not None and seen(path) != before:
+def check_unchanged(path: Path, before: FileStamp | None) -> None:
+    """Raise UnreadableError if a file changed, or went, since its stamp: what was read does not agree."""
+    if before is not None and file_stamp(path) != before:
         raise UnreadableError(
             "changed while it was read",
             path=path,
@@ -191,40 +200,13 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
         yield path
 
 
-DEFAULT_CHUNK_SAMPLES = 1 << 18
-
-Progress = Callable[[int], None]
-"""Called with the number of bytes of the file that have been read."""
-
-ProgressMaker = Callable[[str, int], Progress]
-"""Called with the name of a stage and the bytes to read; makes a Progress."""
-
-
-def no_progress(_stage: str, _total: int) -> Progress:
-    """Shows nothing."""
-    return lambda _end_byte: None
-
-
-class Asked(Protocol):
-    """What decides whether an earlier result still holds."""
-
-    @property
-    def integers(self) -> bool:
-        """Whether the fit's integers are wanted too."""
-
-    @property
-    def coefficients_sha256(self) -> str | None:
-        """Of the file of known coefficients; None where the recording's own are found."""
-
-    def effective_settings(self, companion: Path | None) -> dict[str, Any]:
-        """The report's `settings`."""
-
-
 @dataclass(frozen=True, slots=True)
 class Request:
     """How to calibrate.
 
     Attributes:
+        settings: those of a session with known orientations, or of any other recording.
+        poses: a file that lists a session's poses; None: the six faces are found.
         coefficients: those to apply, None to find the recording's own.
         any_device: apply them whatever device recorded.
         report_only: write no Parquet.
@@ -235,7 +217,8 @@ class Request:
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
-    settings: Settings = DEFAULT
+    settings: Settings | PoseSettings = DEFAULT
+    poses: Path | None = None
     chunk_samples: int = DEFAULT_CHUNK_SAMPLES
     report_only: bool = False
     integers: bool = False
@@ -244,6 +227,11 @@ class Request:
     coefficients: Coefficients | None = None
     any_device: bool = False
     threads: int = field(default_factory=cpus)
+
+    @property
+    def recording_settings(self) -> Settings:
+        """The settings by which stillness is found and judged; of a session those that it has."""
+        return self.settings.stillness if isinstance(self.settings, PoseSettings) else self.settings
 
     @property
     def coefficients_sha256(self) -> str | None:
@@ -256,17 +244,20 @@ class Request:
         Args:
             companion: the file that says how to read the recording; its content counts.
         """
-        told = input_settings(self.options, companion)
-        return {**self.settings.as_json(), "report_only": self.report_only, "input": told}
+        effective = {**self.settings.as_json(), "report_only": self.report_only}
+        if isinstance(self.settings, PoseSettings):
+            effective["poses"] = None if self.poses is None else self.poses.name
+            effective["poses_sha256"] = None if self.poses is None else sha256(self.poses)
+        return {**effective, "input": input_settings(self.options, companion)}
 
 
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
     """The `input` object of a report's settings: what the user said of the recording."""
-    told = asdict(options)
-    told["layout"] = None if companion is None else printable(companion.name)
-    told["layout_sha256"] = None if companion is None else sha256(companion)
-    told["columns"] = None if options.columns is None else list(options.columns)
-    return told
+    used = asdict(options)
+    used["layout"] = None if companion is None else printable(companion.name)
+    used["layout_sha256"] = None if companion is None else sha256(companion)
+    used["columns"] = None if options.columns is None else list(options.columns)
+    return used
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,23 +1,29 @@
-"""The two procedures: from a recording's windows to a judgement, by profile."""
+"""How a recording's stillness is found and judged: segmenter and procedure, by the settings' profile."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from accelcal_cli.collect.cells import CellCollector
-from accelcal_cli.collect.subsets import PaperCollector
 from accelcal_cli.core.points import Fit, Model, Optimizer, PointSet, WindowCounts, Windows
-from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.model_ladder import FitFunction
 from accelcal_cli.judge.verdict import NO_STILLNESS, judge, judge_paper
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
+from accelcal_cli.pipeline.survey import Observer
 from accelcal_cli.segment import chosen_rule, window_length
-from accelcal_cli.segment.segmenter import Segmenter
+from accelcal_cli.segment.segmenter import Rule, Segmenter
+
+if TYPE_CHECKING:  # few runs use profile `paper`
+    from accelcal_cli.collect.subsets import PaperCollector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,20 +46,20 @@ def fitting(settings: Settings) -> Fitting:
     return Fitting(settings, fit_function(optimizer, settings), optimizer.models)
 
 
-class Procedure(Protocol):
-    """Takes still windows in, in the order of time, and judges what they hold."""
+class Procedure(Observer):
+    """Takes still windows in, and judges what they hold."""
 
-    def add(self, windows: Windows) -> None:
-        """Take windows in."""
-
-    def points(self) -> PointSet:
+    def result(self) -> PointSet:
         """The points that are fitted."""
+        raise NotImplementedError
 
     def judge(self, how: Fitting) -> Judgement:
         """The verdict on all windows so far."""
+        raise NotImplementedError
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
-        """Windows by fate."""
+        """Windows by fate, of so many from the segmenter."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,9 +85,11 @@ def make_procedure(recording: Recording, settings: Settings) -> Procedure:
     """The procedure of the settings' profile for one recording."""
     lsb_per_g = local_lsb_per_g(recording, settings)
     if settings.profile == "paper":
+        from accelcal_cli.collect.subsets import PaperCollector
+
         return PaperProcedure(PaperCollector(lsb_per_g, settings))
-    warm = settings.temperature and recording.has_temperature
-    return CellProcedure(CellCollector(lsb_per_g, settings, temperature=warm))
+    temperature = settings.temperature and recording.has_temperature
+    return CellProcedure(CellCollector(lsb_per_g, settings, temperature=temperature))
 
 
 def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
@@ -93,6 +101,32 @@ def make_segmenter(recording: Recording, settings: Settings) -> Segmenter:
     """The segmenter of the settings for one recording."""
     length = window_length(settings, recording.rate_hz)
     return Segmenter(length, chosen_rule(settings, recording.lsb_per_g, length))
+
+
+class TimedSegmenter(Segmenter):
+    """A segmenter whose windows carry their times.
+
+    Its rule must decide on a window as soon as that is complete (`adaptive` does not): the clock of the
+    chunk at hand knows the time of the window's last sample.
+    """
+
+    def __init__(self, length: int, rule: Rule, rate_hz: float) -> None:
+        super().__init__(length, rule)
+        self.rate_hz = rate_hz
+
+    def feed(self, chunk: Chunk) -> Iterator[Windows]:
+        """See `Segmenter`."""
+        for windows in super().feed(chunk):
+            yield with_times(windows, chunk, self.rate_hz)
+
+
+def with_times(windows: Windows, chunk: Chunk, rate_hz: float) -> Windows:
+    """Windows that end in a chunk, with their times."""
+    last = windows.first_sample + windows.samples - 1 - chunk.first_sample
+    low, high = (int(last[0]), int(last[-1]) + 1) if len(last) else (0, 0)
+    last_us = chunk.clock.times(low, high)[last - low]
+    lengths_us = np.rint((windows.samples - 1) * 1e6 / rate_hz).astype(np.int64)
+    return replace(windows, start_us=last_us - lengths_us, end_us=last_us + round(1e6 / rate_hz))
 
 
 def optimizer_settings(optimizer: Optimizer, settings: Settings) -> Any:
@@ -115,17 +149,23 @@ def _fit(optimizer: Optimizer, numbers: Any, points: PointSet, model: Model) -> 
     return optimizer.fit(points, model, numbers)
 
 
-class CellProcedure:
+class CellProcedure(Procedure):
     """The default: orientation cells, model ladder, posture-blocked hold-out."""
 
     def __init__(self, collector: CellCollector) -> None:
         self.collector = collector
-        self.add = collector.add
-        self.points = collector.points
+
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        self.collector.add(windows)
+
+    def result(self) -> PointSet:
+        """One point a cell."""
+        return self.collector.points()
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.points(), how.settings, how.fit, how.models, self._why_none(how.settings))
+        return judge(self.result(), how.settings, how.fit, how.models, self._why_none(how.settings))
 
     def _why_none(self, settings: Settings) -> str:
         """Why there are no points, if there are none."""
@@ -145,18 +185,24 @@ class CellProcedure:
         return window_use(counts, cells.implausible, constant)
 
 
-class PaperProcedure:
+class PaperProcedure(Procedure):
     """Profile `paper`: F's nine subsets, nine parameters, control points."""
 
     def __init__(self, collector: PaperCollector) -> None:
         self.collector = collector
-        self.add = collector.add
-        self.points = collector.fit.points
+
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        self.collector.add(windows)
+
+    def result(self) -> PointSet:
+        """The points of the first set."""
+        return self.collector.fit.points()
 
     def judge(self, how: Fitting) -> Judgement:
         """Fit the first set, judge by the second."""
         control, missing = self.collector.control, self.collector.fit.missing()
-        return judge_paper(self.points(), control.points(), missing, how.settings, how.fit, how.models)
+        return judge_paper(self.result(), control.points(), missing, how.settings, how.fit, how.models)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

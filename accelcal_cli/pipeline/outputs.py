@@ -1,8 +1,6 @@
-"""Outputs that are there already: whose they are, and whether they still hold.
+"""A job's outputs: whose those are that exist already, whether they still hold, and reports with provenance.
 
-Who made a result, when, with what: the one part of a report that may differ between runs.
-
-Reports with their provenance, to the disk.
+The provenance (who made a result, when, with what) is the one part of a report that may differ between runs.
 """
 
 from __future__ import annotations
@@ -21,7 +19,10 @@ from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.files import metadata_of, output_error, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema
-from accelcal_cli.pipeline.jobs import Asked, Job, Result, real, sha256
+from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
+
+PACKAGES = ("numpy", "pyarrow", "h5py", "click")
+"""Packages whose versions the provenance names."""
 
 
 def prepare(job: Job, *, force: bool) -> None:
@@ -72,7 +73,7 @@ def exists(path: Path) -> bool:
         raise output_error(error, path) from error
 
 
-def up_to_date(job: Job, source: Path, recording: Recording, request: Asked) -> Result | None:
+def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
     """The existing result if it stands for this input, these settings and this version.
 
     Raises:
@@ -82,26 +83,25 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Asked) -> 
     if report is None:
         return None
     _refuse_other(job, source, report)
-    if not _as_asked(report, recording, request):
+    if not _matches(report, recording, request):
         return None
-    held = Result(job, report, up_to_date=True)
-    if held.has_parquet and held.report["recording"] != metadata_of(job.parquet).get("recording"):
+    existing, recorded = Result(job, report, up_to_date=True), report["recording"]
+    if existing.has_parquet and recorded != metadata_of(job.parquet).get("recording"):
         return None
     if request.integers and report["calibration"] is not None and not exists(job.integers):
         return None
-    recorded = report["recording"]
-    same = recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source)
-    return held if same else None
+    unchanged = recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source)
+    return existing if unchanged else None
 
 
-def _as_asked(report: dict[str, Any], recording: Recording, request: Asked) -> bool:
+def _matches(report: dict[str, Any], recording: Recording, request: Request) -> bool:
     """Whether a report is whole, of this version, these settings and these coefficients."""
     if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
         return False
     if "pool" in report:
         return False
     used = report.get("coefficients", {}).get("sha256")
-    settings = as_stored(request.effective_settings(recording.companion))
+    settings = json_round_trip(request.effective_settings(recording.companion))
     return bool(report["settings"] == settings and used == request.coefficients_sha256)
 
 
@@ -118,7 +118,7 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
         )
 
 
-def as_stored(value: dict[str, Any]) -> Any:
+def json_round_trip(value: dict[str, Any]) -> Any:
     """A value as it comes back from JSON."""
     return json.loads(json.dumps(value))
 
@@ -129,7 +129,7 @@ def remove_stale_parquet(path: Path, metadata: dict[str, Any]) -> None:
     Raises:
         OutputError: it cannot be removed.
     """
-    if written_by_us(path) and metadata_of(path) != as_stored(metadata):
+    if written_by_us(path) and metadata_of(path) != json_round_trip(metadata):
         remove(path)
 
 
@@ -145,9 +145,6 @@ def remove(path: Path) -> None:
         raise OutputError(f"cannot be removed ({error.strerror or error})", path=path) from error
 
 
-PACKAGES = ("numpy", "pyarrow", "h5py", "click")
-
-
 def provenance(command: list[str]) -> dict[str, Any]:
     """The `provenance` object of a report."""
     return {
@@ -161,13 +158,13 @@ def provenance(command: list[str]) -> dict[str, Any]:
 
 @cache
 def _versions() -> tuple[tuple[str, str], ...]:
-    from importlib.metadata import PackageNotFoundError, version  # only who writes a report needs it
+    from importlib.metadata import PackageNotFoundError, version  # only writing a report needs it
 
-    found = [("python", platform.python_version())]
+    versions = [("python", platform.python_version())]
     for name in PACKAGES:
         with contextlib.suppress(PackageNotFoundError):
-            found.append((name, version(name)))
-    return tuple(found)
+            versions.append((name, version(name)))
+    return tuple(versions)
 
 
 def with_provenance(report: dict[str, Any], command: tuple[str, ...]) -> dict[str, Any]:

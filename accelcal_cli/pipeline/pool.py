@@ -1,6 +1,6 @@
-"""Several recordings of one device as one: their points together, one fit, one judgement, for all of them.
+"""Several recordings of one device as one: their points together, one fit and one judgement for all of them.
 
-A pool's coefficients onto one of its recordings.
+`pool` makes the pool's report; `apply_pool` applies its coefficients to one of its recordings.
 """
 
 from __future__ import annotations
@@ -13,23 +13,29 @@ from typing import Any
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.points import Calibration, WindowCounts
+from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.results import Coverage, Holdout, Judgement, Outcome
+from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.formats import open_recording
-from accelcal_cli.judge.errors import coverage
-from accelcal_cli.judge.verdict import SEEN, damage_verdict, held_out, worse
+from accelcal_cli.judge.verdict import SEEN, held_out, worse
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, calibration_of, check_sections
-from accelcal_cli.pipeline.calibrate import Passes
-from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, Result, Seen, hashing, no_progress
-from accelcal_cli.pipeline.method import CellProcedure, fitting, local_lsb_per_g, optimizer_json
+from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
+from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
+from accelcal_cli.pipeline.method import (
+    CellProcedure,
+    Method,
+    fitting,
+    local_lsb_per_g,
+    make_method,
+    optimizer_json,
+)
 from accelcal_cli.pipeline.outputs import prepare
 
 FEWEST = 2
+"""Recordings of a pool."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,22 +80,23 @@ def pool(
     parts = [_part(member, request, progress) for member in members]
     for part in parts[1:]:
         _refuse_other(parts[0].recording, part.recording)
-    settings, found = request.settings, _fitted(parts, request.settings)
+    settings = request.recording_settings
+    fitted = _fitted(parts, settings)
     left_out: dict[_Part, str] = {}
-    while odd := {part: why for part in found.parts if (why := _odd(part, found.verdict, settings))}:
-        left_out |= odd
-        rest = [part for part in found.parts if part not in odd]
+    while misfits := _misfits(fitted, settings):
+        left_out |= misfits
+        rest = [part for part in fitted.parts if part not in misfits]
         if len(rest) < FEWEST:
-            found = replace(found, verdict=_contradictory(found.verdict, odd))
+            fitted = replace(fitted, verdict=_contradictory(fitted.verdict, misfits))
             break
-        found = _fitted(rest, settings)
-    return build_pool(_input(found, left_out, request))
+        fitted = _fitted(rest, settings)
+    return build_pool(_input(fitted, left_out, request))
 
 
 def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
     """One fit and one judgement of the cells of several recordings."""
-    warm = all(part.collector.temperature for part in parts)
-    merged = CellCollector(local_lsb_per_g(parts[0].recording, settings), settings, temperature=warm)
+    temperature = all(part.collector.temperature for part in parts)
+    merged = CellCollector(local_lsb_per_g(parts[0].recording, settings), settings, temperature=temperature)
     for part in parts:
         merged.merge(part.collector)
     procedure = CellProcedure(merged)
@@ -97,23 +104,28 @@ def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
     return _Fitted(tuple(parts), procedure.judge(fitting(settings)), windows)
 
 
-def _odd(part: _Part, verdict: Judgement, settings: Settings) -> str | None:
-    """What speaks against a recording being one of the pool's device, or None."""
+def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
+    """Recordings that can hardly be of the pool's device, and what speaks against each."""
+    reasons = ((part, _why_misfit(part, fitted.verdict, settings)) for part in fitted.parts)
+    return {part: why for part, why in reasons if why is not None}
+
+
+def _why_misfit(part: _Part, verdict: Judgement, settings: Settings) -> str | None:
     if verdict.calibration is None or verdict.holdout is None:
         return None
     points, degrees = part.collector.points(), settings.posture_degrees
-    held = held_out(points, verdict.calibration, settings.gravity, degrees, SEEN)
-    return None if held is None else worse(held, verdict.holdout.after.median, settings.max_error_mg)
+    holdout = held_out(points, verdict.calibration, settings.gravity, degrees, SEEN)
+    return None if holdout is None else worse(holdout, verdict.holdout.after.median, settings.max_error_mg)
 
 
-def _contradictory(verdict: Judgement, odd: Mapping[_Part, str]) -> Judgement:
-    which = next(iter(sorted(f"{part.member.path}: {why}" for part, why in odd.items())))
+def _contradictory(verdict: Judgement, misfits: Mapping[_Part, str]) -> Judgement:
+    which = min(f"{part.member.path}: {why}" for part, why in misfits.items())
     text = printable(f"its recordings contradict each other ({which})")
     return Judgement(Outcome.REFUSED, text, verdict.coverage, verdict.trials)
 
 
-def _input(found: _Fitted, left_out: Mapping[_Part, str], request: Request) -> PoolInput:
-    parts, settings = found.parts, request.settings
+def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> PoolInput:
+    parts, settings = fitted.parts, request.recording_settings
     return PoolInput(
         members=tuple(part.member for part in parts),
         left_out=tuple((part.member, why) for part, why in left_out.items() if part not in parts),
@@ -121,23 +133,21 @@ def _input(found: _Fitted, left_out: Mapping[_Part, str], request: Request) -> P
         bytes=sum(part.recording.total_bytes for part in parts),
         samples=sum(part.samples for part in parts),
         settings=request.effective_settings(request.options.layout),
-        judgement=found.verdict,
-        windows=found.windows,
+        judgement=fitted.verdict,
+        windows=fitted.windows,
         optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
     )
 
 
 def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
-    path = member.path
-    with open_recording(path, request.options, request.threads) as reader:
-        passes = Passes(Job(path, path, path), request, progress, reader, path)
-        method = passes.method()
+    path, settings = member.path, request.recording_settings
+    with open_run(Job(path, path, path), request, progress) as run:
+        recording = run.reader.recording
+        method = make_method(recording, settings)
         if not isinstance(method.procedure, CellProcedure):
-            raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")
-        facts = passes.survey(method)
-        return _Part(
-            member, reader.recording, facts.samples, method.procedure.collector, method.segmenter.counts
-        )
+            raise UsageError(f"profile {settings.profile} keeps no cells that could be pooled")
+        facts = run.survey(method)
+        return _Part(member, recording, facts.samples, method.procedure.collector, method.segmenter.counts)
 
 
 def _refuse_other(one: Recording, other: Recording) -> None:
@@ -151,12 +161,12 @@ def apply_pool(
     request: Request,
     document: Document,
     progress: ProgressMaker = no_progress,
-    before: Seen | None = None,
+    before: FileStamp | None = None,
 ) -> Result | str:
     """Apply a pool's coefficients to one of its recordings.
 
     Args:
-        before: how the recording was when the pool was made; None if that does not matter.
+        before: the recording's stamp when the pool was made; None if that does not matter.
 
     Returns:
         the result, or why the recording keeps its own: they make it worse.
@@ -165,47 +175,52 @@ def apply_pool(
         AccelcalError: it or the pool's report cannot be read, or it changed; or the outputs cannot be
             written.
     """
-    with open_recording(job.source, request.options, request.threads) as reader:
+    with open_run(job, request, progress, before=before) as run:
         prepare(job, force=request.force)
-        passes = Passes(job, request, progress, reader, job.source, before)
-        data, held = judged(passes, document)
-        why = _why_not(data, document, held)
-        return passes.write(data) if why is None else why
+        data, _ = run.result(PoolCoefficients(request.recording_settings, document))
+        why = _why_not(data, document)
+        return run.write(data) if why is None else why
 
 
-def judged(passes: Passes, document: Document) -> tuple[ReportInput, Holdout | None]:
-    """First pass: survey the recording, and what the pool does to its stillness; nothing is written."""
-    check_sections(document, (*TAKEN, "outcome", "message", "pool"))
-    calibration = calibration_of(document.report["calibration"])
-    method, settings = passes.method(), passes.request.settings
-    with hashing(passes.bytes_at) as digest:
-        facts = passes.survey(method)
-        points = method.procedure.points()
-        held = held_out(points, calibration, settings.gravity, settings.posture_degrees, SEEN)
-        seen = coverage(points)
-        spoiled = damage_verdict(facts, settings.max_damage_percent, seen)
-        verdict = spoiled or _verdict(document, calibration, held, seen)
-        data = passes.found(method, facts, verdict, digest.result())
-    taken = {} if spoiled else of_member(document, passes.job.report, held)
-    return replace(data, taken=taken), held
+@dataclass(frozen=True)
+class PoolCoefficients(Judge):
+    """The pool's verdict, and what its coefficients do to the recording's own stillness."""
+
+    document: Document
+
+    def method(self, recording: Recording) -> Method:
+        """As for the recording's own calibration; raises UnreadableError for a damaged report of the pool."""
+        check_sections(self.document, (*TAKEN, "outcome", "message", "pool"))
+        return make_method(recording, self.settings)
+
+    def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
+        """The pool's verdict; its judgement's hold-out is that of the recording's own points."""
+        if found.damage is not None:
+            return Verdict(found.damage)
+        settings, calibration = self.settings, calibration_of(self.document.report["calibration"])
+        holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, SEEN)
+        text = _message(self.document, holdout)
+        outcome = Outcome(self.document.report["outcome"])
+        judgement = Judgement(outcome, text, found.coverage, (), calibration, holdout=holdout)
+        return Verdict(judgement, of_member(self.document, run.job.report, holdout))
 
 
-def _verdict(document: Document, calibration: Calibration, held: Holdout | None, seen: Coverage) -> Judgement:
-    report = document.report
-    said = report["pool"]
-    about = f"pool of {len(said['recordings'])} recordings of device {said['serial']}: {report['message']}"
+def _message(document: Document, holdout: Holdout | None) -> str:
+    report, pool_section = document.report, document.report["pool"]
+    members = f"{len(pool_section['recordings'])} recordings of device {pool_section['serial']}"
     own = "no two postures of stillness of its own"
-    if held is not None:
-        own = f"{held.before.mean:.1f} mg before, {held.after.mean:.2f} mg after on its own stillness"
-    return Judgement(Outcome(report["outcome"]), printable(f"{about}; {own}"), seen, (), calibration)
+    if holdout is not None:
+        own = f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after on its own stillness"
+    return printable(f"pool of {members}: {report['message']}; {own}")
 
 
-def _why_not(data: ReportInput, document: Document, held: Holdout | None) -> str | None:
+def _why_not(data: ReportInput, document: Document) -> str | None:
     """Why a recording keeps its own result, or None."""
-    if data.judgement.outcome is Outcome.REFUSED:
-        return data.judgement.message
+    judgement = data.judgement
+    if judgement.outcome is Outcome.REFUSED:
+        return judgement.message
     for one in document.report["pool"]["left_out"]:
         if one["sha256"] == data.sha256:
             return f"left out of the pool: {one['reason']}"
-    usual_mg = document.report["holdout"]["after_mg"]["median"]
-    return None if held is None else worse(held, usual_mg, data.settings["max_error_mg"])
+    usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings["max_error_mg"]
+    return None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)

@@ -1,69 +1,30 @@
-"""Still windows in larger portions: what comes of them does not depend on how they are portioned.
+"""The first pass over a recording: every chunk and every still window, once, to all observers.
 
-The first pass over a recording: facts about it, and its still windows into a procedure.
+What is to be found out along a recording is an `Observer`. Still windows reach the observers in batches of
+a few thousand; what comes of them does not depend on how they are batched, nor on the length of the chunks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
-from types import TracebackType
-from typing import Self
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from accelcal_cli.collect.cells import norms_g
 from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import ahead
 from accelcal_cli.core.points import Windows, joined_windows
-from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Jumps
+from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.jobs import Progress
-from accelcal_cli.pipeline.method import Method
+from accelcal_cli.segment.segmenter import Segmenter
 
 BATCH_WINDOWS = 4096
-
-
-class Batches:
-    """Hands windows on a few thousand at a time, in their order; the rest when the block ends."""
-
-    def __init__(self, use: Callable[[Windows], None]) -> None:
-        self._use = use
-        self._held: list[Windows] = []
-        self._number = 0
-
-    def take(self, found: Iterable[Windows]) -> None:
-        """Take windows in."""
-        for windows in found:
-            if self._held and _warm(self._held[0]) != _warm(windows):
-                self._hand_on()
-            self._held.append(windows)
-            self._number += len(windows)
-            if self._number >= BATCH_WINDOWS:
-                self._hand_on()
-
-    def _hand_on(self) -> None:
-        if self._held:
-            self._use(joined_windows(self._held))
-        self._held, self._number = [], 0
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        if error is None:
-            self._hand_on()
-
-
-def _warm(windows: Windows) -> bool:
-    return windows.temperature_sums is not None
-
-
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000
 GAP_PERIODS = 1.5
@@ -71,7 +32,120 @@ PLAUSIBLE_ERROR_G = 0.5
 
 
 class Observer:
-    """Accumulates the facts of a recording chunk by chunk; `rest_lsb` is what rest should measure."""
+    """Finds something out along a recording; a subclass overrides what it needs."""
+
+    def see(self, chunk: Chunk) -> None:
+        """Take a chunk in, in the order of time."""
+
+    def see_still(self, windows: Windows) -> None:
+        """Take still windows in, in the order of time; their chunk has been seen."""
+
+    def result(self) -> Any:
+        """What was found; call after the last chunk."""
+        raise NotImplementedError
+
+
+def survey(
+    chunks: Iterable[Chunk],
+    segmenter: Segmenter,
+    observers: Sequence[Observer],
+    progress: Progress = lambda _end_byte: None,
+    threads: int = 1,
+) -> None:
+    """Show a recording's chunks, and its still windows, to all observers.
+
+    Args:
+        chunks: of `open_marked`, so that rows at the sensor's range are no stillness.
+
+    Raises:
+        UnreadableError: the recording cannot be read on.
+    """
+    for windows in _batched(_still(chunks, segmenter, observers, progress, threads)):
+        for observer in observers:
+            observer.see_still(windows)
+
+
+def _still(
+    chunks: Iterable[Chunk],
+    segmenter: Segmenter,
+    observers: Sequence[Observer],
+    progress: Progress,
+    threads: int,
+) -> Iterator[Windows]:
+    """Still windows, after the observers have seen the chunks that they were decided in."""
+    for chunk in ahead(iter(chunks), threads):
+        for observer in observers:
+            observer.see(chunk)
+        yield from segmenter.feed(chunk)
+        progress(chunk.end_byte)
+    yield from segmenter.finish()
+
+
+def _batched(still: Iterable[Windows]) -> Iterator[Windows]:
+    """The same windows a few thousand at a time; a batch has temperatures throughout, or none."""
+    batch: list[Windows] = []
+    number = 0
+    for windows in still:
+        if batch and (batch[0].temperature_sums is None) != (windows.temperature_sums is None):
+            yield joined_windows(batch)
+            batch, number = [], 0
+        batch.append(windows)
+        number += len(windows)
+        if number >= BATCH_WINDOWS:
+            yield joined_windows(batch)
+            batch, number = [], 0
+    if batch:
+        yield joined_windows(batch)
+
+
+def open_marked(path: Path, options: ReadOptions, threads: int = 1) -> Reader:
+    """Open a recording; rows at the sensor's range are marked in their chunks' `validity`.
+
+    Raises:
+        UnreadableError, UsageError: see `formats.open_recording`.
+    """
+    return MarkingReader(open_recording(path, options, threads))
+
+
+class MarkingReader(Reader):
+    """A reader of another one's chunks, with rows at the sensor's range marked."""
+
+    def __init__(self, reader: Reader) -> None:
+        self.reader, self.recording, self.threads = reader, reader.recording, reader.threads
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """See `Reader`."""
+        return (with_clipping(chunk, self.recording) for chunk in self.reader.chunks(chunk_samples))
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """See `Reader`."""
+        return (with_clipping(chunk, self.recording) for chunk in self.reader.preview(chunk_samples, pieces))
+
+    def close(self) -> None:
+        """Release the file."""
+        self.reader.close()
+
+
+def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
+    """The chunk with rows at the sensor's range marked in `validity`."""
+    if recording.range_g is None or not len(chunk):
+        return chunk
+    limit = int(recording.range_g * recording.lsb_per_g)
+    low, high = -limit, limit - 1
+    if chunk.counts.min() > low and chunk.counts.max() < high:
+        return chunk
+    clipped = ((chunk.counts <= low) | (chunk.counts >= high)).any(axis=1)
+    validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
+    validity[clipped & (validity == Validity.MEASURED)] = Validity.CLIPPED
+    return replace(chunk, validity=validity)
+
+
+class FactsObserver(Observer):
+    """The facts of a recording.
+
+    Args:
+        rest_lsb: raw counts that rest should measure.
+    """
 
     def __init__(self, recording: Recording, rest_lsb: float) -> None:
         self.recording = recording
@@ -106,14 +180,14 @@ class Observer:
     def see_still(self, windows: Windows) -> None:
         """Take still windows' raw errors in, as whole nano-g so that the sum is exact.
 
-        Windows of less than 0.5 or more than 1.5 g, such as zeros, are no stillness under gravity.
+        Windows of less than 0.5 or more than 1.5 g, such as zeros, are not rest under gravity.
         """
         error_g = np.abs(norms_g(windows, self.rest_lsb) - 1)
         plausible = np.rint(error_g[error_g < PLAUSIBLE_ERROR_G] * 1e9).astype(np.int64)
         self._still_ng += int(plausible.sum())
         self._still_windows += len(plausible)
 
-    def facts(self) -> Facts:
+    def result(self) -> Facts:
         """What was found; call after the last chunk."""
         problems = list(self.problems)
         if self._problems_omitted:
@@ -161,9 +235,9 @@ class Observer:
         return steps * 1e6 / span_us if span_us > 0 and steps > 0 else None
 
     def _note_problems(self, problems: tuple[Problem, ...]) -> None:
-        room = MAX_PROBLEMS - len(self.problems)
-        self.problems += problems[:room]
-        self._problems_omitted += len(problems[room:])
+        left = MAX_PROBLEMS - len(self.problems)
+        self.problems += problems[:left]
+        self._problems_omitted += len(problems[left:])
         self._lost_bytes += sum(problem.lost_bytes for problem in problems)
 
     def _note_times(self, chunk: Chunk) -> None:
@@ -192,44 +266,3 @@ class Observer:
             self.gaps.append(Gap(sample, before, seconds))
         else:
             self.gaps_omitted += 1
-
-
-def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
-    """The chunk with rows at the sensor's range marked in `validity`."""
-    if recording.range_g is None or not len(chunk):
-        return chunk
-    limit = int(recording.range_g * recording.lsb_per_g)
-    low, high = -limit, limit - 1
-    if chunk.counts.min() > low and chunk.counts.max() < high:
-        return chunk
-    clipped = ((chunk.counts <= low) | (chunk.counts >= high)).any(axis=1)
-    validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
-    validity[clipped & (validity == Validity.MEASURED)] = Validity.CLIPPED
-    return replace(chunk, validity=validity)
-
-
-def survey(
-    recording: Recording,
-    chunks: Iterable[Chunk],
-    method: Method,
-    progress: Progress,
-    threads: int = 1,
-) -> Facts:
-    """Take a recording's chunks in: facts are returned, still windows go to the procedure.
-
-    Raises:
-        UnreadableError: it cannot be read on.
-    """
-    observer = Observer(recording, method.rest_lsb)
-
-    def use(windows: Windows) -> None:
-        observer.see_still(windows)
-        method.procedure.add(windows)
-
-    with Batches(use) as batches:
-        for chunk in ahead((with_clipping(raw, recording) for raw in chunks), threads):
-            observer.see(chunk)
-            batches.take(method.segmenter.feed(chunk))
-            progress(chunk.end_byte)
-        batches.take(method.segmenter.finish())
-    return observer.facts()

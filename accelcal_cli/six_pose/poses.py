@@ -1,15 +1,10 @@
-"""Known orientations: what flows from the finding of poses to the report.
+"""The poses of a session: from its still windows, either listed in a file or the six faces.
 
-Bragge et al. write z = K a + O for what a sensor shows of an acceleration a. In this house that K is
-the inverse of the gain and that O the negative offset; both are in the report.
+Still windows of one orientation become a state, their mean in fixed-point g; a state whose true
+acceleration is known is a pose. A list says when the device rested and what it truly measured then.
 
-A file that lists poses: when the device rested, and what it truly measured then.
-
-Means of windows as states, in fixed-point g.
-
-Listed poses and a recording's still windows brought together.
-
-Finding the six faces: still windows of one orientation become states, states near an axis poses.
+Bragge et al. write z = K a + O for what a sensor shows of an acceleration a. Their K is the inverse of this
+package's gain, their O the negative offset; both are in the report.
 """
 
 from __future__ import annotations
@@ -34,29 +29,23 @@ from accelcal_cli.core.settings import PoseSettings
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """The six faces, each named by the axis that shows about +1 g or -1 g on it."""
 
+LISTED = "listed"
+"""What a pose is called that is none of the six faces."""
+
+BETWEEN = -1
+"""Instead of the index of a face."""
+
+COLUMNS = ("start", "end", "ax", "ay", "az")
+LENGTH_TOLERANCE = 0.02
+LARGEST_FILE = 1 << 20
+LARGEST_NUMBER = 1e9
+
+_EPOCH = datetime(1970, 1, 1)
+_MICROSECOND = timedelta(microseconds=1)
+
 Integers3 = tuple[int, int, int]
 Floats3 = tuple[float, float, float]
 Matrix3 = tuple[Floats3, Floats3, Floats3]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TimedWindows:
-    """m still windows in the order of time, with their times on the device's clock.
-
-    Attributes:
-        start_us, end_us: (m,) int64, time of the first sample, and one period after the last [us].
-    """
-
-    windows: Windows
-    start_us: NDArray[np.int64]
-    end_us: NDArray[np.int64]
-
-    def __len__(self) -> int:
-        return len(self.windows)
-
-    def select(self, which: NDArray[np.bool_]) -> TimedWindows:
-        """The windows of a mask."""
-        return TimedWindows(self.windows.select(which), self.start_us[which], self.end_us[which])
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +130,7 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True)
-class KnownFit:
+class SixPoseFit:
     """Twelve parameters from known orientations, and how well they are known.
 
     Attributes:
@@ -174,11 +163,6 @@ class VectorErrors:
     after: ErrorSummary
     repeat_spread: float | None
 
-
-COLUMNS = ("start", "end", "ax", "ay", "az")
-LENGTH_TOLERANCE = 0.02
-LARGEST_FILE = 1 << 20
-LARGEST_NUMBER = 1e9
 
 Moment = Fraction | datetime
 """Seconds from the first sample, or a time with or without a zone."""
@@ -251,13 +235,13 @@ def _cells(line: str, delimiter: str) -> list[str]:
 def _listed(place: Place, names: Sequence[str], cells: Sequence[str]) -> Listed:
     if len(cells) != len(names):
         raise place.wrong(f"has {len(cells)} values, the header {len(names)}")
-    held = dict(zip(names, cells, strict=True))
-    x, y, z = (_number(held[name], place) for name in ("ax", "ay", "az"))
+    values = dict(zip(names, cells, strict=True))
+    x, y, z = (_number(values[name], place) for name in ("ax", "ay", "az"))
     length = sqrt(x * x + y * y + z * z)
     if abs(length - 1) > LENGTH_TOLERANCE:
         hint = "ax, ay, az are in g: at rest their length is 1"
         raise place.wrong(f"the reference has the length {length:.4g}", hint)
-    return Listed(place, _moment(held["start"], place), _moment(held["end"], place), (x, y, z))
+    return Listed(place, _moment(values["start"], place), _moment(values["end"], place), (x, y, z))
 
 
 def _number(text: str, place: Place) -> Fraction:
@@ -285,17 +269,24 @@ def _moment(text: str, place: Place) -> Moment:
         raise place.wrong(f"{text[:80]!r} is neither {wanted}") from None
 
 
-def state(still: TimedWindows, at: list[int], lsb_per_g: float) -> State:
+def state(still: Windows, indices: list[int], lsb_per_g: float) -> State:
     """The state of the windows with these indices, which ascend.
 
     Raises:
         FixedPointOverflowError: its mean lies beyond 4 g.
     """
-    samples = int(still.windows.samples[at].sum())
-    sums = still.windows.sums[at].sum(axis=0).tolist()
+    samples = int(still.samples[indices].sum())
+    sums = still.sums[indices].sum(axis=0).tolist()
     raw = _mean(sums, samples, Fraction(lsb_per_g))
     checked(np.array(raw, np.int64), "the mean of a still state")
-    return State(int(still.start_us[at[0]]), int(still.end_us[at[-1]]), len(at), raw)
+    start_us, end_us = _times(still)
+    return State(int(start_us[indices[0]]), int(end_us[indices[-1]]), len(indices), raw)
+
+
+def _times(still: Windows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Start and end of each window [us]."""
+    assert still.start_us is not None and still.end_us is not None
+    return still.start_us, still.end_us
 
 
 def _mean(sums: list[int], samples: int, lsb_per_g: Fraction) -> Integers3:
@@ -309,13 +300,6 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Vectors (m, 3) at unit length; zeros stay zeros."""
     lengths = np.sqrt((vectors * vectors).sum(axis=1, keepdims=True))
     return np.asarray(vectors / np.where(lengths == 0, 1, lengths))
-
-
-LISTED = "listed"
-"""What a pose is called that is none of the six faces."""
-
-_EPOCH = datetime(1970, 1, 1)
-_MICROSECOND = timedelta(microseconds=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,7 +327,7 @@ class Span:
 
 
 def find_listed(
-    still: TimedWindows, listed: Sequence[Listed], origin: Origin, lsb_per_g: float, settings: PoseSettings
+    still: Windows, listed: Sequence[Listed], origin: Origin, lsb_per_g: float, settings: PoseSettings
 ) -> Session:
     """One state a line, of the still windows that lie within its times (to half a sample).
 
@@ -356,9 +340,9 @@ def find_listed(
     local_g = settings.gravity.local_g()
     poses = []
     for span, number in zip(spans, numbers, strict=True):
-        found = state(still, _within(still, span, settings), lsb_per_g)
+        rest = state(still, _within(still, span, settings), lsb_per_g)
         x, y, z = (to_fixed(value * local_g) for value in span.listed.direction)
-        poses.append(Pose(_face(span.listed), number, found, (x, y, z)))
+        poses.append(Pose(_face(span.listed), number, rest, (x, y, z)))
     return Session(origin.first_us, tuple(poses))
 
 
@@ -395,18 +379,19 @@ def _in_order(spans: Sequence[Span]) -> list[Span]:
     return ordered
 
 
-def _within(still: TimedWindows, span: Span, settings: PoseSettings) -> list[int]:
-    slack_us = (still.end_us - still.start_us) // np.maximum(2 * still.windows.samples, 1)
-    inside = (still.start_us + slack_us >= span.start_us) & (still.end_us - slack_us <= span.end_us)
-    at: list[int] = np.flatnonzero(inside).tolist()
-    if not at:
+def _within(still: Windows, span: Span, settings: PoseSettings) -> list[int]:
+    start_us, end_us = _times(still)
+    slack_us = (end_us - start_us) // np.maximum(2 * still.samples, 1)
+    inside = (start_us + slack_us >= span.start_us) & (end_us - slack_us <= span.end_us)
+    indices: list[int] = np.flatnonzero(inside).tolist()
+    if not indices:
         raise DivergedError(
             f"no still window of {settings.segment_seconds:g} s lies within these times",
             path=span.listed.place.path,
             line=span.listed.place.line,
             hint="check the times, or give shorter windows with --segment-seconds",
         )
-    return at
+    return indices
 
 
 def _numbers(listed: Sequence[Listed], degrees: float) -> list[int]:
@@ -430,30 +415,28 @@ def _face(item: Listed) -> str:
     return FACES[2 * turned[0] + (item.direction[turned[0]] < 0)]
 
 
-BETWEEN = -1
-
-
-def find_faces(still: TimedWindows, first_us: int, lsb_per_g: float, settings: PoseSettings) -> Session:
+def find_faces(still: Windows, first_us: int, lsb_per_g: float, settings: PoseSettings) -> Session:
     """The states of a session, each on the face whose axis it shows most of.
 
     A state is a run of adjacent still windows on one face that keep within a few degrees of their
     mean: taking the device up ends it, putting it down again begins another. Its first and last
     window may hold the beginning of a movement and are left out where there are others.
     """
-    directions = unit(still.windows.sums / still.windows.samples[:, np.newaxis])
+    directions = unit(still.sums / still.samples[:, np.newaxis])
     faces = faces_of(directions, settings.face_degrees)
     local_g = to_fixed(settings.gravity.local_g())
     shortest_us = settings.min_state_seconds * 1e6
+    start_us, end_us = _times(still)
     poses, between, short = [], [], 0
-    for at in runs(still, directions, faces, settings.state_degrees):
-        found = state(still, at[1:-1] if len(at) > 2 else at, lsb_per_g)
-        face = int(faces[at[0]])
-        if int(still.end_us[at[-1]] - still.start_us[at[0]]) < shortest_us:
+    for run in runs(still, directions, faces, settings.state_degrees):
+        rest = state(still, run[1:-1] if len(run) > 2 else run, lsb_per_g)
+        face = int(faces[run[0]])
+        if int(end_us[run[-1]] - start_us[run[0]]) < shortest_us:
             short += 1
         elif face == BETWEEN:
-            between.append(found)
+            between.append(rest)
         else:
-            poses.append(Pose(FACES[face], face, found, reference(face, local_g)))
+            poses.append(Pose(FACES[face], face, rest, reference(face, local_g)))
     return Session(first_us, tuple(poses), tuple(between), short)
 
 
@@ -466,23 +449,23 @@ def faces_of(directions: NDArray[np.float64], degrees: float) -> NDArray[np.int6
 
 
 def runs(
-    still: TimedWindows, directions: NDArray[np.float64], faces: NDArray[np.int64], degrees: float
+    still: Windows, directions: NDArray[np.float64], faces: NDArray[np.int64], degrees: float
 ) -> list[list[int]]:
     """Indices of the windows of each state."""
     near = cos(radians(degrees))
-    end = still.windows.first_sample + still.windows.samples
-    found: list[list[int]] = []
+    end = still.first_sample + still.samples
+    states: list[list[int]] = []
     total = np.zeros(3)
     for index, direction in enumerate(directions):
         before = index - 1
-        adjacent = index > 0 and still.windows.first_sample[index] == end[before]
+        adjacent = index > 0 and still.first_sample[index] == end[before]
         if adjacent and faces[index] == faces[before] and _cosine(total, direction) >= near:
-            found[-1].append(index)
+            states[-1].append(index)
             total = total + direction
         else:
-            found.append([index])
+            states.append([index])
             total = direction
-    return found
+    return states
 
 
 def _cosine(total: NDArray[np.float64], direction: NDArray[np.float64]) -> float:

@@ -1,17 +1,12 @@
-"""Twelve parameters by linear least squares from known accelerations (Bragge et al., eq. 1-5).
+"""From the states of a session to twelve parameters, by linear least squares (Bragge et al., eq. 1-5).
 
 z = K a + O is linear in K and O, and each axis of z has the same matrix [a 1]. The normal equations
 are solved in exact fractions of the integer means, so that the parameters are the same bits on every
 machine. Every orientation weighs the same, however many states it has.
 
-Errors of the states: by the fit of all, and by fits that have not seen their orientation.
-
-Differences are exact integers before they become lengths, so that the figures are the same bits on
-every machine.
-
-How well twelve parameters are known: standard errors of a linear least-squares fit.
-
-From the states of a session to twelve parameters and all that is known of them.
+The errors of the states are those by the fit of all, and by fits that have not seen their orientation.
+Differences are exact integers before they become lengths, so that the figures, too, are the same bits on
+every machine. Standard errors are those of a linear least-squares fit.
 """
 
 from __future__ import annotations
@@ -26,21 +21,115 @@ from math import acos, degrees, fsum, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import LIMIT, ONE, checked, to_fixed
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.poses import Floats3, Integers3, KnownFit, Matrix3, Pose, PoseError, Session, State
+from accelcal_cli.six_pose.poses import (
+    Floats3,
+    Integers3,
+    Matrix3,
+    Pose,
+    PoseError,
+    Session,
+    SixPoseFit,
+    State,
+)
 
 MODEL = "12"
 UNKNOWNS = 4
 """For each axis: a row of K and an entry of O."""
 
+FEWEST = 4
+"""N of Bragge et al.: with fewer there are more unknowns than equations."""
+
+FEWEST_CHECKED = 2
+"""A mean of fewer errors has no confidence interval."""
+
+_LONGER = "rest the device on every face for 10 s, or list the poses with --poses"
 _LOWER = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 _UPPER = ((0, 1), (0, 2), (1, 2))
 
 Table = list[list[Fraction]]
+Real = NDArray[np.float64]
+
+
+def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
+    """Solve and measure the errors.
+
+    Raises:
+        DivergedError: the poses do not determine the parameters, or leave none to judge them by.
+    """
+    condition = condition_number(session.poses)
+    _require(session, condition, settings)
+    solution = solve(session.poses, settings.gravity)
+    errors = pose_errors(session.poses, solution.calibration, settings)
+    _require_checks(session, errors)
+    precision = uncertainty(session.poses, solution)
+    return SixPoseFit(
+        calibration=solution.calibration,
+        k=_floats(solution),
+        o=_offset(solution),
+        k_errors=precision.k,
+        o_errors=precision.o,
+        standard_errors=precision.parameters,
+        condition_number=condition,
+        worst_direction_mg=precision.worst_direction_mg,
+        errors=errors,
+        between_norm_mg=between_norm_mg(session.between, solution.calibration, settings.gravity),
+    )
+
+
+def _require(session: Session, condition: float, settings: PoseSettings) -> None:
+    """Raise DivergedError unless the matrix [a 1] of the poses has rank 4, and well so."""
+    if not session.poses:
+        raise DivergedError(_no_poses(session, settings), hint=_LONGER)
+    number = session.orientations
+    if number < FEWEST or condition > settings.max_condition:
+        few = counted(number, "pose") if number < FEWEST else "the poses"
+        raise DivergedError(
+            f"{few}{_which(session)} cannot determine twelve parameters: that takes four whose matrix [a 1] "
+            "has rank 4, and a fifth to judge by",
+            hint=f"{_missing(session)}{_LONGER}",
+        )
+
+
+def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
+    """Raise DivergedError where hardly any orientation could be left out."""
+    pairs = zip(session.poses, errors, strict=True)
+    judged = {pose.number for pose, error in pairs if error.held_out is not None}
+    if len(judged) < FEWEST_CHECKED:
+        raise DivergedError(
+            f"the poses{_which(session)} only just determine twelve parameters and leave none to judge by",
+            hint=f"{_missing(session)}{_LONGER}",
+        )
+
+
+def _no_poses(session: Session, settings: PoseSettings) -> str:
+    others = [(len(session.between), "lie between faces"), (session.short, "are too short")]
+    elsewhere = "; " + " and ".join(f"{number} {what}" for number, what in others if number)
+    near = f"no still state lies within {settings.face_degrees:g} degrees of a face"
+    return near + elsewhere.removesuffix("; ")
+
+
+def _which(session: Session) -> str:
+    return f" ({', '.join(sorted({pose.face for pose in session.poses}))})"
+
+
+def _missing(session: Session) -> str:
+    """A missing face is tolerable while the others determine all and can be left out in turn."""
+    return f"missing: {', '.join(session.missing)}; " if session.missing else ""
+
+
+def _floats(solution: Solution) -> Matrix3:
+    first, second, third = ((float(x), float(y), float(z)) for x, y, z in solution.k)
+    return first, second, third
+
+
+def _offset(solution: Solution) -> Floats3:
+    x, y, z = solution.o
+    return float(x), float(y), float(z)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +182,9 @@ def solve(poses: Sequence[Pose], gravity: Gravity) -> Solution:
                 normal[i][j] += weight * row[i] * row[j]
             for axis in range(3):
                 right[i][axis] += weight * row[i] * pose.state.raw[axis]
-    found = eliminated(normal, right)
-    k = tuple(tuple(found[column][axis] for column in range(3)) for axis in range(3))
-    o = tuple(found[3])
+    solution = eliminated(normal, right)
+    k = tuple(tuple(solution[column][axis] for column in range(3)) for axis in range(3))
+    o = tuple(solution[3])
     return Solution(k, o, _inverse(k, o, gravity))
 
 
@@ -166,12 +255,12 @@ def pose_errors(
 
 def held_out(poses: Sequence[Pose], settings: PoseSettings) -> dict[int, Calibration | None]:
     """For each orientation the calibration by the others; None where they do not determine one."""
-    found: dict[int, Calibration | None] = {}
+    fits: dict[int, Calibration | None] = {}
     for number in sorted({pose.number for pose in poses}):
         others = [pose for pose in poses if pose.number != number]
         enough = condition_number(others) <= settings.max_condition
-        found[number] = solve(others, settings.gravity).calibration if enough else None
-    return found
+        fits[number] = solve(others, settings.gravity).calibration if enough else None
+    return fits
 
 
 def between_norm_mg(states: Sequence[State], calibration: Calibration, gravity: Gravity) -> float | None:
@@ -224,9 +313,6 @@ def _norm_error(a: Floats3, b: Floats3) -> float:
 def _angle(a: Floats3, b: Floats3) -> float:
     cosine = fsum(left * right for left, right in zip(a, b, strict=True)) / (_length(a) * _length(b))
     return degrees(acos(max(-1.0, min(1.0, cosine))))
-
-
-Real = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,8 +373,7 @@ def _matrix3(values: Real) -> Matrix3:
 
 
 def _named(gain: Real, offset: float) -> tuple[float, ...]:
-    lower = [gain[place] for place in ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))]
-    upper = [gain[place] for place in ((0, 1), (0, 2), (1, 2))]
+    lower, upper = [gain[place] for place in _LOWER], [gain[place] for place in _UPPER]
     return tuple(map(float, (*lower, *(offset,) * 3, 0.0, 0.0, 0.0, *upper)))
 
 
@@ -300,88 +385,3 @@ def _worst_direction(gain: Real, inverse: Real, variance: float) -> float:
     shown = np.einsum("ni,ij,nj->n", rows, inverse, rows)
     along = ((a @ gain) ** 2).sum(axis=1)
     return float(1000 * np.sqrt(variance * (shown * along).max()))
-
-
-FEWEST = 4
-"""N of Bragge et al.: with fewer there are more unknowns than equations."""
-
-FEWEST_CHECKED = 2
-"""A mean of fewer errors has no confidence interval."""
-
-_LONGER = "rest the device on every face for 10 s, or list the poses with --poses"
-
-
-def known_fit(session: Session, settings: PoseSettings) -> KnownFit:
-    """Solve and measure the errors.
-
-    Raises:
-        DivergedError: the poses do not determine the parameters, or leave none to judge them by.
-    """
-    condition = condition_number(session.poses)
-    _require(session, condition, settings)
-    solution = solve(session.poses, settings.gravity)
-    errors = pose_errors(session.poses, solution.calibration, settings)
-    _require_checks(session, errors)
-    precision = uncertainty(session.poses, solution)
-    return KnownFit(
-        calibration=solution.calibration,
-        k=_floats(solution),
-        o=_offset(solution),
-        k_errors=precision.k,
-        o_errors=precision.o,
-        standard_errors=precision.parameters,
-        condition_number=condition,
-        worst_direction_mg=precision.worst_direction_mg,
-        errors=errors,
-        between_norm_mg=between_norm_mg(session.between, solution.calibration, settings.gravity),
-    )
-
-
-def _require(session: Session, condition: float, settings: PoseSettings) -> None:
-    """Raise DivergedError unless the matrix [a 1] of the poses has rank 4, and well so."""
-    if not session.poses:
-        raise DivergedError(_no_poses(session, settings), hint=_LONGER)
-    found = session.orientations
-    if found < FEWEST or condition > settings.max_condition:
-        few = f"{found} pose{'' if found == 1 else 's'}" if found < FEWEST else "the poses"
-        raise DivergedError(
-            f"{few}{_which(session)} cannot determine twelve parameters: that takes four whose matrix [a 1] "
-            "has rank 4, and a fifth to judge by",
-            hint=f"{_missing(session)}{_LONGER}",
-        )
-
-
-def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
-    """Raise DivergedError where hardly any orientation could be left out."""
-    held = zip(session.poses, errors, strict=True)
-    checked = {pose.number for pose, error in held if error.held_out is not None}
-    if len(checked) < FEWEST_CHECKED:
-        raise DivergedError(
-            f"the poses{_which(session)} only just determine twelve parameters and leave none to judge by",
-            hint=f"{_missing(session)}{_LONGER}",
-        )
-
-
-def _no_poses(session: Session, settings: PoseSettings) -> str:
-    seen = [(len(session.between), "lie between faces"), (session.short, "are too short")]
-    told = " and ".join(f"{number} {what}" for number, what in seen if number)
-    return f"no still state lies within {settings.face_degrees:g} degrees of a face{told and f'; {told}'}"
-
-
-def _which(session: Session) -> str:
-    return f" ({', '.join(sorted({pose.face for pose in session.poses}))})"
-
-
-def _missing(session: Session) -> str:
-    """A missing face is tolerable while the others determine all and can be left out in turn."""
-    return f"missing: {', '.join(session.missing)}; " if session.missing else ""
-
-
-def _floats(solution: Solution) -> Matrix3:
-    first, second, third = ((float(x), float(y), float(z)) for x, y, z in solution.k)
-    return first, second, third
-
-
-def _offset(solution: Solution) -> Floats3:
-    x, y, z = solution.o
-    return float(x), float(y), float(z)

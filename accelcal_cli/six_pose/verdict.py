@@ -1,6 +1,6 @@
-"""The verdict on a calibration from known orientations: by orientations that it has not seen.
+"""The verdict on a calibration from known orientations, by orientations that it has not seen.
 
-Sections of a report on known orientations: the poses, and the model in its authors' convention.
+Also the report's sections on known orientations: the poses, and the model in its authors' convention.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, O
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.judge.errors import coverage, interval95, mean, summary
 from accelcal_cli.output.report import significant, summary_json
-from accelcal_cli.six_pose.poses import Integers3, KnownFit, Matrix3, Pose, PoseError, Session, VectorErrors
+from accelcal_cli.six_pose.poses import Integers3, Matrix3, Pose, PoseError, Session, SixPoseFit, VectorErrors
 
+EQUATION = "z = K a + O"
 METHOD = "one orientation left out at a time"
 DEGREE_MG = 17.5
 """What a tilt of one degree makes of 1 g across it."""
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
+class SessionHoldout:
     """Errors of the orientations that could be left out.
 
     Attributes:
@@ -38,22 +39,24 @@ class Held:
     vectors: VectorErrors
 
 
-def judge_known(session: Session, fit: KnownFit, settings: PoseSettings) -> tuple[Judgement, VectorErrors]:
+def judge_six_pose(
+    session: Session, fit: SixPoseFit, settings: PoseSettings
+) -> tuple[Judgement, VectorErrors]:
     """Accept, refuse, or find that the raw data are no worse than the poses."""
-    held = _held(session, fit)
-    outcome, message = _outcome(session, fit, settings, held)
+    holdout = _holdout(session, fit)
+    outcome, message = _outcome(session, fit, settings, holdout)
     verdict = Judgement(
         outcome=outcome,
         message=message,
         coverage=_coverage(session, fit),
-        trials=(Trial("0", held.raw, None), Trial("12", held.norms, None)),
-        holdout=held.raw if outcome is Outcome.ALREADY_GOOD else held.norms,
+        trials=(Trial("0", holdout.raw, None), Trial("12", holdout.norms, None)),
+        holdout=holdout.raw if outcome is Outcome.ALREADY_GOOD else holdout.norms,
         fit_errors=_fit_errors(session, fit),
     )
-    return _with_calibration(verdict, fit), held.vectors
+    return _with_calibration(verdict, fit), holdout.vectors
 
 
-def _with_calibration(verdict: Judgement, fit: KnownFit) -> Judgement:
+def _with_calibration(verdict: Judgement, fit: SixPoseFit) -> Judgement:
     if verdict.outcome is Outcome.REFUSED:
         return verdict
     if verdict.outcome is Outcome.ALREADY_GOOD:
@@ -67,9 +70,11 @@ def _with_calibration(verdict: Judgement, fit: KnownFit) -> Judgement:
     )
 
 
-def _outcome(session: Session, fit: KnownFit, settings: PoseSettings, held: Held) -> tuple[Outcome, str]:
-    before, after = held.vectors.before.mean, held.vectors.after.mean
-    norm_before, norm_after = held.norms.before.mean, held.norms.after.mean
+def _outcome(
+    session: Session, fit: SixPoseFit, settings: PoseSettings, holdout: SessionHoldout
+) -> tuple[Outcome, str]:
+    before, after = holdout.vectors.before.mean, holdout.vectors.after.mean
+    norm_before, norm_after = holdout.norms.before.mean, holdout.norms.after.mean
     if after >= settings.max_vector_error_mg or norm_after >= settings.max_error_mg:
         return Outcome.REFUSED, (
             f"the poses disagree: {after:.1f} mg on orientations left out, {norm_after:.1f} mg in length "
@@ -87,20 +92,20 @@ def _outcome(session: Session, fit: KnownFit, settings: PoseSettings, held: Held
     )
 
 
-def _worst(session: Session, fit: KnownFit) -> str:
+def _worst(session: Session, fit: SixPoseFit) -> str:
     """The state farthest from what the other orientations say of it."""
     error, pose = max(
         ((error, pose) for pose, error in zip(session.poses, fit.errors, strict=True)),
         key=lambda pair: pair[0].held_out or 0.0,
     )
-    at = (pose.state.start_us - session.first_us) / 1e6
+    start_s = (pose.state.start_us - session.first_us) / 1e6
     return (
-        f"worst is {pose.face} at {at:.0f} s with {error.held_out or 0.0:.0f} mg (or its opposite is the "
-        f"cause; a tilt of 1 degree makes {DEGREE_MG:g} mg)"
+        f"worst is {pose.face} at {start_s:.0f} s with {error.held_out or 0.0:.0f} mg (or its opposite is "
+        f"the cause; a tilt of 1 degree makes {DEGREE_MG:g} mg)"
     )
 
 
-def _unchecked(session: Session, fit: KnownFit) -> str:
+def _unchecked(session: Session, fit: SixPoseFit) -> str:
     """Orientations without which there is no fit, so that nothing says whether they are right."""
     pairs = zip(session.poses, fit.errors, strict=True)
     names = sorted({pose.face for pose, error in pairs if error.held_out is None})
@@ -110,7 +115,7 @@ def _unchecked(session: Session, fit: KnownFit) -> str:
     return f"; nothing checks {', '.join(names)}, without which there is no fit{missing}"
 
 
-def _held(session: Session, fit: KnownFit) -> Held:
+def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:
     """Each orientation counts the same, with the mean of its states."""
     known = [error for error in fit.errors if error.held_out is not None]
     norm_before = _by_orientation(session, fit, lambda error: error.raw_norm)
@@ -131,11 +136,13 @@ def _held(session: Session, fit: KnownFit) -> Held:
         )
         for shown, compared in ((norm_before, before), (norm_after, after))
     )
-    return Held(raw, norms, VectorErrors(summary(before), summary(after), max(repeats, default=None)))
+    return SessionHoldout(
+        raw, norms, VectorErrors(summary(before), summary(after), max(repeats, default=None))
+    )
 
 
 def _by_orientation(
-    session: Session, fit: KnownFit, value: Callable[[PoseError], float], *, every: bool = False
+    session: Session, fit: SixPoseFit, value: Callable[[PoseError], float], *, every: bool = False
 ) -> list[float]:
     """Mean of each orientation's states; of those that could be left out, or of `every` one."""
     groups: dict[int, list[float]] = {}
@@ -145,13 +152,13 @@ def _by_orientation(
     return [mean(groups[number]) for number in sorted(groups)]
 
 
-def _fit_errors(session: Session, fit: KnownFit) -> FitErrors:
+def _fit_errors(session: Session, fit: SixPoseFit) -> FitErrors:
     before = _by_orientation(session, fit, lambda error: error.raw_norm, every=True)
     after = _by_orientation(session, fit, lambda error: error.norm, every=True)
     return FitErrors(len(session.poses), len(after), mean(before), mean(after))
 
 
-def _coverage(session: Session, fit: KnownFit) -> Coverage:
+def _coverage(session: Session, fit: SixPoseFit) -> Coverage:
     states = [pose.state for pose in session.poses]
     points = PointSet(
         np.array([state.raw for state in states], np.int64).reshape(-1, 3),
@@ -165,10 +172,7 @@ def _coverage(session: Session, fit: KnownFit) -> Coverage:
     )
 
 
-EQUATION = "z = K a + O"
-
-
-def poses_json(session: Session, fit: KnownFit) -> list[dict[str, Any]]:
+def poses_json(session: Session, fit: SixPoseFit) -> list[dict[str, Any]]:
     """The `poses` list, in the order of time."""
     return [_pose(session, pose, error) for pose, error in zip(session.poses, fit.errors, strict=True)]
 
@@ -202,7 +206,7 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None else round(value, 4)
 
 
-def known_json(session: Session, fit: KnownFit, outcome: Outcome, vectors: VectorErrors) -> dict[str, Any]:
+def known_json(session: Session, fit: SixPoseFit, outcome: Outcome, vectors: VectorErrors) -> dict[str, Any]:
     """The `known_orientations` object; K and O are null where they were refused."""
     refused = outcome is Outcome.REFUSED
     return {

@@ -18,7 +18,7 @@ from accelcal_cli.output.report import load_report
 from accelcal_cli.output.report_kinds import FORMAT, Member
 from accelcal_cli.output.report_reading import read_document
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Job, Result, same
+from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Job, Result, check_unchanged
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
 from accelcal_cli.pipeline.pool import apply_pool, pool
 from accelcal_cli.study import summary
@@ -112,7 +112,7 @@ def _make_pool(task: Pool, told: Told) -> Answer:
         refuse_foreign_report(task.item.job.report)
     report = pool(task.members, request, Parts(told).stage)
     for member, before in zip(task.members, task.stamps, strict=True):
-        same(member.path, before)
+        check_unchanged(member.path, before)
     save_report(task.item.job.report, with_provenance(report, request.command))
     return Answer(task.entry({"outcome": report["outcome"], "message": report["message"]}))
 

@@ -25,9 +25,9 @@ from accelcal_cli.core.errors import AccelcalError
 from accelcal_cli.core.formats import Format, ReadOptions
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.formats import all_formats, open_recording
+from accelcal_cli.formats import all_formats
 from accelcal_cli.pipeline.method import make_method
-from accelcal_cli.pipeline.survey import survey
+from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
 from tests.formats.expected import Expected
 
 MUTANTS = int(os.environ.get("ACCELCAL_FUZZ", "50"))
@@ -131,7 +131,7 @@ def checked(chunks: Iterator[Chunk], total_bytes: int) -> Iterator[Chunk]:
 def read(path: Path, options: ReadOptions) -> None:
     """Read a file in all ways; AssertionError where a reader breaks its contract."""
     try:
-        with open_recording(path, options) as reader:
+        with open_marked(path, options) as reader:
             _read_all(reader)
     except AccelcalError as error:
         assert str(path) in str(error), f"an error without the file's name: {error}"
@@ -142,8 +142,10 @@ def _read_all(reader: Reader) -> None:
     assert recording.rate_hz > 0
     assert recording.lsb_per_g > 0
     chunks = checked(reader.chunks(CHUNK_SAMPLES), recording.total_bytes)
-    facts = survey(recording, chunks, make_method(recording, DEFAULT), lambda _byte: None)
-    assert 0 <= facts.lost_percent() <= 100
+    method = make_method(recording, DEFAULT)
+    facts = FactsObserver(recording, method.rest_lsb)
+    survey(chunks, method.segmenter, (facts, method.procedure))
+    assert 0 <= facts.result().lost_percent() <= 100
     for chunk in reader.preview(64, 4):
         chunk.clock.times(0, len(chunk))
 

@@ -25,7 +25,6 @@ from accelcal_cli.output.report_reading import Document
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.report_settings import Rebuilt, rebuild
 from accelcal_cli.segment.adaptive import MOVING, NEVER
-from accelcal_cli.six_pose.run import PoseRequest
 
 
 def bounded(*kinds: Any) -> dict[str, tuple[float, float]]:
@@ -62,7 +61,9 @@ def test_everything_comes_back(settings: Settings) -> None:
 
 def test_settings_of_a_session_come_back() -> None:
     settings = PoseSettings(face_degrees=20.0, latitude=10.0)
-    made = rebuilt(json.loads(json.dumps(PoseRequest(settings=settings).effective_settings(None))))
+    made = rebuilt(
+        json.loads(json.dumps(Request(settings=settings, report_only=True).effective_settings(None)))
+    )
     assert made == Rebuilt(settings, ReadOptions(), True, None, None, (), ())
 
 
@@ -89,7 +90,9 @@ def test_every_number_has_its_limits() -> None:
 def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
     held = stored(Request())
     if name not in {**held, **held["input"]}:
-        held = json.loads(json.dumps(PoseRequest().effective_settings(None)))
+        held = json.loads(
+            json.dumps(Request(settings=PoseSettings(), report_only=True).effective_settings(None))
+        )
     inside = held if name in held else held["input"]
     inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
     with pytest.raises(UnreadableError, match=rf"a\.json: .*{name} cannot be"):

@@ -12,19 +12,19 @@ from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import Facts
 from accelcal_cli.pipeline import survey as module
-from accelcal_cli.pipeline.survey import Observer, with_clipping
+from accelcal_cli.pipeline.survey import FactsObserver, with_clipping
 
 RECORDING = Recording(Path("a"), "test", rate_hz=10.0, lsb_per_g=256.0, total_bytes=0, range_g=8.0)
 
 
 def observed(times: np.ndarray, breaks: list[int], cuts: list[int]) -> Facts:
-    observer = Observer(RECORDING, RECORDING.lsb_per_g)
+    observer = FactsObserver(RECORDING, RECORDING.lsb_per_g)
     edges = [0, *cuts, len(times)]
     for start, stop in itertools.pairwise(edges):
         inner = np.array([row - start for row in breaks if start <= row < stop], np.int64)
         counts = np.zeros((stop - start, 3), np.int16)
         observer.see(Chunk(start, counts, StampClock(times[start:stop]), 0, inner))
-    return observer.facts()
+    return observer.result()
 
 
 @pytest.mark.parametrize("cuts", [[], [1], [50], [49, 51], [50, 50, 60], list(range(1, 100))])
@@ -57,12 +57,12 @@ def test_gaps_and_steps_back_are_counted_apart(cuts: list[int]) -> None:
 
 
 def test_lost_and_used_bytes_add_up_to_a_share() -> None:
-    observer = Observer(RECORDING, RECORDING.lsb_per_g)
-    assert observer.facts().lost_percent() == 0
+    observer = FactsObserver(RECORDING, RECORDING.lsb_per_g)
+    assert observer.result().lost_percent() == 0
     nothing = np.zeros((0, 3), np.int16)
     many = tuple(Problem("checksum", "x", index, 0, lost_bytes=30) for index in range(2000))
     observer.see(Chunk(0, nothing, StampClock(nothing[:, 0]), 0, problems=many, used_bytes=40_000))
-    facts = observer.facts()
+    facts = observer.result()
     assert (facts.lost_bytes, facts.used_bytes, facts.lost_percent()) == (60_000, 40_000, 60.0)
 
 
@@ -71,7 +71,7 @@ def test_a_break_without_lost_time_is_no_gap() -> None:
 
 
 def test_an_empty_recording_has_no_times() -> None:
-    facts = Observer(RECORDING, RECORDING.lsb_per_g).facts()
+    facts = FactsObserver(RECORDING, RECORDING.lsb_per_g).result()
     assert (facts.samples, facts.first_us, facts.rate_hz) == (0, None, None)
 
 
@@ -81,10 +81,10 @@ def test_lists_stay_bounded_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:
     times = np.arange(100, dtype=np.int64) * 1_000_000
     facts = observed(times, list(range(1, 100)), [])
     assert (len(facts.gaps), facts.gaps_omitted) == (5, 94)
-    observer = Observer(RECORDING, RECORDING.lsb_per_g)
+    observer = FactsObserver(RECORDING, RECORDING.lsb_per_g)
     many = tuple(Problem("checksum", "x", index, 0) for index in range(12))
     observer.see(Chunk(0, np.zeros((0, 3), np.int16), StampClock(times[:0]), 0, problems=many))
-    problems = observer.facts().problems
+    problems = observer.result().problems
     assert len(problems) == 6
     assert (problems[-1].code, problems[-1].count) == ("more_problems", 7)
 

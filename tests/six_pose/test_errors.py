@@ -10,7 +10,7 @@ import pytest
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import State
-from accelcal_cli.six_pose.solve import known_fit
+from accelcal_cli.six_pose.solve import six_pose_fit
 from tests.six_pose.known import fixed3, poses_of, session_of, stacked
 from tests.six_pose.made import UP, K, O, turned
 
@@ -27,7 +27,7 @@ def test_each_orientation_is_judged_by_the_others() -> None:
     references = np.vstack([FACES, FACES[:1]])
     numbers = [0, 1, 2, 3, 4, 5, 0]
     raw = raw_of(references) + 0.005 * np.random.default_rng(4).standard_normal((7, 3))
-    fit = known_fit(session_of(poses_of(references, raw, numbers)), SETTINGS)
+    fit = six_pose_fit(session_of(poses_of(references, raw, numbers)), SETTINGS)
     for index, number in enumerate(numbers):
         others = np.array([other != number for other in numbers])
         weights = np.array([0.5 if other == 0 else 1.0 for other in numbers])[others]
@@ -44,7 +44,7 @@ def test_each_orientation_is_judged_by_the_others() -> None:
 def test_repeated_states_are_compared_with_their_mean() -> None:
     references = np.vstack([FACES, FACES[:1]])
     true = np.vstack([FACES, turned(UP["+x"], 0.4)[None]])
-    fit = known_fit(session_of(poses_of(references, raw_of(true), [0, 1, 2, 3, 4, 5, 0])), SETTINGS)
+    fit = six_pose_fit(session_of(poses_of(references, raw_of(true), [0, 1, 2, 3, 4, 5, 0])), SETTINGS)
     assert [error.repeat is None for error in fit.errors] == [False, True, True, True, True, True, False]
     assert fit.errors[0].repeat == pytest.approx(0.2 * DEGREE_MG, rel=0.02)
     assert fit.errors[0].repeat == pytest.approx(fit.errors[6].repeat)
@@ -53,7 +53,7 @@ def test_repeated_states_are_compared_with_their_mean() -> None:
 def test_one_tilted_face_shows_in_full_on_it_and_its_opposite_and_by_half_on_the_rest() -> None:
     true = FACES.copy()
     true[0] = turned(UP["+x"], 1.0)
-    fit = known_fit(session_of(poses_of(FACES, raw_of(true))), SETTINGS)
+    fit = six_pose_fit(session_of(poses_of(FACES, raw_of(true))), SETTINGS)
     shown = [error.held_out for error in fit.errors]
     assert shown[0] == pytest.approx(DEGREE_MG, rel=0.02)
     assert shown[1] == pytest.approx(DEGREE_MG, rel=0.02)
@@ -64,19 +64,19 @@ def test_one_tilted_face_shows_in_full_on_it_and_its_opposite_and_by_half_on_the
 def test_a_box_that_is_not_square_shows_nowhere_but_in_the_misalignment() -> None:
     true = FACES.copy()
     true[:2] = [turned(UP["+x"], 1.0), turned(UP["-x"], 1.0)]
-    fit = known_fit(session_of(poses_of(FACES, raw_of(true))), SETTINGS)
+    fit = six_pose_fit(session_of(poses_of(FACES, raw_of(true))), SETTINGS)
     assert max(error.held_out for error in fit.errors) < 1e-3
     assert abs(fit.k[1][0] - K[1, 0]) * 1000 == pytest.approx(DEGREE_MG, rel=0.02)
     diagonal = fixed3((np.array([1.0, 1.0, 0.0]) / np.sqrt(2)) @ K.T + O)
     session = replace(session_of(poses_of(FACES, raw_of(true))), between=(State(0, 1, 1, diagonal),))
-    assert known_fit(session, SETTINGS).between_norm_mg == pytest.approx(DEGREE_MG / 2, rel=0.05)
+    assert six_pose_fit(session, SETTINGS).between_norm_mg == pytest.approx(DEGREE_MG / 2, rel=0.05)
 
 
 def test_a_slanted_surface_cancels_when_each_face_is_turned_by_half_a_turn() -> None:
     tilt = np.random.default_rng(5).normal(0, 0.02, (6, 3)) * (FACES == 0)
     references, numbers = np.vstack([FACES, FACES]), [*range(6), *range(6)]
     true = np.vstack([FACES + tilt, FACES - tilt])
-    fit = known_fit(session_of(poses_of(references, raw_of(true), numbers)), SETTINGS)
+    fit = six_pose_fit(session_of(poses_of(references, raw_of(true), numbers)), SETTINGS)
     np.testing.assert_allclose(fit.k, K, atol=1e-8)
     np.testing.assert_allclose(fit.o, O, atol=1e-8)
     expected = 1000 * np.linalg.norm(tilt, axis=1)
@@ -84,7 +84,7 @@ def test_a_slanted_surface_cancels_when_each_face_is_turned_by_half_a_turn() -> 
 
 
 def test_without_one_face_the_opposite_one_cannot_be_left_out() -> None:
-    fit = known_fit(session_of(poses_of(FACES[:5], raw_of(FACES[:5]))), SETTINGS)
+    fit = six_pose_fit(session_of(poses_of(FACES[:5], raw_of(FACES[:5]))), SETTINGS)
     assert [error.held_out is None for error in fit.errors] == [False] * 4 + [True]
 
 
@@ -100,7 +100,7 @@ def test_without_one_face_the_opposite_one_cannot_be_left_out() -> None:
 def test_too_few_poses_are_named(which: list[int], told: str, missing: str) -> None:
     poses = poses_of(FACES[which], raw_of(FACES[which]), which)
     with pytest.raises(DivergedError) as caught:
-        known_fit(session_of(poses), SETTINGS)
+        six_pose_fit(session_of(poses), SETTINGS)
     assert told in str(caught.value)
     assert missing in str(caught.value)
     assert caught.value.exit_code == 4
@@ -109,4 +109,4 @@ def test_too_few_poses_are_named(which: list[int], told: str, missing: str) -> N
 def test_references_that_are_almost_in_one_plane_are_refused() -> None:
     a = np.array([[1, 0, 0], [0, 1, 0], [-1, 0, 0.0002], [0, -1, 0], [0.6, 0.8, 0.0001]])
     with pytest.raises(DivergedError, match="rank 4"):
-        known_fit(session_of(poses_of(a, raw_of(a))), SETTINGS)
+        six_pose_fit(session_of(poses_of(a, raw_of(a))), SETTINGS)

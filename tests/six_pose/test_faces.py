@@ -10,7 +10,7 @@ import pytest
 from accelcal_cli.core.fixed import ONE, to_fixed
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.poses import FACES, Session, TimedWindows, find_faces
+from accelcal_cli.six_pose.poses import FACES, Session, find_faces
 from tests.six_pose.made import UP, turned
 
 LSB = 1000.0
@@ -18,7 +18,7 @@ LENGTH = 50
 SETTINGS = PoseSettings()
 
 
-def windows(*runs: tuple[object, int] | None) -> TimedWindows:
+def windows(*runs: tuple[object, int] | None) -> Windows:
     """Runs of windows of one second with these means; None is a window that was not still."""
     means, index = [], []
     at = 0
@@ -33,9 +33,9 @@ def windows(*runs: tuple[object, int] | None) -> TimedWindows:
         at += number
     first = LENGTH * np.array(index, np.int64)
     sums = np.rint(np.array(means) * LSB * LENGTH).astype(np.int64).reshape(-1, 3)
-    held = Windows(np.full(len(index), LENGTH, np.int64), first, sums, np.ones_like(sums))
     start = 5_000_000 + 1_000_000 * np.array(index, np.int64)
-    return TimedWindows(held, start, start + 1_000_000)
+    samples = np.full(len(index), LENGTH, np.int64)
+    return Windows(samples, first, sums, np.ones_like(sums), None, start, start + 1_000_000)
 
 
 def found(*runs: tuple[object, int] | None, settings: PoseSettings = SETTINGS) -> Session:

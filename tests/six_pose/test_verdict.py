@@ -8,9 +8,9 @@ import pytest
 from accelcal_cli.core.points import IDENTITY
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.six_pose.poses import KnownFit, Session, VectorErrors
-from accelcal_cli.six_pose.solve import known_fit
-from accelcal_cli.six_pose.verdict import judge_known
+from accelcal_cli.six_pose.poses import Session, SixPoseFit, VectorErrors
+from accelcal_cli.six_pose.solve import six_pose_fit
+from accelcal_cli.six_pose.verdict import judge_six_pose
 from tests.six_pose.known import poses_of, session_of
 from tests.six_pose.made import UP, K, O, turned
 
@@ -20,10 +20,10 @@ SETTINGS = PoseSettings()
 
 def judged(
     true: np.ndarray, k: np.ndarray = K, o: np.ndarray = O
-) -> tuple[Judgement, VectorErrors, KnownFit]:
+) -> tuple[Judgement, VectorErrors, SixPoseFit]:
     session: Session = session_of(poses_of(FACES[: len(true)], true @ k.T + o))
-    fit = known_fit(session, SETTINGS)
-    return *judge_known(session, fit, SETTINGS), fit
+    fit = six_pose_fit(session, SETTINGS)
+    return *judge_six_pose(session, fit, SETTINGS), fit
 
 
 def test_good_poses_are_calibrated_and_the_figures_are_those_of_the_orientations() -> None:
