@@ -305,6 +305,33 @@ class PoseSettings:
         return {**fixed, "stillness": self.stillness.stillness, **asdict(self)}
 
 
+@dataclass(frozen=True, slots=True)
+class EffectiveSettings:
+    """All that decides a result besides the recording; the report's `settings`.
+
+    Attributes:
+        report_only: no calibrated recording is written.
+        input: how the recording was read.
+        poses: a session's list of poses, by name and hash; None in both: its faces were found.
+    """
+
+    method: Settings | PoseSettings
+    report_only: bool
+    input: dict[str, Any]
+    poses: tuple[str | None, str | None] = (None, None)
+
+    @property
+    def precision_mg(self) -> float | None:
+        """Longest step between calibrated values that are written; None: exact."""
+        return self.method.precision_mg if isinstance(self.method, Settings) else None
+
+    def as_json(self) -> dict[str, Any]:
+        """The report's `settings` object."""
+        names = ("poses", "poses_sha256") if isinstance(self.method, PoseSettings) else ()
+        poses = dict(zip(names, self.poses, strict=False))
+        return {**self.method.as_json(), "report_only": self.report_only, **poses, "input": self.input}
+
+
 def with_stillness(settings: Settings, name: str) -> Settings:
     """The settings with a rule of stillness and its own numbers."""
     return replace(settings, stillness=name, **STILLNESS[name])

@@ -33,6 +33,7 @@ from accelcal_cli.core.points import (
 )
 from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Coverage, ErrorSummary, Facts, Gap, Holdout, Judgement, Trial
+from accelcal_cli.core.settings import EffectiveSettings
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
@@ -384,7 +385,7 @@ class FileHealth:
 class JudgedInput:
     """What the reports of all kinds are made of."""
 
-    settings: dict[str, Any]
+    settings: EffectiveSettings
     judgement: Judgement
     optimizer: dict[str, Any]
 
@@ -422,7 +423,7 @@ def document(
         "schema_version": SCHEMA_VERSION,
         "accelcal_version": __version__,
         "recording": asdict(recording),
-        "settings": data.settings,
+        "settings": data.settings.as_json(),
         "outcome": str(verdict.outcome),
         "message": verdict.message,
         "calibration": calibration_json(verdict, data.optimizer),

@@ -35,6 +35,7 @@ from accelcal_cli.pipeline.jobs import (
     ProgressMaker,
     Request,
     Result,
+    input_settings,
     no_progress,
     real,
     sha256,
@@ -180,7 +181,7 @@ def _read_otherwise(report: dict[str, Any], recording: Recording, request: Reque
     before = settings.get("input") if isinstance(settings, dict) else None
     if not isinstance(before, dict):
         return True
-    now = request.effective_settings(recording.companion)["input"]
+    now = input_settings(request.options, recording.companion)
     return any(before.get(name) != now[name] for name in READING)
 
 

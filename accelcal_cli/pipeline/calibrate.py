@@ -289,4 +289,4 @@ class RecordingRun:
 
 def writes_parquet(data: ReportInput) -> bool:
     """Whether calibrated data belong to a result."""
-    return data.judgement.calibration is not None and not data.settings["report_only"]
+    return data.judgement.calibration is not None and not data.settings.report_only

@@ -104,7 +104,7 @@ def transform_of(data: ReportInput) -> Transform:
         calibration.slope_g_per_c(),
         calibration.reference_c(),
         data.recording.lsb_per_g,
-        steps_per_g(data.settings["precision_mg"]),
+        steps_per_g(data.settings.precision_mg),
     )
 
 

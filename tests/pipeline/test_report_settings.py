@@ -38,7 +38,7 @@ ADAPTIVE_LIMITS = bounded(Adaptive)
 
 
 def stored(request: Request) -> dict[str, Any]:
-    return json.loads(json.dumps(request.effective_settings(None)))
+    return json.loads(json.dumps(request.effective_settings(None).as_json()))
 
 
 def rebuilt(settings: Any) -> Rebuilt:
@@ -62,7 +62,9 @@ def test_everything_comes_back(settings: Settings) -> None:
 def test_settings_of_a_session_come_back() -> None:
     settings = PoseSettings(face_degrees=20.0, latitude=10.0)
     made = rebuilt(
-        json.loads(json.dumps(Request(settings=settings, report_only=True).effective_settings(None)))
+        json.loads(
+            json.dumps(Request(settings=settings, report_only=True).effective_settings(None).as_json())
+        )
     )
     assert made == Rebuilt(settings, ReadOptions(), True, None, None, (), ())
 
@@ -91,7 +93,7 @@ def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
     held = stored(Request())
     if name not in {**held, **held["input"]}:
         held = json.loads(
-            json.dumps(Request(settings=PoseSettings(), report_only=True).effective_settings(None))
+            json.dumps(Request(settings=PoseSettings(), report_only=True).effective_settings(None).as_json())
         )
     inside = held if name in held else held["input"]
     inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
