@@ -52,7 +52,7 @@ from accelcal_cli.pipeline.jobs import (
 )
 from accelcal_cli.pipeline.outputs import json_round_trip
 from accelcal_cli.pipeline.pool import PoolCoefficients
-from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, Rebuilt, rebuild
+from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, ReportSettings, settings_from_report
 from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")
@@ -154,14 +154,14 @@ def verify(
     check_sections(document, ("recording",))
     refuse_kind(document)
     refuse_other(document, recording)
-    made_with = rebuild(document)
+    made_with = settings_from_report(document)
     report_now, parquet = reproduced(document, made_with, recording, options, progress)
     return _verified(document, made_with, json_round_trip(report_now), parquet)
 
 
 def reproduced(
     document: Document,
-    made_with: Rebuilt,
+    made_with: ReportSettings,
     recording: Path,
     options: VerifyOptions,
     progress: ProgressMaker = no_progress,
@@ -212,7 +212,7 @@ def judge_of(run: RecordingRun, document: Document) -> Judge:
 
 
 def _verified(
-    document: Document, made_with: Rebuilt, now: dict[str, Any], parquet: ParquetCheck | None
+    document: Document, made_with: ReportSettings, now: dict[str, Any], parquet: ParquetCheck | None
 ) -> Verified:
     missing, unknown = made_with.missing, made_with.unknown
     excused = {f"settings.{name}" for name in (*missing, *unknown)}
@@ -426,12 +426,12 @@ def refuse_other(document: Document, recording: Path) -> None:
         )
 
 
-def layout_of(made_with: Rebuilt, recording: Path, named: Path | None) -> Path | None:
+def layout_of(made_with: ReportSettings, recording: Path, named: Path | None) -> Path | None:
     """The layout file that the report was made with; raises UsageError where it is not there."""
     return named if made_with.layout is None else _unchanged(made_with.layout, recording, named, "layout")
 
 
-def poses_of(made_with: Rebuilt, recording: Path, named: Path | None) -> Path | None:
+def poses_of(made_with: ReportSettings, recording: Path, named: Path | None) -> Path | None:
     """The list of poses that the report was made with; raises UsageError where it is not there."""
     return None if made_with.poses is None else _unchanged(made_with.poses, recording, named, "poses")
 

@@ -19,7 +19,7 @@ from accelcal_cli.cli.options import (
     reading_options,
     with_given,
 )
-from accelcal_cli.cli.output import each
+from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.report_reading import read_coefficients
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
@@ -33,10 +33,14 @@ from accelcal_cli.pipeline.jobs import Request, plan
     required=True,
     type=FILE,
     metavar="STEM.calibration.json",
-    help="Report that holds the coefficients.",
+    help="Report with the coefficients.",
 )
-@click.option("--any-device", is_flag=True, help="Apply them to whatever device recorded.")
-@click.option("--no-temperature", is_flag=True, help="Use them as at their reference temperature.")
+@click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
+@click.option(
+    "--no-temperature",
+    is_flag=True,
+    help="Apply them as at their reference temperature.",
+)
 @printing_options
 @reading_options
 @damage_option
@@ -44,9 +48,9 @@ from accelcal_cli.pipeline.jobs import Request, plan
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
-    The coefficients are those of a report: of this recording, or of another one of the same device.
-    Writes STEM.calibrated.parquet and STEM.calibration.json and prints the line that `calibrate`
-    prints; the errors are those of the recording's own stillness.
+    The coefficients come from a report, of this recording or of another one of the same device.
+    Writes STEM.calibrated.parquet and STEM.calibration.json and prints the same line as `calibrate`;
+    the errors are measured on the recording's own still periods.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)
@@ -59,4 +63,4 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         coefficients=read_coefficients(values["coefficients"]),
         any_device=values["any_device"],
     )
-    return each(jobs, lambda job, bars, source: apply(job, request, bars, source), values)
+    return run_jobs(jobs, lambda job, bars, source: apply(job, request, bars, source), values)

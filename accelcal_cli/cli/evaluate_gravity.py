@@ -21,14 +21,17 @@ from accelcal_cli.output.report import significant
 
 @click.command("gravity")
 @click.option("--local-gravity", type=Within(9.7, 9.9), metavar="M/S2",
-              help=f"What rest measures.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
+              help=f"Gravity at rest.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
 @gravity_options
 @click.option("--cases", type=click.IntRange(1), default=500, show_default=True, help="Sensors to simulate.")
 @click.option("--points", type=click.IntRange(10, 8192), default=18, show_default=True,
               help="Calibration points, chosen by nine subsets.")  # fmt: skip
-@click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True)
-@click.option("--optimizer", "label", default="fixed32", show_default=True, metavar="NAME[:paper]")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True)
+@click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True,
+              help="Noise on each axis, standard deviation.")  # fmt: skip
+@click.option("--optimizer", "label", default="fixed32", show_default=True, metavar="NAME[:paper]",
+              help="Optimizer, with the paper's settings for NAME:paper.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
+              help="Seed of everything random.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 def command(label: str, as_json: bool, **values: Any) -> None:
@@ -50,7 +53,7 @@ def command(label: str, as_json: bool, **values: Any) -> None:
 
 def _rest_g(values: dict[str, Any]) -> Fraction:
     if values["local_gravity"] is not None and values["latitude"] is not None:
-        raise UsageError("--local-gravity and --latitude exclude each other", hint="give one of them")
+        raise UsageError("--local-gravity and --latitude cannot be combined", hint="give one of them")
     if values["latitude"] is not None or values["altitude_m"] is not None:
         return gravity(values).local_g()
     return standard_g(values["local_gravity"] or TABLE_8_GRAVITY)

@@ -32,21 +32,21 @@ PUBLISHED = (
 
 @click.command("methods")
 @click.argument("recordings", nargs=-1, required=True, type=FILE)
-@click.option("--only", metavar="A,B", help="These optimizers only.  [default: all]")
+@click.option("--only", metavar="A,B", help="Compare only these optimizers.  [default: all]")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @reading_options
 @method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Fit the same points of each RECORDING with every optimizer, and judge all by the same hold-out.
+    """Fit the same points of each RECORDING with every optimizer and judge all by the same hold-out.
 
     Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
     paper), operations are additions and multiplications where they are counted, ms is the time of
-    one fit. With --profile paper: 18 points, and a second set to judge by, as in the paper.
+    one fit. With --profile paper: 18 points and a second set to judge by, as in the paper.
     """
     if values["as_json_"] and values["as_csv"]:
-        raise UsageError("--json and --csv exclude each other", hint="give one of them")
+        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
     names = _names(values["only"])
     rows: list[Row] = []
     failed = 0

@@ -41,20 +41,20 @@ FIGURES = {
 
 @click.command("stillness")
 @click.argument("recordings", nargs=-1, required=True, type=FILE)
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print one table of comma-separated values.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @reading_options
 @fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every rule of stillness and compare the results.
 
-    Shows for each rule what it found and the held-out error on its own points; then the mean error
-    that each calibration leaves on the points of every rule. Where STEM.truth.json of a simulated
-    recording lies beside it, also the largest error of a gain term and of an offset.
+    Shows what each rule found and the held-out error on its own points, then the mean error that each
+    calibration leaves on the points of every rule. For a simulated recording with STEM.truth.json
+    beside it, also the largest error of a gain term and of an offset.
     """
     if values["as_json"] and values["as_csv"]:
-        raise UsageError("--json and --csv exclude each other", hint="give one of them")
+        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
     results: dict[str, list[Row]] = {}
     failed = 0
     for path in recordings:

@@ -16,7 +16,7 @@ from accelcal_cli.core.settings import Settings
 @setting_option(Settings, "altitude_m", default=0.0)
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 def command(latitude: float, altitude_m: float, as_json: bool) -> None:
-    """Show local gravity, as `calibrate --latitude --altitude` uses it.
+    """Show local gravity, as used by `calibrate --latitude --altitude`.
 
     International Gravity Formula of 1967 with the free-air correction (Grammenos, Mascolo,
     Crowcroft 2018, eq. 16-18). Prints m/s2 and units of standard g, separated by a tab.

@@ -31,15 +31,15 @@ QUICK = "gauss-newton"
 
 @click.command("inspect")
 @click.argument("recordings", nargs=-1, required=True, type=FILE)
-@click.option("--full", is_flag=True, help="Read everything, not only pieces.")
-@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object a line.")
+@click.option("--full", is_flag=True, help="Read everything, not just pieces.")
+@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @reading_options
 @damage_option
 @method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Show what each RECORDING holds and what calibrating it would probably give; `-` reads standard input.
+    """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
-    Reads the headers and pieces spread over the file; --full reads everything.
+    Reads the headers and samples pieces spread over the file; --full reads everything.
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="name - once")

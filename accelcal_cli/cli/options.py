@@ -222,7 +222,7 @@ def settings(values: dict[str, Any]) -> Settings:
     profile = PROFILES[values["profile"] or DEFAULT.profile]
     if profile.profile == "paper" and (values["model"] or "9") not in ("auto", "9"):
         raise UsageError(
-            "profile paper fits nine parameters", hint="leave --model out, or use profile default"
+            "--profile paper fits nine parameters", hint="omit --model, or use --profile default"
         )
     return fitting_settings(values, _stillness_settings(profile, values))
 
@@ -234,7 +234,7 @@ def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
     if values["stillness_threshold_g"] is not None and chosen.stillness_threshold_g is None:
         raise UsageError(
             f"--stillness {chosen.stillness} has no threshold of max - min",
-            hint="leave --stillness-threshold-g out, or use --stillness both or range",
+            hint="omit --stillness-threshold-g, or use --stillness both or range",
         )
     if chosen.adaptive is None or seconds is None:
         return chosen
@@ -266,7 +266,7 @@ def with_given(chosen: AnySettings, values: dict[str, Any]) -> AnySettings:
 def gravity(values: dict[str, Any]) -> Gravity:
     """Where the recording was made; raises UsageError for an altitude without a latitude."""
     if values["altitude_m"] is not None and values["latitude"] is None:
-        raise UsageError("--altitude needs --latitude too", hint="give both")
+        raise UsageError("--altitude needs --latitude too", hint="give both, or neither")
     return Gravity(values["latitude"], values["altitude_m"])
 
 

@@ -18,7 +18,7 @@ from accelcal_cli.cli.options import (
     setting_option,
     with_given,
 )
-from accelcal_cli.cli.output import each
+from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.jobs import Request, Result, plan_report
 from accelcal_cli.six_pose.run import six_pose
@@ -27,7 +27,7 @@ from accelcal_cli.six_pose.run import six_pose
 @click.command("six-pose")
 @click.argument("recording", type=FILE)
 @click.option(
-    "--poses", type=FILE, help="CSV with start,end,ax,ay,az of each pose; without it the six faces are found."
+    "--poses", type=FILE, help="CSV with start,end,ax,ay,az of each pose.  [default: find the six faces]"
 )
 @click.option("-o", "--output", type=FILE, help="Name of the report (JSON).")
 @click.option("-d", "--output-dir", type=FILE, help="Folder for the report.")
@@ -41,9 +41,9 @@ from accelcal_cli.six_pose.run import six_pose
 def command(recording: Path, **values: Any) -> int:
     """Calibrate from a session in which the device rested on its six faces; `-` reads standard input.
 
-    Twelve parameters by linear least squares (docs/six-pose.md says how to make the session). Writes
-    STEM.calibration.json beside the recording, and prints a line: path, outcome, model, error before
-    and after in mg on orientations left out, improvement in percent, and the report, separated by tabs.
+    Fits twelve parameters by linear least squares (docs/six-pose.md says how to record the session).
+    Writes STEM.calibration.json beside the recording and prints one tab-separated line: path, outcome,
+    model, error before and after in mg on held-out orientations, improvement in percent, and the report.
     """
     inputs = [] if values["poses"] is None else [values["poses"]]
     job = plan_report(recording, values["output_dir"], values["output"], *inputs)
@@ -56,7 +56,7 @@ def command(recording: Path, **values: Any) -> int:
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
     )
-    return each([job], lambda job, bars, source: six_pose(job, request, bars, source), values, report_of)
+    return run_jobs([job], lambda job, bars, source: six_pose(job, request, bars, source), values, report_of)
 
 
 def report_of(result: Result) -> Path:

@@ -26,27 +26,27 @@ SHOWN_KEYS = 5
 @click.option(
     "--layout",
     type=FILE,
-    help="Layout file of a raw dump, where it is not beside it.",
+    help="Layout file of a raw dump, if not beside the recording.",
 )
 @click.option(
     "--poses",
     type=FILE,
-    help="List of poses of a session, where it is not beside it.",
+    help="List of poses of a session, if not beside the recording.",
 )
 @click.option(
     "--coefficients",
     type=FILE,
-    help="Coefficient file of a report of `apply`, where it is not where it was.",
+    help="Coefficients that a report of `apply` used, if they have moved.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
-@click.option("-q", "--quiet", is_flag=True, help="Say nothing on stderr but errors.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @chunk_option
 def command(report: Path, recording: Path, **values: Any) -> int:
-    """Make REPORT again from its RECORDING and compare, bit for bit; nothing is written.
+    """Reproduce REPORT from its RECORDING and compare them bit for bit; nothing is written.
 
-    Everything is done with the settings and reading options of the report. Prints path, `identical`
-    or `differs`, the largest and the mean difference of calibrated vectors in mg, the version that
-    wrote the report, this version, and the keys that differ, separated by tabs. Exits with 1 where
+    Uses the settings and reading options of the report. Prints one tab-separated line: path,
+    `identical` or `differs`, the largest and the mean difference of calibrated vectors in mg, the
+    version that wrote the report, this version, and the keys that differ. The exit code is 1 if
     anything differs.
     """
     names = ("layout", "poses", "coefficients", "values", "chunk_samples")
@@ -117,12 +117,12 @@ def _comment(report: Path, verified: Verified) -> None:
             f"{name}: does not name {', '.join(verified.missing)}; this version's defaults were used"
         )
     if verified.unknown:
-        exit_codes.say(f"{name}: names {', '.join(verified.unknown)}, which this version does not have")
+        exit_codes.say(f"{name}: names {', '.join(verified.unknown)}, which this version does not know")
     if verified.parquet is not None:
-        exit_codes.say(f"{printable(verified.parquet.path)}: {_said(verified.parquet)}")
+        exit_codes.say(f"{printable(verified.parquet.path)}: {_parquet_comment(verified.parquet)}")
 
 
-def _said(check: ParquetCheck) -> str:
+def _parquet_comment(check: ParquetCheck) -> str:
     if check.differs:
         return f"its metadata differ from the report in {', '.join(check.differs[:SHOWN_KEYS])}"
     if check.values is None:

@@ -124,7 +124,7 @@ class NamedFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Rebuilt:
+class ReportSettings:
     """What a report was made with.
 
     Attributes:
@@ -145,7 +145,7 @@ class Rebuilt:
     unknown: tuple[str, ...]
 
 
-def rebuild(document: Document) -> Rebuilt:
+def settings_from_report(document: Document) -> ReportSettings:
     """The settings of a report.
 
     Raises:
@@ -155,7 +155,7 @@ def rebuild(document: Document) -> Rebuilt:
     if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        return _rebuilt(values)
+        return _from_values(values)
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:
@@ -164,12 +164,12 @@ def rebuild(document: Document) -> Rebuilt:
         ) from error
 
 
-def _rebuilt(values: dict[str, Any]) -> Rebuilt:
+def _from_values(values: dict[str, Any]) -> ReportSettings:
     settings, options = _settings(values), _options(values["input"])
     _check(settings.record)
     _check(options.record)
-    missing, unknown = _odd(values, settings, options)
-    return Rebuilt(
+    missing, unknown = _unmatched(values, settings, options)
+    return ReportSettings(
         settings=settings.record,
         options=options.record,
         report_only=_typed(values, "report_only", bool, default=False),
@@ -197,7 +197,7 @@ def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any
     return {name: value for name, value in values.items() if name not in names}
 
 
-def _odd(
+def _unmatched(
     values: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Missing and unknown keys, by their places in `settings`."""

@@ -23,7 +23,7 @@ from accelcal_cli.core.settings import (
 )
 from accelcal_cli.output.report_reading import Document
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.report_settings import Rebuilt, rebuild
+from accelcal_cli.pipeline.report_settings import ReportSettings, settings_from_report
 from accelcal_cli.segment.adaptive import MOVING, NEVER
 
 
@@ -41,8 +41,8 @@ def stored(request: Request) -> dict[str, Any]:
     return json.loads(json.dumps(request.effective_settings(None).as_json()))
 
 
-def rebuilt(settings: Any) -> Rebuilt:
-    return rebuild(Document(Path("a.json"), "", {"settings": settings}))
+def rebuilt(settings: Any) -> ReportSettings:
+    return settings_from_report(Document(Path("a.json"), "", {"settings": settings}))
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,7 @@ def rebuilt(settings: Any) -> Rebuilt:
 def test_everything_comes_back(settings: Settings) -> None:
     options = ReadOptions(format="csv", rate_hz=30.0, unit="mg", columns=("a", "b", "c"), sensor="s")
     made = rebuilt(stored(Request(options=options, settings=settings, report_only=True)))
-    assert made == Rebuilt(settings, options, True, None, None, (), ())
+    assert made == ReportSettings(settings, options, True, None, None, (), ())
 
 
 def test_settings_of_a_session_come_back() -> None:
@@ -66,7 +66,7 @@ def test_settings_of_a_session_come_back() -> None:
             json.dumps(Request(settings=settings, report_only=True).effective_settings(None).as_json())
         )
     )
-    assert made == Rebuilt(settings, ReadOptions(), True, None, None, (), ())
+    assert made == ReportSettings(settings, ReadOptions(), True, None, None, (), ())
 
 
 def test_missing_and_unknown_settings_are_told() -> None:
