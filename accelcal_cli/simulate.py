@@ -1,11 +1,9 @@
-"""The sensor's errors: from true acceleration to raw counts (the inverse of F eq. 7-9).
+"""Simulated wrist wear: a stream of chunks from a sensor with known errors, and the truth about it.
 
-What a wrist does all day: bouts of sleep, desk, walking, chores, watch on the table.
-
-Each bout gives true acceleration in g and says which samples are motionless. Directions are of the
-specific force at rest: a watch lying face up reads (0, 0, 1).
-
-A simulated recording as a stream of chunks, and the truth about it.
+`Sensor` turns true acceleration into raw counts (the inverse of F eq. 7-9). What the wrist does comes in
+bouts of sleep, desk, walking, chores, and the watch on the table; each gives true acceleration in g and
+says which samples are motionless. Directions are of the specific force at rest: a watch lying face up
+reads (0, 0, 1).
 """
 
 from __future__ import annotations

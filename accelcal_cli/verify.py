@@ -21,18 +21,18 @@ from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import ParquetSource
+from accelcal_cli.output.parquet import Column, ParquetSource, schema_of, values_of
 from accelcal_cli.output.report import ReportInput, build, significant
 from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
-from accelcal_cli.pipeline.export import calibrated, columns_of, rows
+from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
 from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress, sha256
 from accelcal_cli.pipeline.outputs import json_round_trip
 from accelcal_cli.pipeline.pool import PoolCoefficients
-from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, Rebuilt, rebuild
+from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, ReportSettings, settings_from_report
 from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")
@@ -134,14 +134,14 @@ def verify(
     check_sections(document, ("recording",))
     refuse_kind(document)
     refuse_other(document, recording)
-    made_with = rebuild(document)
+    made_with = settings_from_report(document)
     report_now, parquet = reproduced(document, made_with, recording, options, progress)
     return _verified(document, made_with, json_round_trip(report_now), parquet)
 
 
 def reproduced(
     document: Document,
-    made_with: Rebuilt,
+    made_with: ReportSettings,
     recording: Path,
     options: VerifyOptions,
     progress: ProgressMaker = no_progress,
@@ -192,7 +192,7 @@ def judge_of(run: RecordingRun, document: Document) -> Judge:
 
 
 def _verified(
-    document: Document, made_with: Rebuilt, now: dict[str, Any], parquet: ParquetCheck | None
+    document: Document, made_with: ReportSettings, now: dict[str, Any], parquet: ParquetCheck | None
 ) -> Verified:
     missing, unknown = made_with.missing, made_with.unknown
     excused = {f"settings.{name}" for name in (*missing, *unknown)}
@@ -288,11 +288,11 @@ def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
     """
     columns = columns_of(data)
     with ParquetSource(path) as source:
-        wrong = source.other_column(columns.schema({}))
+        wrong = source.other_column(schema_of(columns, {}))
         if wrong is not None:
             return Values(0, 0, wrong)
         done = 0
-        for stored, expected in _pairs(run, data, source):
+        for stored, expected in _pairs(run, data, source, columns):
             difference = _first_difference(stored, expected)
             if difference is not None:
                 row, column = difference
@@ -302,14 +302,13 @@ def compare_values(run: RecordingRun, data: ReportInput, path: Path) -> Values:
 
 
 def _pairs(
-    run: RecordingRun, data: ReportInput, source: ParquetSource
+    run: RecordingRun, data: ReportInput, source: ParquetSource, columns: list[Column]
 ) -> Iterator[tuple[list[NDArray[Any]], list[NDArray[Any]]]]:
     """Columns as they are in the file and as they should be, some rows at a time."""
     shown = run.progress("comparing", data.recording.total_bytes)
     chunks = run.reader.chunks(run.request.chunk_samples)
-    offset_s = data.facts.utc_offset_s or 0
-    for chunk, xyz in calibrated(chunks, calibrate.applier_of(data), shown):
-        yield source.take(len(chunk)), rows(chunk, xyz, data.recording, source.names, offset_s)
+    for chunk, xyz in calibrated(chunks, transform_of(data), shown):
+        yield source.take(len(chunk)), values_of(columns, chunk, xyz)
 
 
 def _first_difference(stored: list[NDArray[Any]], expected: list[NDArray[Any]]) -> tuple[int, int] | None:
@@ -407,12 +406,12 @@ def refuse_other(document: Document, recording: Path) -> None:
         )
 
 
-def layout_of(made_with: Rebuilt, recording: Path, named: Path | None) -> Path | None:
+def layout_of(made_with: ReportSettings, recording: Path, named: Path | None) -> Path | None:
     """The layout file that the report was made with; raises UsageError where it is not there."""
     return named if made_with.layout is None else _unchanged(made_with.layout, recording, named, "layout")
 
 
-def poses_of(made_with: Rebuilt, recording: Path, named: Path | None) -> Path | None:
+def poses_of(made_with: ReportSettings, recording: Path, named: Path | None) -> Path | None:
     """The list of poses that the report was made with; raises UsageError where it is not there."""
     return None if made_with.poses is None else _unchanged(made_with.poses, recording, named, "poses")
 

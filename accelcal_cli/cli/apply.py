@@ -10,15 +10,16 @@ from typing import Any
 import click
 
 from accelcal_cli.cli.options import (
+    FILE,
     damage_option,
-    gravity,
     gravity_options,
     place_options,
+    printing_options,
     read_options,
     reading_options,
-    saying_options,
+    with_given,
 )
-from accelcal_cli.cli.output import each
+from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.report_reading import read_coefficients
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
@@ -30,40 +31,36 @@ from accelcal_cli.pipeline.jobs import Request, plan
 @click.option(
     "--coefficients",
     required=True,
-    type=click.Path(path_type=Path, readable=False),
+    type=FILE,
     metavar="STEM.calibration.json",
-    help="Report that holds the coefficients.",
+    help="Report with the coefficients.",
 )
-@click.option("--any-device", is_flag=True, help="Apply them to whatever device recorded.")
-@click.option("--no-temperature", is_flag=True, help="Use them as at their reference temperature.")
-@saying_options
+@click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
+@click.option(
+    "--no-temperature",
+    is_flag=True,
+    help="Apply them as at their reference temperature.",
+)
+@printing_options
 @reading_options
 @damage_option
 @gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
-    The coefficients are those of a report: of this recording, or of another one of the same device.
-    Writes STEM.calibrated.parquet and STEM.calibration.json and prints the line that `calibrate`
-    prints; the errors are those of the recording's own stillness.
+    The coefficients come from a report, of this recording or of another one of the same device.
+    Writes STEM.calibrated.parquet and STEM.calibration.json and prints the same line as `calibrate`;
+    the errors are measured on the recording's own still periods.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)
-    place = gravity(values)
     request = Request(
         options=read_options(values),
-        settings=replace(
-            DEFAULT,
-            temperature=not values["no_temperature"],
-            precision_mg=values["precision_mg"],
-            latitude=place.latitude,
-            altitude_m=place.altitude_m,
-            max_damage_percent=values["max_damage"],
-        ),
+        settings=replace(with_given(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
         coefficients=read_coefficients(values["coefficients"]),
         any_device=values["any_device"],
     )
-    return each(jobs, lambda job, bars, source: apply(job, request, bars, source), values)
+    return run_jobs(jobs, lambda job, bars, source: apply(job, request, bars, source), values)

@@ -6,7 +6,7 @@ from accelcal_cli.cli.main import LazyGroup
 
 PARTS = {
     "simulation": "Every optimizer on sensors with known errors (Table 2 of the paper).",
-    "methods": "Every optimizer on the same points of recordings (Table 3 of the paper).",
+    "methods": "Every optimizer on the same points of each recording (Table 3 of the paper).",
     "stillness": "Every rule of stillness on the same recordings.",
     "gravity": "Standard against local gravity (Table 8 of Grammenos et al. 2018).",
 }
@@ -16,5 +16,5 @@ command = LazyGroup(
     "evaluate",
     parts=PARTS,
     modules="accelcal_cli.cli.evaluate_",
-    help="Hold the papers' tables against this implementation.",
+    help="Compare this implementation with the tables of the papers.",
 )

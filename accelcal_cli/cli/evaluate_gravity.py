@@ -15,21 +15,23 @@ from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.cases import ALL, Plan, methods
-from accelcal_cli.evaluate.gravity import Residuals, run
-from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY
+from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY, Residuals, gravity_residuals
 from accelcal_cli.output.report import significant
 
 
 @click.command("gravity")
 @click.option("--local-gravity", type=Within(9.7, 9.9), metavar="M/S2",
-              help=f"What rest measures.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
+              help=f"Gravity at rest.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
 @gravity_options
 @click.option("--cases", type=click.IntRange(1), default=500, show_default=True, help="Sensors to simulate.")
 @click.option("--points", type=click.IntRange(10, 8192), default=18, show_default=True,
               help="Calibration points, chosen by nine subsets.")  # fmt: skip
-@click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True)
-@click.option("--optimizer", "label", default="fixed32", show_default=True, metavar="NAME[:paper]")
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True)
+@click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True,
+              help="Noise on each axis, standard deviation.")  # fmt: skip
+@click.option("--optimizer", "label", default="fixed32", show_default=True, metavar="NAME[:paper]",
+              help="Optimizer, with the paper's settings for NAME:paper.")  # fmt: skip
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
+              help="Seed of everything random.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 def command(label: str, as_json: bool, **values: Any) -> None:
@@ -43,22 +45,26 @@ def command(label: str, as_json: bool, **values: Any) -> None:
     (method,) = methods((label,))
     with progress_bars("gravity", quiet=values["quiet"], unit="cases") as bars:
         progress = bars("fitting", values["cases"])
-        found = run(plan, method, values["cases"], values["seed"], progress)
-    click.echo(json.dumps(_record(plan, values, label, found)) if as_json else _text(plan, values, found))
+        residuals = gravity_residuals(plan, method, values["cases"], values["seed"], progress)
+    click.echo(
+        json.dumps(_record(plan, values, label, residuals)) if as_json else _text(plan, values, residuals)
+    )
 
 
 def _rest_g(values: dict[str, Any]) -> Fraction:
     if values["local_gravity"] is not None and values["latitude"] is not None:
-        raise UsageError("--local-gravity and --latitude say the same thing", hint="give one of them")
-    if values["latitude"] is not None or values["altitude"] is not None:
+        raise UsageError("--local-gravity and --latitude cannot be combined", hint="give one of them")
+    if values["latitude"] is not None or values["altitude_m"] is not None:
         return gravity(values).local_g()
     return standard_g(values["local_gravity"] or TABLE_8_GRAVITY)
 
 
-def _record(plan: Plan, values: dict[str, Any], label: str, found: tuple[Residuals, ...]) -> dict[str, Any]:
+def _record(
+    plan: Plan, values: dict[str, Any], label: str, residuals: tuple[Residuals, ...]
+) -> dict[str, Any]:
     fits = [
         {name: significant(value, 7 if name == "assumed_m_s2" else 4) for name, value in asdict(row).items()}
-        for row in found
+        for row in residuals
     ]
     return {
         "accelcal_version": __version__,
@@ -70,7 +76,7 @@ def _record(plan: Plan, values: dict[str, Any], label: str, found: tuple[Residua
     }
 
 
-def _text(plan: Plan, values: dict[str, Any], found: tuple[Residuals, ...]) -> str:
+def _text(plan: Plan, values: dict[str, Any], residuals: tuple[Residuals, ...]) -> str:
     rest = float(plan.rest_g) * STANDARD_GRAVITY
     head = (
         f"{values['cases']} cases (seed {values['seed']}) of {plan.number} points, noise "
@@ -78,7 +84,7 @@ def _text(plan: Plan, values: dict[str, Any], found: tuple[Residuals, ...]) -> s
     )
     names = ("gravity assumed", "E, assumed g", "E, true g", "| |a| - g | mg", "paper's E", "failed")
     rows = []
-    for row, paper in zip(found, TABLE_8, strict=True):
+    for row, paper in zip(residuals, TABLE_8, strict=True):
         shown = figure(row.against_assumed), figure(row.against_true), figure(row.norm_error_mg)
         known = f"{paper:.4f}" if round(rest, 6) == TABLE_8_GRAVITY else "-"
         rows.append((f"{row.assumed_m_s2:.5f} m/s2", *shown, known, str(values["cases"] - row.fitted)))

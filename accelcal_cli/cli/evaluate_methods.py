@@ -9,7 +9,13 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import method_options, read_options, reading_options, settings
+from accelcal_cli.cli.options import (
+    FILE,
+    method_options,
+    read_options,
+    reading_options,
+    settings,
+)
 from accelcal_cli.cli.output import aligned, comma_separated, number, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
@@ -25,22 +31,22 @@ PUBLISHED = (
 
 
 @click.command("methods")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
-@click.option("--only", metavar="A,B", help="These optimizers only.  [default: all]")
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.option("--only", metavar="A,B", help="Compare only these optimizers.  [default: all]")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @reading_options
 @method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Fit the same points of each RECORDING with every optimizer, and judge all by the same hold-out.
+    """Fit the same points of each RECORDING with every optimizer and judge all by the same hold-out.
 
     Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
     paper), operations are additions and multiplications where they are counted, ms is the time of
-    one fit. With --profile paper: 18 points, and a second set to judge by, as in the paper.
+    one fit. With --profile paper: 18 points and a second set to judge by, as in the paper.
     """
     if values["as_json_"] and values["as_csv"]:
-        raise UsageError("--json and --csv exclude each other", hint="give one of them")
+        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
     names = _names(values["only"])
     rows: list[Row] = []
     failed = 0
@@ -77,12 +83,12 @@ def _shown(rows: list[Row], values: dict[str, Any]) -> str:
 
 def _tables(rows: list[Row]) -> list[str]:
     """A table for each recording, and its refusals by name."""
-    found = []
+    tables = []
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [row for row in rows if row.recording == recording]
-        said = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
-        found.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *said]))
-    return found
+        refusals = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
+        tables.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
+    return tables
 
 
 def _cells(row: Row) -> list[str]:

@@ -1,7 +1,4 @@
-"""What `accelcal evaluate simulation` prints for people.
-
-`accelcal evaluate simulation`.
-"""
+"""`accelcal evaluate simulation`: the command, and its tables for people."""
 
 from __future__ import annotations
 
@@ -113,10 +110,11 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,
               metavar="MG[,MG...]", help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--selection", type=click.Choice(get_args(Selection)), default="subsets", show_default=True,
-              help="subsets: the paper's collector chooses among random points; random: any.")  # fmt: skip
+              help="subsets: chosen by the paper's collector; random: any points.")  # fmt: skip
 @click.option("--optimizer", "labels", multiple=True, metavar="NAME[:paper]",
               help=f"May be repeated; `all` for every one.  [default: {' '.join(USUAL)}]")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True)
+@click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
+              help="Seed of everything random.")  # fmt: skip
 @click.option("--json", "as_what", flag_value="json", help="Print a JSON object.")
 @click.option("--csv", "as_what", flag_value="csv", help="Print CSV, a row for each parameter.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
@@ -124,7 +122,7 @@ def command(**values: Any) -> None:
     """Simulate sensors with known errors and compare what each optimizer finds.
 
     Table 2 of Farago, Maczak, Gingl 2024 (section III.A), with the paper's figures and the
-    Cramer-Rao bound beside.
+    Cramer-Rao bound beside them.
     """
     protocol = Protocol(
         cases=values["cases"],

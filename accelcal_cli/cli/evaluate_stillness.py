@@ -9,7 +9,13 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import fitting_options, fitting_settings, read_options, reading_options
+from accelcal_cli.cli.options import (
+    FILE,
+    fitting_options,
+    fitting_settings,
+    read_options,
+    reading_options,
+)
 from accelcal_cli.cli.output import aligned, comma_separated, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.settings import STILLNESS
@@ -34,32 +40,32 @@ FIGURES = {
 
 
 @click.command("stillness")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
-@click.option("--json", "as_json", is_flag=True, help="Print one JSON object a line.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print one table of comma-separated values.")
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @reading_options
 @fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every rule of stillness and compare the results.
 
-    Shows for each rule what it found and the held-out error on its own points; then the mean error
-    that each calibration leaves on the points of every rule. Where STEM.truth.json of a simulated
-    recording lies beside it, also the largest error of a gain term and of an offset.
+    Shows what each rule found and the held-out error on its own points, then the mean error that each
+    calibration leaves on the points of every rule. For a simulated recording with STEM.truth.json
+    beside it, also the largest error of a gain term and of an offset.
     """
     if values["as_json"] and values["as_csv"]:
-        raise UsageError("--json and --csv exclude each other", hint="give one of them")
-    made: dict[str, list[Row]] = {}
+        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
+    results: dict[str, list[Row]] = {}
     failed = 0
     for path in recordings:
         try:
             with progress_bars(path.name, quiet=values["quiet"]) as bars:
-                made[printable(path)] = _one(path, values, bars)
+                results[printable(path)] = _one(path, values, bars)
         except AccelcalError as error:
             exit_codes.say(str(error))
             failed = error.exit_code
-    if made:
-        click.echo(_shown(made, values))
+    if results:
+        click.echo(_shown(results, values))
     return exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
 
 
@@ -68,46 +74,46 @@ def _one(path: Path, values: dict[str, Any], bars: ProgressMaker) -> list[Row]:
     return rows(compare(path, read_options(values), chosen, chunk_samples, bars))
 
 
-def _shown(made: dict[str, list[Row]], values: dict[str, Any]) -> str:
+def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
     if values["as_json"]:
-        return "\n".join(json.dumps({"recording": path, "rules": held}) for path, held in made.items())
+        return "\n".join(json.dumps({"recording": path, "rules": rules}) for path, rules in results.items())
     if values["as_csv"]:
         head = ["recording", "rule", *FIGURES, *(f"on_{rule}_mg" for rule in STILLNESS)]
-        return comma_separated(head, [_cells(path, row) for path, held in made.items() for row in held])
-    return "\n\n".join(f"{path}\n{text(held)}" for path, held in made.items())
+        return comma_separated(head, [_cells(path, row) for path, rules in results.items() for row in rules])
+    return "\n\n".join(f"{path}\n{text(rules)}" for path, rules in results.items())
 
 
 def _cells(path: str, row: Row) -> list[Any]:
     return [path, row["rule"], *(row.get(name) for name in FIGURES), *row["on_points_of_mg"].values()]
 
 
-def rows(made: Comparison) -> list[Row]:
+def rows(comparison: Comparison) -> list[Row]:
     """A row for raw data and for each rule; None where there is nothing to say."""
     on = {
         rule: {name: _rounded(error) for name, error in errors.items()}
-        for rule, errors in made.errors_mg().items()
+        for rule, errors in comparison.errors_mg().items()
     }
-    found = [_row(item, made) | {"on_points_of_mg": on[item.rule]} for item in made.found]
-    return [{"rule": RAW, "on_points_of_mg": on[RAW]}, *found]
+    rows_of_rules = [_row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.found]
+    return [{"rule": RAW, "on_points_of_mg": on[RAW]}, *rows_of_rules]
 
 
-def _row(found: Found, made: Comparison) -> Row:
-    held, calibration = found.judgement.holdout, found.judgement.calibration
-    known = None
-    if calibration is not None and made.truth is not None:
-        known = true_errors(calibration, made.truth)
+def _row(result: Found, comparison: Comparison) -> Row:
+    holdout, calibration = result.judgement.holdout, result.judgement.calibration
+    errors = None
+    if calibration is not None and comparison.truth is not None:
+        errors = true_errors(calibration, comparison.truth)
     return {
-        "rule": found.rule,
-        "windows": found.windows,
-        "still_h": round(found.still_s / 3600, 4),
-        "points": len(found.points),
-        "postures": found.postures,
-        "outcome": str(found.judgement.outcome),
+        "rule": result.rule,
+        "windows": result.windows,
+        "still_h": round(result.still_s / 3600, 4),
+        "points": len(result.points),
+        "postures": result.postures,
+        "outcome": str(result.judgement.outcome),
         "model": None if calibration is None else calibration.model,
-        "before_mg": None if held is None else _rounded(held.before.mean),
-        "after_mg": None if held is None else _rounded(held.after.mean),
-        "gain_error": None if known is None else round(known.gain, 8),
-        "offset_error_mg": None if known is None else _rounded(known.offset_mg),
+        "before_mg": None if holdout is None else _rounded(holdout.before.mean),
+        "after_mg": None if holdout is None else _rounded(holdout.after.mean),
+        "gain_error": None if errors is None else round(errors.gain, 8),
+        "offset_error_mg": None if errors is None else _rounded(errors.offset_mg),
     }
 
 

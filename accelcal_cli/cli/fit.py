@@ -10,8 +10,8 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import fitting_options, fitting_settings
-from accelcal_cli.cli.output import line
+from accelcal_cli.cli.options import FILE, fitting_options, fitting_settings
+from accelcal_cli.cli.output import result_line
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
@@ -19,10 +19,8 @@ from accelcal_cli.pipeline.outputs import refuse_foreign_report, save_report, wi
 
 
 @click.command("fit")
-@click.argument("points", type=click.Path(path_type=Path, readable=False))
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path, readable=False), help="Write the report there."
-)
+@click.argument("points", type=FILE)
+@click.option("-o", "--output", type=FILE, help="Name of the report; without it none is written.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
 @click.option("--force", is_flag=True, help="Overwrite a file that accelcal did not write.")
 @fitting_options
@@ -30,18 +28,18 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     """Fit the still-window means in POINTS and judge them as `calibrate` does.
 
     POINTS is a CSV table with columns x, y, z in g (or meanx, meany, meanz), and optionally
-    temperature_c, weight and posture. Prints the line that `calibrate` prints, with the report's
-    name, where it is written, in place of the Parquet file's. Nothing is written if it is refused.
+    temperature_c, weight and posture. Prints the same line as `calibrate`, with the name of the report,
+    if one is written, in place of the Parquet file. Nothing is written if the points are refused.
     """
     if output is not None and not force:
         refuse_foreign_report(output)
-    made = fit_points(points, fitting_settings(values))
-    report = with_provenance(made, ("accelcal", *sys.argv[1:]))
+    fitted = fit_points(points, fitting_settings(values))
+    report = with_provenance(fitted, ("accelcal", *sys.argv[1:]))
     refused = report["outcome"] == Outcome.REFUSED
     if output is not None and not refused:
         save_report(output, report)
     shown = None if output is None or refused else output
-    click.echo(json.dumps(report) if as_json else line(report, points, shown))
+    click.echo(json.dumps(report) if as_json else result_line(report, points, shown))
     if refused:
         exit_codes.say(f"{printable(points)}: refused: {report['message']}")
         return exit_codes.REFUSED

@@ -6,27 +6,27 @@ import json
 
 import click
 
-from accelcal_cli.cli.options import Within
+from accelcal_cli.cli.options import setting_option
 from accelcal_cli.core.gravity import Gravity, local_gravity
+from accelcal_cli.core.settings import Settings
 
 
 @click.command("gravity")
-@click.option("--latitude", type=Within(-90, 90), required=True, metavar="DEGREES")
-@click.option("--altitude", type=Within(-500, 9000), default=0.0, metavar="METRES",
-              show_default=True, help="Above the sea.")  # fmt: skip
+@setting_option(Settings, "latitude", required=True)
+@setting_option(Settings, "altitude_m", default=0.0)
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
-def command(latitude: float, altitude: float, as_json: bool) -> None:
-    """Show local gravity, as `calibrate --latitude --altitude` uses it.
+def command(latitude: float, altitude_m: float, as_json: bool) -> None:
+    """Show local gravity, as used by `calibrate --latitude --altitude`.
 
     International Gravity Formula of 1967 with the free-air correction (Grammenos, Mascolo,
     Crowcroft 2018, eq. 16-18). Prints m/s2 and units of standard g, separated by a tab.
     """
-    metres = local_gravity(latitude, altitude)
-    standard = float(Gravity(latitude, altitude).local_g())
+    metres = local_gravity(latitude, altitude_m)
+    standard = float(Gravity(latitude, altitude_m).local_g())
     if as_json:
         shown = {
             "latitude": latitude,
-            "altitude": altitude,
+            "altitude": altitude_m,
             "local_m_s2": round(metres, 6),
             "local_g": standard,
         }

@@ -11,7 +11,14 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import damage_option, method_options, read_options, reading_options, settings
+from accelcal_cli.cli.options import (
+    FILE,
+    damage_option,
+    method_options,
+    read_options,
+    reading_options,
+    settings,
+)
 from accelcal_cli.cli.output import stdin
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.settings import DEFAULT, Settings
@@ -23,16 +30,16 @@ QUICK = "gauss-newton"
 
 
 @click.command("inspect")
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path, readable=False))
-@click.option("--full", is_flag=True, help="Read everything, not only pieces.")
-@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object a line.")
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.option("--full", is_flag=True, help="Read everything, not just pieces.")
+@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @reading_options
 @damage_option
 @method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Show what each RECORDING holds and what calibrating it would probably give; `-` reads standard input.
+    """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
-    Reads the headers and pieces spread over the file; --full reads everything.
+    Reads the headers and samples pieces spread over the file; --full reads everything.
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="name - once")
@@ -44,12 +51,12 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _one(path: Path, values: dict[str, Any]) -> int:
     try:
-        seen = _look(path, values)
+        inspection = _look(path, values)
     except AccelcalError as error:
         exit_codes.say(str(error))
         return error.exit_code
-    shown = as_json(seen)
-    click.echo(json.dumps(shown) if values["as_json_"] else text(seen, shown))
+    shown = as_json(inspection)
+    click.echo(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
     return exit_codes.OK
 
 
@@ -57,11 +64,11 @@ def _look(path: Path, values: dict[str, Any]) -> Inspection:
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(spooled(stdin())) if path == STDIN else path
         try:
-            seen = inspect(source, read_options(values), _settings(values), full=values["full"])
+            inspection = inspect(source, read_options(values), _settings(values), full=values["full"])
         except AccelcalError as error:
             error.path = path if error.path == source else error.path
             raise
-    return replace(seen, recording=replace(seen.recording, path=path))
+    return replace(inspection, recording=replace(inspection.recording, path=path))
 
 
 def _settings(values: dict[str, Any]) -> Settings:
@@ -71,21 +78,22 @@ def _settings(values: dict[str, Any]) -> Settings:
     return replace(wanted, optimizer=QUICK) if look else wanted
 
 
-def text(seen: Inspection, shown: dict[str, Any]) -> str:
+def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     """An inspection for people."""
     about = shown["recording"]
     device = " ".join(value for value in about["device"].values() if value) or "unknown"
-    scope = "all of it" if seen.whole else f"{seen.facts.samples} samples in pieces"
+    windows = f"{shown['read']['still_windows']} of {inspection.windows.complete}"
+    scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
     lines = [
         about["path"],
         f"  format       {about['format']}, {about['bytes']} bytes",
         f"  device       {device}",
-        f"  rate         {about['sample_rate_hz']:g} Hz{_measured(seen)}",
+        f"  rate         {about['sample_rate_hz']:g} Hz{_measured(inspection)}",
         f"  scale        {about['lsb_per_g']:.10g} counts per g{_range(about['range_g'])}",
         f"  start        {about['start_time'] or 'unknown'}{_zone(about['timezone'])}",
         f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
         f"  also holds   {_extras(about)}",
-        f"  read         {scope}: {shown['read']['still_windows']} of {seen.windows.complete} windows still",
+        f"  read         {scope}: {windows} windows still",
         f"  problems     {_problems(shown)}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
         f"  clock        {_clock(shown['file_health']['clock'])}",
@@ -94,8 +102,8 @@ def text(seen: Inspection, shown: dict[str, Any]) -> str:
     return "\n".join(lines + [f"  note         {note}" for note in about["notes"]])
 
 
-def _measured(seen: Inspection) -> str:
-    return "" if seen.facts.rate_hz is None else f" (measured {seen.facts.rate_hz:.3f})"
+def _measured(inspection: Inspection) -> str:
+    return "" if inspection.facts.rate_hz is None else f" (measured {inspection.facts.rate_hz:.3f})"
 
 
 def _range(range_g: float | None) -> str:

@@ -1,7 +1,4 @@
-"""Groups of commands that are imported only when asked for.
-
-The `accelcal` command: loads a subcommand only when it is used.
-"""
+"""The `accelcal` command: groups that import a subcommand only when it is used."""
 
 from __future__ import annotations
 
@@ -46,15 +43,15 @@ class LazyGroup(click.Group):
 
 COMMANDS = {
     "calibrate": "Calibrate recordings: calibrated Parquet and a report for each.",
-    "study": "Calibrate a folder of recordings, in parallel; go on where an earlier run ended.",
+    "study": "Calibrate a folder of recordings, in parallel; resume an interrupted run.",
     "devices": "Show how a study's devices drift, and which to service.",
     "six-pose": "Calibrate a sensor from a session on its six faces.",
-    "inspect": "Show what a recording holds and what calibrating it would give.",
-    "fit": "Fit still-window means from another tool, and judge them.",
+    "inspect": "Show what a recording holds and predict its outcome.",
+    "fit": "Fit still-window means from another tool and judge the fit.",
     "apply": "Apply known coefficients to recordings of the same device.",
-    "verify": "Fit a recording again and compare with its report, bit for bit.",
+    "verify": "Reproduce a report from its recording, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",
-    "evaluate": "Hold the papers' tables against this implementation.",
+    "evaluate": "Compare this implementation with the tables of the papers.",
     "simulate": "Write a recording with known errors.",
 }
 """Each lives in the module of its name (`_` for `-`) and binds `command`."""

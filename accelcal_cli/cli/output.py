@@ -1,11 +1,4 @@
-"""Tables on standard output: aligned text, CSV.
-
-One result as a line of tab-separated fields.
-
-Progress on stderr, only where it is a terminal.
-
-What commands share that make a result of each recording: the loop, the line, the comments.
-"""
+"""What commands print: result lines, tables, CSV, progress and comments; and the loop over recordings."""
 
 from __future__ import annotations
 
@@ -59,17 +52,17 @@ def number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def line(report: dict[str, Any], source: Path, written: Path | None) -> str:
+def result_line(report: dict[str, Any], source: Path, written: Path | None) -> str:
     """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
-    held, found = report["holdout"], report["calibration"]
-    told = held is not None and found is not None
+    holdout, calibration = report["holdout"], report["calibration"]
+    judged = holdout is not None and calibration is not None
     fields = [
         printable(source),
         report["outcome"],
-        "-" if found is None else found["model"],
-        "-" if held is None else f"{held['before_mg']['mean']:.3f}",
-        f"{held['after_mg']['mean']:.3f}" if told else "-",
-        _percent(held["improvement_percent"]) if told else "-",
+        "-" if calibration is None else calibration["model"],
+        "-" if holdout is None else f"{holdout['before_mg']['mean']:.3f}",
+        f"{holdout['after_mg']['mean']:.3f}" if judged else "-",
+        _percent(holdout["improvement_percent"]) if judged else "-",
         "-" if written is None else printable(written),
     ]
     return "\t".join(fields)
@@ -122,13 +115,13 @@ def parquet_of(result: Result) -> Path | None:
     return result.job.parquet if result.has_parquet else None
 
 
-def each(
+def run_jobs(
     jobs: list[Job],
     work: Work,
     values: dict[str, Any],
     written: Callable[[Result], Path | None] = parquet_of,
 ) -> int:
-    """Do every job, print its result, and return the exit code of all.
+    """Do every job and print its result; returns the exit code of all.
 
     Args:
         values: the options `quiet`, `verbose` and `as_json`.
@@ -141,7 +134,7 @@ def each(
 
 
 def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result], Path | None]) -> int:
-    """Do one job; a failure is said and does not stop the rest."""
+    """Do one job; a failure is printed and does not stop the rest."""
     source = None
     try:
         with contextlib.ExitStack() as stack:
@@ -155,7 +148,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
         return error.exit_code
     except Exception:
         return exit_codes.report_bug()
-    shown = line(result.report, result.job.source, written(result))
+    shown = result_line(result.report, result.job.source, written(result))
     click.echo(json.dumps(result.report) if values["as_json"] else shown)
     _comment(result, values)
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
@@ -176,8 +169,8 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
     if result.outcome is Outcome.BORROWED:
         from accelcal_cli.pipeline.apply import warning
 
-        if (beware := warning(report)) is not None:
-            exit_codes.say(f"{printable(result.job.source)}: {beware}")
+        if (caution := warning(report)) is not None:
+            exit_codes.say(f"{printable(result.job.source)}: {caution}")
     if values["quiet"]:
         return
     if result.up_to_date:
@@ -187,11 +180,12 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
         more = (
             ""
             if values["verbose"] or len(problems) == 1
-            else f" (and {len(problems) - 1} more, see the report)"
+            else f" (and {len(problems) - 1} more; see the report)"
         )
         exit_codes.say(f"{printable(result.job.source)}: {problem['code']}: {problem['message']}{more}")
     if values["verbose"]:
         exit_codes.say(f"{printable(result.job.source)}: {report['message']}")
         for trial in report["models_tried"]:
-            found = trial["reason"] if trial["after_mg"] is None else f"{trial['after_mg']:.3f} mg held out"
-            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {found}")
+            after_mg = trial["after_mg"]
+            error = trial["reason"] if after_mg is None else f"{after_mg:.3f} mg held out"
+            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {error}")

@@ -9,7 +9,7 @@ from typing import Any
 import click
 import numpy as np
 
-from accelcal_cli.cli.options import Positive, Within
+from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.formats import all_encoders
@@ -18,19 +18,22 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 
 
 @click.command("simulate")
-@click.argument("out", type=click.Path(path_type=Path, readable=False))
+@click.argument("out", type=FILE)
 @click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
-@click.option("--days", type=Positive(), default=1.0, show_default=True)
-@click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True)
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Of movement and noise.")
+@click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length.")
+@click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True, metavar="HZ",
+              help="Sampling rate.")  # fmt: skip
+@click.option(
+    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of movement and noise."
+)
 @click.option("--truth", type=click.IntRange(0), help="Seed of the sensor's errors.  [default: --seed]")
 @click.option(
     "--errors",
     type=Within(0, 100),
     default=1.0,
     show_default=True,
-    help="Factor on all errors; 0: a perfect sensor.",
+    help="Factor on all sensor errors; 0 for a perfect sensor.",
 )
 @click.option(
     "--misalignment",
@@ -40,16 +43,19 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
     help="Factor on the misalignment.",
 )
 @click.option("--temp-slope", type=Within(-1000, 1000), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
-              help="Offset per degree C, mg.")  # fmt: skip
-@click.option("--noise-mg", type=Within(0, 1e5), default=3.0, show_default=True)
-@click.option("--lsb-per-g", type=Within(1, 1e6), default=256.0, show_default=True)
-@click.option("--range-g", type=Within(1, 1e4), default=8.0, show_default=True)
+              help="Change of offset per degree Celsius, mg.")  # fmt: skip
+@click.option("--noise-mg", type=Within(0, 100_000), default=3.0, show_default=True,
+              help="Noise on each axis, standard deviation.")  # fmt: skip
+@click.option("--lsb-per-g", type=Within(1, 1_000_000), default=256.0, show_default=True,
+              help="Counts per g.")  # fmt: skip
+@click.option("--range-g", type=Within(1, 10_000), default=8.0, show_default=True,
+              help="Range of the sensor.")  # fmt: skip
 @click.option("--no-temperature", is_flag=True, help="Record no temperature.")
 @click.option("--force", is_flag=True, help="Replace existing files.")
-@click.option("--json", "as_json", is_flag=True, help="Print the truth.")
+@click.option("--json", "as_json", is_flag=True, help="Print the truth as a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 def command(out: Path, **values: Any) -> None:
-    """Write a recording of simulated wrist wear to OUT, and the truth about it to OUT.truth.json.
+    """Write a recording of simulated wrist wear to OUT and the truth about it to OUT.truth.json.
 
     Nights in a few sleep postures, desk, walking, chores, the watch on the table, a temperature
     swing, noise and quantisation; scale, misalignment and offset errors are drawn with a seed.
@@ -68,9 +74,7 @@ def command(out: Path, **values: Any) -> None:
 
 def _plan(values: dict[str, Any]) -> Plan:
     if values["range_g"] * values["lsb_per_g"] > 32_768:
-        raise UsageError(
-            "range times counts per g does not fit 16 bits", hint="lower --range-g or --lsb-per-g"
-        )
+        raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="lower one of them")
     truth = values["seed"] if values["truth"] is None else values["truth"]
     gain, offset = draw_gain_and_offset(truth, values["errors"], values["misalignment"])
     sensor = Sensor(

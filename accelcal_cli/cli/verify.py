@@ -10,7 +10,7 @@ import click
 
 from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import chunk_option
+from accelcal_cli.cli.options import FILE, chunk_option
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
 from accelcal_cli.verify import ParquetCheck, Verified, VerifyOptions, verify
@@ -20,54 +20,56 @@ SHOWN_KEYS = 5
 
 
 @click.command("verify")
-@click.argument("report", type=click.Path(path_type=Path, readable=False))
-@click.argument("recording", type=click.Path(path_type=Path, readable=False))
+@click.argument("report", type=FILE)
+@click.argument("recording", type=FILE)
 @click.option("--values", is_flag=True, help="Also compare every value of the Parquet beside the report.")
 @click.option(
     "--layout",
-    type=click.Path(path_type=Path, readable=False),
-    help="Layout file of a raw dump, where it is not beside it.",
+    type=FILE,
+    help="Layout file of a raw dump, if not beside the recording.",
 )
 @click.option(
     "--poses",
-    type=click.Path(path_type=Path, readable=False),
-    help="List of poses of a session, where it is not beside it.",
+    type=FILE,
+    help="List of poses of a session, if not beside the recording.",
 )
 @click.option(
     "--coefficients",
-    type=click.Path(path_type=Path, readable=False),
-    help="Coefficient file of a report of `apply`, where it is not where it was.",
+    type=FILE,
+    help="Coefficients that a report of `apply` used, if they have moved.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
-@click.option("-q", "--quiet", is_flag=True, help="Say nothing on stderr but errors.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @chunk_option
 def command(report: Path, recording: Path, **values: Any) -> int:
-    """Make REPORT again from its RECORDING and compare, bit for bit; nothing is written.
+    """Reproduce REPORT from its RECORDING and compare them bit for bit; nothing is written.
 
-    Everything is done with the settings and reading options of the report. Prints path, `identical`
-    or `differs`, the largest and the mean difference of calibrated vectors in mg, the version that
-    wrote the report, this version, and the keys that differ, separated by tabs. Exits with 1 where
+    Uses the settings and reading options of the report. Prints one tab-separated line: path,
+    `identical` or `differs`, the largest and the mean difference of calibrated vectors in mg, the
+    version that wrote the report, this version, and the keys that differ. The exit code is 1 if
     anything differs.
     """
     names = ("layout", "poses", "coefficients", "values", "chunk_samples")
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
-        found = verify(report, recording, options, bars)
-    click.echo(json.dumps(as_object(report, recording, found)) if values["as_json"] else line(report, found))
+        verified = verify(report, recording, options, bars)
+    click.echo(
+        json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
+    )
     if not values["quiet"]:
-        _comment(report, found)
-    return exit_codes.OK if found.identical else DIFFERS
+        _comment(report, verified)
+    return exit_codes.OK if verified.identical else DIFFERS
 
 
-def line(report: Path, found: Verified) -> str:
+def line(report: Path, verified: Verified) -> str:
     """The result in tab-separated fields; `-` where there is nothing to say."""
-    keys = found.all_differing
+    keys = verified.all_differing
     shown, more = ", ".join(keys[:SHOWN_KEYS]), len(keys) - SHOWN_KEYS
     fields = [
         printable(report),
-        _word(found.identical),
-        *("-" if value is None else f"{value:g}" for value in (found.largest_mg, found.mean_mg)),
-        found.made_by,
+        _word(verified.identical),
+        *("-" if value is None else f"{value:g}" for value in (verified.largest_mg, verified.mean_mg)),
+        verified.made_by,
         __version__,
         (f"{shown} and {more} more" if more > 0 else shown) or "-",
     ]
@@ -78,19 +80,19 @@ def _word(identical: bool) -> str:
     return "identical" if identical else "differs"
 
 
-def as_object(report: Path, recording: Path, found: Verified) -> dict[str, Any]:
+def as_object(report: Path, recording: Path, verified: Verified) -> dict[str, Any]:
     """The result as a JSON object."""
     return {
         "report": printable(report),
         "recording": printable(recording),
-        "result": _word(found.identical),
-        "differs": list(found.differs),
-        "largest_mg": found.largest_mg,
-        "mean_mg": found.mean_mg,
-        "versions": {"report": found.made_by, "this": __version__},
-        "settings_assumed": list(found.missing),
-        "settings_unknown": list(found.unknown),
-        "parquet": None if found.parquet is None else _parquet(found.parquet),
+        "result": _word(verified.identical),
+        "differs": list(verified.differs),
+        "largest_mg": verified.largest_mg,
+        "mean_mg": verified.mean_mg,
+        "versions": {"report": verified.made_by, "this": __version__},
+        "settings_assumed": list(verified.missing),
+        "settings_unknown": list(verified.unknown),
+        "parquet": None if verified.parquet is None else _parquet(verified.parquet),
     }
 
 
@@ -107,18 +109,20 @@ def _parquet(check: ParquetCheck) -> dict[str, Any]:
     }
 
 
-def _comment(report: Path, found: Verified) -> None:
+def _comment(report: Path, verified: Verified) -> None:
     """What was assumed, and what the Parquet file has to do with it, on stderr."""
     name = printable(report)
-    if found.missing:
-        exit_codes.say(f"{name}: does not name {', '.join(found.missing)}; this version's defaults were used")
-    if found.unknown:
-        exit_codes.say(f"{name}: names {', '.join(found.unknown)}, which this version does not have")
-    if found.parquet is not None:
-        exit_codes.say(f"{printable(found.parquet.path)}: {_said(found.parquet)}")
+    if verified.missing:
+        exit_codes.say(
+            f"{name}: does not name {', '.join(verified.missing)}; this version's defaults were used"
+        )
+    if verified.unknown:
+        exit_codes.say(f"{name}: names {', '.join(verified.unknown)}, which this version does not know")
+    if verified.parquet is not None:
+        exit_codes.say(f"{printable(verified.parquet.path)}: {_parquet_comment(verified.parquet)}")
 
 
-def _said(check: ParquetCheck) -> str:
+def _parquet_comment(check: ParquetCheck) -> str:
     if check.differs:
         return f"its metadata differ from the report in {', '.join(check.differs[:SHOWN_KEYS])}"
     if check.values is None:

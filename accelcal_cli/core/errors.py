@@ -1,6 +1,6 @@
-"""File names as text that any terminal, table and JSON file can hold, and numbers with what they count.
+"""The tree of errors that users see, with the exit code of each kind, and text for their messages.
 
-The one tree of errors that people see, and the exit code each kind carries.
+Names of files as text that any terminal, table and JSON file can hold, and numbers with what they count.
 """
 
 from __future__ import annotations

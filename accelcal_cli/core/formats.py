@@ -15,6 +15,7 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.core.settings import Option, setting
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
@@ -33,16 +34,31 @@ class ReadOptions:
         sensor: which sensor of a file with several.
     """
 
-    format: str | None = None
-    rate_hz: float | None = None
-    unit: str | None = None
-    lsb_per_g: float | None = None
-    columns: tuple[str, str, str] | None = None
-    time_column: str | None = None
-    date_format: str | None = None
-    timezone: str | None = None
-    layout: Path | None = None
-    sensor: str | None = None
+    format: str | None = setting(
+        None,
+        option=Option("--format", "Format of the recording.", "NAME", default="recognised by its content"),
+    )
+    rate_hz: float | None = setting(None, 1e-3, 100_000, Option("--rate", "Sampling rate.", "HZ"))
+    unit: str | None = setting(
+        None, option=Option("--unit", "Unit of the raw values."), choices=("g", "mg", "m/s2", "counts")
+    )
+    lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N"))
+    columns: tuple[str, str, str] | None = setting(
+        None, option=Option("--columns", "Columns of x, y and z: names, or numbers counted from 0.")
+    )
+    time_column: str | None = setting(None, option=Option("--time-column", "Column of the times.", "NAME"))
+    date_format: str | None = setting(
+        None,
+        option=Option("--date-format", "Order of day, month and year in dates such as 04/03/2024."),
+        choices=("dmy", "mdy", "ymd"),
+    )
+    timezone: str | None = setting(
+        None, option=Option("--timezone", "Time zone of the device's clock, such as Europe/Berlin.", "ZONE")
+    )
+    layout: Path | None = setting(None, option=Option("--layout", "Layout file (TOML) of a raw dump."))
+    sensor: str | None = setting(
+        None, option=Option("--sensor", "Sensor to read, in a file with several.", "NAME")
+    )
 
 
 def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:

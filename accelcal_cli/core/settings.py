@@ -1,11 +1,73 @@
-"""Every tunable of the method: name, unit, default, source. One place."""
+"""Every tunable of the method: name, unit, default, bounds, source, and the option that sets it. One place.
+
+Command-line options (cli/options.py) and the checks of settings that are read back from a report
+(pipeline/report_settings.py) are made from what is declared here.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from accelcal_cli.core.gravity import Gravity
+
+SETTING = "setting"
+"""Key of a field's metadata that holds its Setting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """The command-line option that sets a field.
+
+    Attributes:
+        name: with `--no-` for one that switches off.
+        metavar: what the help calls its value; None: by the type.
+        default: as shown in the help; None: the field's own.
+    """
+
+    name: str
+    help: str
+    metavar: str | None = None
+    default: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a field may hold, besides None where its type allows it, and the option that sets it.
+
+    Attributes:
+        low, high: bounds of a number, or of every number of a tuple; None: unbounded.
+        choices: names that are possible; empty: any.
+    """
+
+    low: float | None = None
+    high: float | None = None
+    option: Option | None = None
+    choices: tuple[str, ...] = ()
+
+    def allows(self, value: Any) -> bool:
+        """Whether a value, of the field's type and not None, is among the choices and within the bounds."""
+        if self.choices:
+            return value in self.choices
+        numbers = value if isinstance(value, tuple) else (value,)
+        return self.low is None or self.high is None or all(self.low <= v <= self.high for v in numbers)
+
+
+def setting(
+    default: Any,
+    low: float | None = None,
+    high: float | None = None,
+    option: Option | None = None,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """A field of a dataclass with its Setting."""
+    return field(default=default, metadata={SETTING: Setting(low, high, option, choices)})
+
+
+def setting_of(kind: Any, name: str) -> Setting:
+    """The Setting of a dataclass's field."""
+    declared: Setting = kind.__dataclass_fields__[name].metadata.get(SETTING, Setting())
+    return declared
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +88,29 @@ class Adaptive:
             by a minimum that has settled (measured: 16384 are about 4.5 h of rest; 3 MB).
     """
 
-    acceleration_factor: int = 2
-    rotation_factor: int = 3
-    min_samples: int = 100
-    min_windows: int = 2
-    max_windows: int = 60
-    held_windows: int = 1 << 14
+    acceleration_factor: int = setting(2, 1, 30)
+    rotation_factor: int = setting(3, 1, 30)
+    min_samples: int = setting(100, 1, 1_000_000)
+    min_windows: int = setting(2, 1, 1_000_000)
+    max_windows: int = setting(60, 1, 1_000_000)
+    held_windows: int = setting(1 << 14, 1, 1_000_000)
+
+
+_FIXED: dict[str, Any] = {
+    "segment_seconds": 5.0,
+    "stillness_threshold_g": 0.12,
+    "stillness_deviation_g": 0.013,
+    "stillness_axes": (0, 1, 2),
+    "adaptive": None,
+}
+_UNUSED: dict[str, Any] = {"stillness_threshold_g": None, "stillness_axes": ()}
+STILLNESS: dict[str, dict[str, Any]] = {
+    "both": _FIXED,
+    "range": {**_FIXED, "stillness_deviation_g": None, "stillness_axes": (0,)},
+    "deviation": {**_FIXED, **_UNUSED, "segment_seconds": 10.0},
+    "adaptive": {**_UNUSED, "segment_seconds": 1.0, "stillness_deviation_g": None, "adaptive": Adaptive()},
+}
+"""Rules of stillness, as in `--stillness`, and the settings that make them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,30 +151,69 @@ class Settings:
             is left of it may not be what was worn.
     """
 
-    profile: str = "default"
-    optimizer: str = "fixed32"
-    model: str = "auto"
-    temperature: bool = True
-    stillness: str = "both"
-    segment_seconds: float = 5.0
-    stillness_threshold_g: float | None = 0.12
-    stillness_deviation_g: float | None = 0.013
-    stillness_axes: tuple[int, ...] = (0, 1, 2)
+    profile: str = setting(
+        "default",
+        option=Option("--profile", "`paper`: the published procedure, 18 points and 50 iterations."),
+        choices=("default", "paper"),
+    )
+    optimizer: str = setting(
+        "fixed32",
+        option=Option("--optimizer", "Optimizer that finds the parameters, see docs/optimizers.md.", "NAME"),
+    )
+    model: str = setting(
+        "auto",
+        option=Option("--model", "Parameters to fit; auto lets the held-out error decide."),
+        choices=("auto", "9", "6", "3"),
+    )
+    temperature: bool = setting(
+        True, option=Option("--no-temperature", "Do not use the recording's temperature.")
+    )
+    stillness: str = setting(
+        "both",
+        option=Option(
+            "--stillness",
+            "What counts as still, see docs/stillness.md.",
+            default="both; profile paper: range",
+        ),
+        choices=tuple(STILLNESS),
+    )
+    segment_seconds: float = setting(
+        5.0, 1e-6, 3600, Option("--segment-seconds", "Length of a window.", default="depends on --stillness")
+    )
+    stillness_threshold_g: float | None = setting(
+        0.12,
+        1e-9,
+        4,
+        Option("--stillness-threshold-g", "Largest max - min in a still window (rules both, range)."),
+    )
+    stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
+    stillness_axes: tuple[int, ...] = setting((0, 1, 2), 0, 2)
     adaptive: Adaptive | None = None
-    cells_per_g: int = 20
-    norm_low_g: float = 0.5
-    norm_high_g: float = 1.5
-    posture_degrees: float = 15.0
-    folds: int = 5
-    min_postures: int = 9
-    coverage_g: float = 0.3
-    max_error_mg: float = 10.0
-    min_temperature_range_c: float = 2.0
-    temperature_block_c: float = 2.0
-    precision_mg: float | None = None
-    latitude: float | None = None
-    altitude_m: float | None = None
-    max_damage_percent: float = 50.0
+    cells_per_g: int = setting(20, 1, 1000)
+    norm_low_g: float = setting(0.5, 0, 10)
+    norm_high_g: float = setting(1.5, 0, 10)
+    posture_degrees: float = setting(15.0, 1e-3, 180)
+    folds: int = setting(5, 2, 1000)
+    min_postures: int = setting(9, 2, 1_000_000)
+    coverage_g: float = setting(0.3, 0, 4)
+    max_error_mg: float = setting(10.0, 0, 1e6)
+    min_temperature_range_c: float = setting(2.0, 0, 1e3)
+    temperature_block_c: float = setting(2.0, 1e-3, 1e3)
+    precision_mg: float | None = setting(
+        None,
+        1e-3,
+        1000,
+        Option("--precision", "Round values to steps of at most MG: smaller files.", "MG", "exact"),
+    )
+    latitude: float | None = setting(
+        None, -90, 90, Option("--latitude", "Latitude of the place where the recording was made.", "DEGREES")
+    )
+    altitude_m: float | None = setting(
+        None, -500, 9000, Option("--altitude", "Altitude above sea level.", "METRES", "0")
+    )
+    max_damage_percent: float = setting(
+        50.0, 0, 100, Option("--max-damage", "Refuse a recording with more damage than this.", "PERCENT")
+    )
 
     @property
     def gravity(self) -> Gravity:
@@ -105,6 +223,12 @@ class Settings:
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
         return asdict(self)
+
+
+def _as_in_settings(name: str) -> Any:
+    """A field with the default, the bounds and the option that it has in Settings."""
+    same = Settings.__dataclass_fields__[name]
+    return field(default=same.default, metadata=same.metadata)
 
 
 SIX_POSE = "six-pose"
@@ -131,21 +255,25 @@ class PoseSettings:
         latitude, altitude_m, max_damage_percent: as in `Settings`.
     """
 
-    segment_seconds: float = 1.0
-    stillness_threshold_g: float = 0.12
-    stillness_deviation_g: float = 0.013
-    norm_low_g: float = 0.5
-    norm_high_g: float = 1.5
-    face_degrees: float = 15.0
-    state_degrees: float = 2.0
-    min_state_seconds: float = 2.0
-    posture_degrees: float = 15.0
-    max_condition: float = 1000.0
-    max_error_mg: float = 10.0
-    max_vector_error_mg: float = 20.0
-    latitude: float | None = None
-    altitude_m: float | None = None
-    max_damage_percent: float = 50.0
+    segment_seconds: float = setting(1.0, 0.1, 60, Option("--segment-seconds", "Length of a window."))
+    stillness_threshold_g: float = setting(
+        0.12, 1e-9, 4, Option("--stillness-threshold-g", "Largest max - min in a still window.")
+    )
+    stillness_deviation_g: float = _as_in_settings("stillness_deviation_g")
+    norm_low_g: float = _as_in_settings("norm_low_g")
+    norm_high_g: float = _as_in_settings("norm_high_g")
+    face_degrees: float = setting(
+        15.0, 1, 45, Option("--face-degrees", "Largest angle between the raw mean of a face and its axis.")
+    )
+    state_degrees: float = setting(2.0, 1e-3, 180)
+    min_state_seconds: float = setting(2.0, 0, 3600)
+    posture_degrees: float = _as_in_settings("posture_degrees")
+    max_condition: float = setting(1000.0, 1, 1e9)
+    max_error_mg: float = _as_in_settings("max_error_mg")
+    max_vector_error_mg: float = setting(20.0, 0, 1e6)
+    latitude: float | None = _as_in_settings("latitude")
+    altitude_m: float | None = _as_in_settings("altitude_m")
+    max_damage_percent: float = _as_in_settings("max_damage_percent")
 
     @property
     def gravity(self) -> Gravity:
@@ -164,11 +292,12 @@ class PoseSettings:
             "segment_seconds",
             "stillness_threshold_g",
             "stillness_deviation_g",
+            "norm_low_g",
+            "norm_high_g",
             "latitude",
             "altitude_m",
         )
-        bounds = ("norm_low_g", "norm_high_g")
-        return Settings(**{name: getattr(self, name) for name in names + bounds})
+        return Settings(**{name: getattr(self, name) for name in names})
 
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
@@ -176,26 +305,31 @@ class PoseSettings:
         return {**fixed, "stillness": self.stillness.stillness, **asdict(self)}
 
 
-_FIXED: dict[str, Any] = {
-    "segment_seconds": 5.0,
-    "stillness_threshold_g": 0.12,
-    "stillness_deviation_g": 0.013,
-    "stillness_axes": (0, 1, 2),
-    "adaptive": None,
-}
-_UNUSED: dict[str, Any] = {"stillness_threshold_g": None, "stillness_axes": ()}
-STILLNESS: dict[str, dict[str, Any]] = {
-    "both": _FIXED,
-    "range": {**_FIXED, "stillness_deviation_g": None, "stillness_axes": (0,)},
-    "deviation": {**_FIXED, **_UNUSED, "segment_seconds": 10.0},
-    "adaptive": {
-        **_UNUSED,
-        "segment_seconds": 1.0,
-        "stillness_deviation_g": None,
-        "adaptive": Adaptive(),
-    },
-}
-"""Rules of stillness, as in `--stillness`, and the settings that make them."""
+@dataclass(frozen=True, slots=True)
+class EffectiveSettings:
+    """All that decides a result besides the recording; the report's `settings`.
+
+    Attributes:
+        report_only: no calibrated recording is written.
+        input: how the recording was read.
+        poses: a session's list of poses, by name and hash; None in both: its faces were found.
+    """
+
+    method: Settings | PoseSettings
+    report_only: bool
+    input: dict[str, Any]
+    poses: tuple[str | None, str | None] = (None, None)
+
+    @property
+    def precision_mg(self) -> float | None:
+        """Longest step between calibrated values that are written; None: exact."""
+        return self.method.precision_mg if isinstance(self.method, Settings) else None
+
+    def as_json(self) -> dict[str, Any]:
+        """The report's `settings` object."""
+        names = ("poses", "poses_sha256") if isinstance(self.method, PoseSettings) else ()
+        poses = dict(zip(names, self.poses, strict=False))
+        return {**self.method.as_json(), "report_only": self.report_only, **poses, "input": self.input}
 
 
 def with_stillness(settings: Settings, name: str) -> Settings:

@@ -1,10 +1,7 @@
-"""CPUs and memory that this process was given, not the machine's; how many workers they keep busy.
+"""The machine under this process: its CPUs and memory, its processes, its C library and linear algebra.
 
-Processes of this host: what it is called, and which of them live.
-
-How the C library deals with memory that was used and will be used again.
-
-How many threads the linear algebra below numpy takes.
+CPUs and memory are those that this process was given, not the machine's; from them follows how many
+workers are kept busy.
 """
 
 from __future__ import annotations
@@ -41,10 +38,10 @@ def threads(workers: int) -> int:
 
 def cpus() -> int:
     """CPUs this process may use: the least of affinity, cgroup quota (v2) and Slurm's word."""
-    told = os.environ.get("SLURM_CPUS_PER_TASK", "")
+    slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
     limits = [_affinity(), *_quotas()]
-    if told.isdecimal():
-        limits.append(int(told))
+    if slurm.isdecimal():
+        limits.append(int(slurm))
     return max(1, min(limits))
 
 
@@ -64,8 +61,8 @@ def _quotas() -> Iterator[int]:
 
 def available_bytes() -> int | None:
     """Memory that is left to this process: the machine's and its cgroup's (v2); None where neither tells."""
-    found = [*_machine_bytes(), *_cgroup_bytes()]
-    return max(0, min(found)) if found else None
+    limits = [*_machine_bytes(), *_cgroup_bytes()]
+    return max(0, min(limits)) if limits else None
 
 
 def _machine_bytes() -> Iterator[int]:

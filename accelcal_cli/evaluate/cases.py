@@ -1,9 +1,8 @@
-"""Artificial calibration points (Farago, Maczak, Gingl 2024, section III.A, eq. 17-20).
+"""Artificial calibration points (Farago, Maczak, Gingl 2024, section III.A, eq. 17-20) and what fits them.
 
-Each case has a stream of random numbers of its own, from the seed and its index. The sensor comes
-first: it is the same for any number of points, any noise and either selection.
-
-Which optimizers are compared, and with which of their settings.
+Each case has a stream of random numbers of its own, from the seed and its index. The sensor comes first:
+it is the same for any number of points, any noise and either selection. A `Method` is an optimizer with
+the settings of one profile.
 """
 
 from __future__ import annotations
@@ -28,6 +27,10 @@ SCALE_ERROR = 0.1
 MISALIGNMENT = 0.05
 OFFSET_G = 0.1
 """Reach of the errors to either side of the ideal (eq. 17)."""
+
+USUAL = ("fixed32", "fixed32:paper", "float64:paper", "fixed16", "gauss-newton")
+"""Methods that are compared where none is named."""
+ALL = "all"
 
 SUBSETS = 9
 Selection = Literal["subsets", "random"]
@@ -132,10 +135,6 @@ def _collected(plan: Plan, random: RandomState, truth: tuple[int, ...]) -> tuple
             if collector.offer(1, (x, y, z)):
                 taken.append((still, noisy))
     return np.array([still for still, _ in taken]), np.array([noisy for _, noisy in taken])
-
-
-USUAL = ("fixed32", "fixed32:paper", "float64:paper", "fixed16", "gauss-newton")
-ALL = "all"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """Every optimizer on the same points and the same hold-out (F section III.B, Table 3).
 
-What is known of a simulated recording, and how far a calibration is from it.
+Also what is known of a simulated recording, and how far a calibration is from that truth.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, ste
 from accelcal_cli.pipeline.method import Procedure, fitting, make_method
 from accelcal_cli.pipeline.survey import open_marked, survey
 
+TRUTH_SUFFIX = ".truth.json"
 TABLE_3_OF_F = (
     ("our method", 25.1, 3.06, 820),
     ("non-iterative (Gietzelt et al.)", 25.1, 4.08, 615),
@@ -71,9 +72,9 @@ class Timed:
     def __call__(self, points: PointSet, model: Model) -> Fit:
         """Fit, and take the time."""
         start = perf_counter()
-        found = self.fit(points, model)
+        fit = self.fit(points, model)
         self.seconds = perf_counter() - start
-        return found
+        return fit
 
 
 def compare(
@@ -113,21 +114,23 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> Row:
 
 
 def _judged(row: Row, verdict: Judgement, seconds: float) -> Row:
-    held, found = verdict.holdout, verdict.fit
-    said = replace(row, outcome=str(verdict.outcome), message=verdict.message, points=verdict.coverage.cells)
-    if held is not None:
-        said = replace(said, postures=held.postures, before_mg=held.before.mean)
-    if held is None or found is None or verdict.calibration is None:
-        return said
-    done = found.operations
+    holdout, fit = verdict.holdout, verdict.fit
+    judged = replace(
+        row, outcome=str(verdict.outcome), message=verdict.message, points=verdict.coverage.cells
+    )
+    if holdout is not None:
+        judged = replace(judged, postures=holdout.postures, before_mg=holdout.before.mean)
+    if holdout is None or fit is None or verdict.calibration is None:
+        return judged
+    operations = fit.operations
     return replace(
-        said,
+        judged,
         model=verdict.calibration.model,
-        after_mg=held.after.mean,
-        improvement_percent=held.improvement_percent(),
-        iterations=found.iterations,
-        additions=done.additions or None,
-        multiplications=done.multiplications or None,
+        after_mg=holdout.after.mean,
+        improvement_percent=holdout.improvement_percent(),
+        iterations=fit.iterations,
+        additions=operations.additions or None,
+        multiplications=operations.multiplications or None,
         seconds=seconds,
     )
 
@@ -139,9 +142,6 @@ def as_json(rows: list[Row]) -> dict[str, Any]:
         "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
         "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
     }
-
-
-TRUTH_SUFFIX = ".truth.json"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,10 +189,10 @@ def _truth(known: dict[str, Any]) -> Truth:
 
 
 def _checked(gain: Any, offset_g: Any, reference_c: Any) -> Truth:
-    found = Truth(np.array(gain, np.float64), np.array(offset_g, np.float64), float(reference_c))
-    if found.gain.shape != (3, 3) or found.offset_g.shape != (3,):
+    truth = Truth(np.array(gain, np.float64), np.array(offset_g, np.float64), float(reference_c))
+    if truth.gain.shape != (3, 3) or truth.offset_g.shape != (3,):
         raise ValueError("K is not 3 x 3, or o not three numbers")
-    return found
+    return truth
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,10 +203,12 @@ class TrueErrors:
     offset_mg: float
 
 
-def true_errors(found: Calibration, truth: Truth) -> TrueErrors:
+def true_errors(calibration: Calibration, truth: Truth) -> TrueErrors:
     """How far a calibration is from the truth."""
-    offset_g = found.offset_g() + found.slope_g_per_c() * (truth.reference_c - found.reference_c())
+    offset_g = calibration.offset_g() + calibration.slope_g_per_c() * (
+        truth.reference_c - calibration.reference_c()
+    )
     return TrueErrors(
-        float(np.abs(found.gain() - truth.gain).max()),
+        float(np.abs(calibration.gain() - truth.gain).max()),
         float(np.abs(offset_g - truth.offset_g).max() * 1000),
     )

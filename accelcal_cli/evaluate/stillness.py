@@ -119,8 +119,8 @@ def _error_mg(by: Found | None, on: Found) -> float | None:
 
 def on_scale(points: PointSet, scale: TemperatureScale | None) -> PointSet:
     """Points with their temperatures scaled in another way, as a fit to other points understands them."""
-    held = points.temperature
-    if points.tau is None or held is None or scale is None:
+    own_scale = points.temperature
+    if points.tau is None or own_scale is None or scale is None:
         return points
-    milli = points.tau * round(1000 * held.span_c) + (held.reference_mc - scale.reference_mc) * ONE
+    milli = points.tau * round(1000 * own_scale.span_c) + (own_scale.reference_mc - scale.reference_mc) * ONE
     return replace(points, tau=milli // round(1000 * scale.span_c), temperature=scale)

@@ -1,8 +1,6 @@
 """The calibration model, its cost and its derivatives in floating point, over all points at once.
 
-F's gradient descent in floating point, for any floating-point type.
-
-SciPy, where it is installed: only the two general solvers need it.
+Also F's gradient descent for any floating-point type, and access to SciPy, which only two optimizers need.
 """
 
 from __future__ import annotations

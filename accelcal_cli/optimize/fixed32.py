@@ -1,13 +1,11 @@
-"""The calibration model and its cost in 32-bit fixed point, over all points at once.
+"""F's gradient descent in 32-bit fixed point: integers from the points to the coefficients.
 
-Values have 29 fraction bits in 32 (core.fixed); products have 58 in 64. Sums of products are
-kept exact or are given head room for 8192 points. Every narrowing is checked, nothing wraps.
+Objective: the weighted mean of (|a|^2 - 1)^2 (F eq. 12 without the square root; the mean, not the
+printed sum, for which the published learning rates diverge with 18 points). Start at the ideal sensor.
+Farago, Maczak, Gingl 2024, section II.C.
 
-F's gradient descent in 32-bit fixed point: integers from the points to the coefficients.
-
-Objective: the weighted mean of (|a|^2 - 1)^2 (F eq. 12 without the square root; the mean, not
-the printed sum, for which the published learning rates diverge with 18 points). Start at the
-ideal sensor. Farago, Maczak, Gingl 2024, section II.C.
+Values have 29 fraction bits in 32 (core.fixed); products have 58 in 64. Sums of products are kept exact
+or are given head room for 8192 points. Every narrowing is checked, nothing wraps.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Files that appear complete or not at all.
+"""Files that appear complete or not at all, and whose Parquet files are already there.
 
-What a Parquet file of ours says of itself: whose it is, without pyarrow where there is no file.
+What a Parquet file of ours says of itself is read without loading pyarrow where there is no file.
 """
 
 from __future__ import annotations
@@ -135,8 +135,8 @@ def _temporaries(folder: Path) -> list[str]:
     now = time.monotonic()
     names, until = _LISTED.get(folder, ([], now))
     if now >= until:
-        with os.scandir(folder) as found:
-            names = [one.name for one in found if one.name[0] == "." and one.name.endswith(".tmp")]
+        with os.scandir(folder) as entries:
+            names = [entry.name for entry in entries if entry.name[0] == "." and entry.name.endswith(".tmp")]
         _LISTED[folder] = names, time.monotonic() + 100 * (time.monotonic() - now)
     return names
 
@@ -185,10 +185,10 @@ def _held(path: Path) -> bytes:
 
     try:
         with path.open("rb") as file:
-            held: bytes = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
+            text: bytes = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
     except pa.ArrowException:
         return b"{}"
-    return held
+    return text
 
 
 def written_by_us(path: Path) -> bool:
@@ -199,10 +199,10 @@ def written_by_us(path: Path) -> bool:
 def refuse_foreign(path: Path) -> None:
     """Raise OutputError if a Parquet file exists that accelcal did not write."""
     try:
-        there = path.exists()
+        exists = path.exists()
     except OSError as error:
         raise output_error(error, path) from error
-    if there and not written_by_us(path):
+    if exists and not written_by_us(path):
         raise OutputError(
             "exists and was not written by accelcal",
             path=path,

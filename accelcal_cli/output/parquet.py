@@ -1,17 +1,17 @@
-"""The calibrated recording as Parquet, streamed in row groups of fixed size.
+"""The calibrated recording as Parquet: its columns, a sink that writes them, a source that reads them back.
 
-Columns and metadata: see docs/outputs.md. Row groups do not depend on how the rows were chunked,
-so that the file's bytes do not either.
-
-Calibrated Parquet files read back, as streams.
+Columns and metadata are described in docs/outputs.md. Files are streamed in row groups of fixed size,
+which do not depend on how the rows were chunked, so that the file's bytes do not either.
 """
 
 from __future__ import annotations
 
 import contextlib
 import json
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from types import TracebackType
@@ -22,45 +22,113 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import BackgroundWriter
+from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.core.results import Facts
 from accelcal_cli.output.files import METADATA_KEY, output_error
 
 ROW_GROUP_ROWS = 1 << 20
 WRITE_BATCH_ROWS = 1 << 16
 PORTION_BYTES = 1 << 20
+"""What is encoded gathers until it is written."""
+SOURCE_ROWS = 1 << 17
+"""Rows that are read back at a time."""
+
+Axes = list[NDArray[np.float32]]
+"""Calibrated x, y, z [g]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Columns:
-    """Which columns a recording has.
+class Column:
+    """One column of a calibrated recording.
 
     Attributes:
-        utc: times are UTC.
-        split: those whose values hardly repeat while their high bytes do, so that bytes of one place
-            compress better side by side.
+        unit: of its values, for the field's metadata.
+        values: of a chunk and its calibrated x, y, z [g]: one for each row.
+        encoding: of Parquet.
     """
 
-    temperature: bool
-    gyroscope: bool
-    utc: bool
-    split: tuple[str, ...] = ()
+    name: str
+    unit: str
+    type: pa.DataType
+    values: Callable[[Chunk, Axes], NDArray[Any]]
+    encoding: str = "PLAIN"
 
-    def schema(self, metadata: dict[str, Any]) -> pa.Schema:
-        """Arrow schema with units in the fields' metadata."""
-        fields = [_field("time", pa.timestamp("us", "UTC" if self.utc else None), "us since 1970")]
-        fields += [_field(name, pa.float32(), "g") for name in "xyz"]
-        if self.temperature:
-            fields.append(_field("temperature", pa.float32(), "degree Celsius"))
-        if self.gyroscope:
-            fields += [_field(name, pa.float32(), "deg/s") for name in ("gx", "gy", "gz")]
-        fields.append(_field("validity", pa.uint8(), "0 measured, 1 filled, 2 clipped, 3 recovered"))
-        text = json.dumps(metadata, sort_keys=True, allow_nan=False)
-        return pa.schema(fields, metadata={METADATA_KEY: text.encode()})
+    @property
+    def field(self) -> pa.Field:
+        """In the Arrow schema."""
+        return pa.field(self.name, self.type, nullable=False, metadata={b"unit": self.unit.encode()})
+
+    @property
+    def dtype(self) -> Any:
+        """Of its values in numpy; times are whole microseconds."""
+        return np.int64 if pa.types.is_timestamp(self.type) else self.type.to_pandas_dtype()
 
 
-def _field(name: str, kind: pa.DataType, unit: str) -> pa.Field:
-    return pa.field(name, kind, nullable=False, metadata={b"unit": unit.encode()})
+def columns_of(recording: Recording, facts: Facts, fine_axes: str) -> list[Column]:
+    """All columns of a calibrated recording: THE place for a new one.
+
+    Args:
+        fine_axes: those of x, y, z whose values hardly repeat while their high bytes do, so that bytes
+            of one place compress better side by side.
+    """
+    single, offset_s = pa.float32(), facts.utc_offset_s
+    time = pa.timestamp("us", None if offset_s is None else "UTC")
+    columns = [Column("time", "us since 1970", time, partial(_times, offset_s or 0), "DELTA_BINARY_PACKED")]
+    for axis, name in enumerate("xyz"):
+        encoding = "BYTE_STREAM_SPLIT" if name in fine_axes else "PLAIN"
+        columns.append(Column(name, "g", single, partial(_calibrated, axis), encoding))
+    if facts.has_temperature:
+        columns.append(Column("temperature", "degree Celsius", single, _temperature))
+    if facts.has_gyroscope:
+        scale = recording.gyro_dps_per_lsb
+        columns += [
+            Column(f"g{name}", "deg/s", single, partial(_gyroscope, scale, axis))
+            for axis, name in enumerate("xyz")
+        ]
+    columns.append(Column("validity", "0 measured, 1 filled, 2 clipped, 3 recovered", pa.uint8(), _validity))
+    return columns
+
+
+def _times(offset_s: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.int64]:
+    """In UTC, by how many seconds the device's clock is ahead of it."""
+    times = chunk.clock.times(0, len(chunk))
+    return times - offset_s * MICROSECONDS if offset_s else times
+
+
+def _calibrated(axis: int, _chunk: Chunk, xyz: Axes) -> NDArray[np.float32]:
+    return xyz[axis]
+
+
+def _temperature(chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
+    if chunk.temperature_mc is None:
+        return np.full(len(chunk), np.nan, np.float32)
+    return (chunk.temperature_mc / 1000.0).astype(np.float32)
+
+
+def _gyroscope(
+    dps_per_lsb: tuple[float, ...] | None, axis: int, chunk: Chunk, _xyz: Axes
+) -> NDArray[np.float32]:
+    if chunk.gyro_counts is None or dps_per_lsb is None:
+        return np.full(len(chunk), np.nan, np.float32)
+    return (chunk.gyro_counts[:, axis] * dps_per_lsb[axis]).astype(np.float32)
+
+
+def _validity(chunk: Chunk, _xyz: Axes) -> NDArray[np.uint8]:
+    return np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity
+
+
+def schema_of(columns: Sequence[Column], metadata: dict[str, Any]) -> pa.Schema:
+    """The Arrow schema of a file with these columns and this metadata of ours."""
+    text = json.dumps(metadata, sort_keys=True, allow_nan=False)
+    return pa.schema([column.field for column in columns], metadata={METADATA_KEY: text.encode()})
+
+
+def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArray[Any]]:
+    """A chunk's rows: one array a column."""
+    return [column.values(chunk, xyz) for column in columns]
 
 
 class ParquetSink:
@@ -71,7 +139,7 @@ class ParquetSink:
     """
 
     def __init__(
-        self, path: Path, shown: Path, columns: Columns, metadata: dict[str, Any], threads: int = 1
+        self, path: Path, shown: Path, columns: Sequence[Column], metadata: dict[str, Any], threads: int = 1
     ) -> None:
         """Open `path` for writing; errors speak of `shown`.
 
@@ -84,23 +152,22 @@ class ParquetSink:
             OutputError: the file cannot be written.
         """
         self.shown = shown
-        self.schema = columns.schema(metadata)
+        self.columns = columns
+        self._schema = schema_of(columns, metadata)
         self._groups = [self._empty_group() for _ in range(min(threads, 2))]
         self._rows = 0
         self._encoding: Future[None] | None = None
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
         self._thread.submit(int).result()
-        encodings = dict.fromkeys(self.schema.names, "PLAIN") | {"time": "DELTA_BINARY_PACKED"}
-        encodings |= dict.fromkeys(columns.split, "BYTE_STREAM_SPLIT")
         try:
             self._file = _opened(path, threads)
             self._writer = pq.ParquetWriter(
                 self._file,
-                self.schema,
+                self._schema,
                 compression="zstd",
                 compression_level=1,
                 use_dictionary=False,
-                column_encoding=encodings,
+                column_encoding={column.name: column.encoding for column in columns},
                 write_batch_size=WRITE_BATCH_ROWS,
                 write_statistics=["time"],
                 store_schema=True,
@@ -109,15 +176,11 @@ class ParquetSink:
             raise output_error(error, shown) from error
 
     def _empty_group(self) -> list[NDArray[Any]]:
-        """Room for one row group, a column each; times as whole microseconds."""
-        kinds = [np.int64 if name == "time" else kind.to_pandas_dtype() for name, kind in self._kinds()]
-        return [np.empty(ROW_GROUP_ROWS, kind) for kind in kinds]
-
-    def _kinds(self) -> list[tuple[str, pa.DataType]]:
-        return [(field.name, field.type) for field in self.schema]
+        """Memory for one row group, a column each."""
+        return [np.empty(ROW_GROUP_ROWS, column.dtype) for column in self.columns]
 
     def write(self, arrays: list[NDArray[Any]]) -> None:
-        """Take rows: one array a column, in the order of the schema.
+        """Take rows: one array a column, in the order of the columns.
 
         Raises:
             OutputError: the disk is full, or fails.
@@ -143,11 +206,11 @@ class ParquetSink:
 
     def _encode(self, group: list[NDArray[Any]], rows: int) -> None:
         """Write a row group from where its columns lie; `pa.array` would load pandas."""
-        columns = [
-            pa.Array.from_buffers(kind, rows, [None, pa.py_buffer(values)])
-            for values, (_, kind) in zip(group, self._kinds(), strict=True)
+        arrays = [
+            pa.Array.from_buffers(column.type, rows, [None, pa.py_buffer(values)])
+            for values, column in zip(group, self.columns, strict=True)
         ]
-        self._writer.write_batch(pa.record_batch(columns, schema=self.schema), ROW_GROUP_ROWS)
+        self._writer.write_batch(pa.record_batch(arrays, schema=self._schema), ROW_GROUP_ROWS)
 
     def _wait(self) -> None:
         """Raises OutputError if the thread could not write."""
@@ -197,9 +260,6 @@ def _opened(path: Path, threads: int) -> pa.NativeFile:
     )
 
 
-SOURCE_ROWS = 1 << 17
-
-
 class ParquetSource:
     """Reads a calibrated recording back, in portions of any number of rows."""
 
@@ -219,14 +279,14 @@ class ParquetSource:
         self.names: list[str] = self._file.schema_arrow.names
         self.rows: int = self._file.metadata.num_rows
         self._batches = self._file.iter_batches(SOURCE_ROWS)
-        self._held = [_values(pa.array([], field.type)) for field in self._file.schema_arrow]
+        self._rest = [_values(pa.array([], field.type)) for field in self._file.schema_arrow]
 
     def other_column(self, schema: pa.Schema) -> str | None:
         """The first column that is not as in a schema, in name or type; None if all are."""
         pairs = zip_longest(self._file.schema_arrow, schema)
-        for held, wanted in pairs:
-            if held is None or wanted is None or (held.name, held.type) != (wanted.name, wanted.type):
-                return str((held or wanted).name)
+        for found, wanted in pairs:
+            if found is None or wanted is None or (found.name, found.type) != (wanted.name, wanted.type):
+                return str((found or wanted).name)
         return None
 
     def take(self, number: int) -> list[NDArray[Any]]:
@@ -235,12 +295,12 @@ class ParquetSource:
         Raises:
             UnreadableError: the file is damaged.
         """
-        parts, need = [self._held], number - len(self._held[0])
+        parts, need = [self._rest], number - len(self._rest[0])
         while need > 0 and (batch := self._next()) is not None:
             parts.append(batch)
             need -= len(batch[0])
         joined = [np.concatenate(column) for column in zip(*parts, strict=True)]
-        self._held = [column[number:] for column in joined]
+        self._rest = [column[number:] for column in joined]
         return [column[:number] for column in joined]
 
     def _next(self) -> list[NDArray[Any]] | None:

@@ -1,12 +1,9 @@
-"""Sections of a report that several documents share, from plain records.
+"""The JSON report: its sections made from plain records, one function each, and checked against its schema.
 
-Checking a document against the part of JSON Schema that report.schema.json uses.
-
-Keys that the schema does not know are passed over: a later version may add some.
-
-The JSON report: one function a section, all from plain records.
-
-The fit as integers: points in, coefficients out, for firmware and for a check bit by bit.
+`build` makes the report of a recording; those of a table of points and of a pool (report_kinds.py) share
+its sections. `fault` checks a document against the part of JSON Schema that report.schema.json uses;
+keys that the schema does not know are passed over, since a later version may add some. `integers_json`
+is the fit as integers: points in, coefficients out, for firmware and for a check bit by bit.
 """
 
 from __future__ import annotations
@@ -34,8 +31,9 @@ from accelcal_cli.core.points import (
     Fit,
     PointSet,
 )
-from accelcal_cli.core.recording import Problem, Recording, as_json_device
+from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Coverage, ErrorSummary, Facts, Gap, Holdout, Judgement, Trial
+from accelcal_cli.core.settings import EffectiveSettings
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
@@ -43,62 +41,62 @@ DAY_S = 86_400
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
     """The `calibration` object; None where there is none."""
-    found, fit = verdict.calibration, verdict.fit
-    if found is None or fit is None:
+    calibration, fit = verdict.calibration, verdict.fit
+    if calibration is None or fit is None:
         return None
     return {
-        **coefficients_json(found),
-        "standard_errors": _standard_errors(found, verdict.standard_errors),
+        **coefficients_json(calibration),
+        "standard_errors": _standard_errors(calibration, verdict.standard_errors),
         "optimizer": {**optimizer, **_effort(fit, optimizer["arithmetic"])},
     }
 
 
-def coefficients_json(found: Calibration) -> dict[str, Any]:
+def coefficients_json(calibration: Calibration) -> dict[str, Any]:
     """What is needed to apply a calibration."""
     return {
-        "model": found.model,
-        "gain": found.gain().tolist(),
-        "offset_g": found.offset_g().tolist(),
-        "parameters": {name: to_float(value) for name, value in _integers(found, 9).items()},
-        "temperature": _temperature(found),
+        "model": calibration.model,
+        "gain": calibration.gain().tolist(),
+        "offset_g": calibration.offset_g().tolist(),
+        "parameters": {name: to_float(value) for name, value in _integers(calibration, 9).items()},
+        "temperature": _temperature(calibration),
         "equation": EQUATION,
-        "fixed_point": _fixed_point(found),
+        "fixed_point": _fixed_point(calibration),
         "gravity": {
-            "local_g": float(found.gravity.local_g()),
-            "latitude": found.gravity.latitude,
-            "altitude": found.gravity.altitude_m,
+            "local_g": float(calibration.gravity.local_g()),
+            "latitude": calibration.gravity.latitude,
+            "altitude": calibration.gravity.altitude_m,
         },
     }
 
 
-def _integers(found: Calibration, number: int) -> dict[str, int]:
+def _integers(calibration: Calibration, number: int) -> dict[str, int]:
     """Parameters by name; those above K's diagonal only where there are any."""
-    named = dict(zip(PARAMETER_NAMES[:number], found.parameters, strict=False))
-    return named | dict(zip(UPPER_NAMES, found.upper, strict=True)) if any(found.upper) else named
+    named = dict(zip(PARAMETER_NAMES[:number], calibration.parameters, strict=False))
+    return named | dict(zip(UPPER_NAMES, calibration.upper, strict=True)) if any(calibration.upper) else named
 
 
-def _temperature(found: Calibration) -> dict[str, Any] | None:
-    if found.temperature is None:
+def _temperature(calibration: Calibration) -> dict[str, Any] | None:
+    if calibration.temperature is None:
         return None
-    return {"slope_g_per_c": found.slope_g_per_c().tolist(), "reference_c": found.reference_c()}
+    return {"slope_g_per_c": calibration.slope_g_per_c().tolist(), "reference_c": calibration.reference_c()}
 
 
-def _standard_errors(found: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
+def _standard_errors(calibration: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
     if errors is None:
         return None
-    span = 1.0 if found.temperature is None else found.temperature.span_c
+    span = 1.0 if calibration.temperature is None else calibration.temperature.span_c
     scaled = [value / span if 9 <= index < 12 else value for index, value in enumerate(errors)]
-    number = 9 if found.temperature is None else 12
+    number = 9 if calibration.temperature is None else 12
     named = dict(zip(PARAMETER_NAMES[:number], scaled, strict=False))
     named |= dict(zip(UPPER_NAMES, scaled[12:], strict=False))
     return {name: significant(value) for name, value in named.items()}
 
 
-def _fixed_point(found: Calibration) -> dict[str, Any]:
-    scale = found.temperature
+def _fixed_point(calibration: Calibration) -> dict[str, Any]:
+    scale = calibration.temperature
     return {
         "fraction_bits": FRACTION_BITS,
-        "parameters": _integers(found, 12),
+        "parameters": _integers(calibration, 12),
         "temperature_reference_mc": None if scale is None else scale.reference_mc,
         "temperature_span_c": None if scale is None else scale.span_c,
     }
@@ -114,16 +112,16 @@ def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
     }
 
 
-def holdout_json(held: Holdout) -> dict[str, Any]:
+def holdout_json(holdout: Holdout) -> dict[str, Any]:
     """The `holdout` object: the number to quote."""
     return {
-        "method": held.method,
-        "points": held.points,
-        "postures": held.postures,
-        "before_mg": summary_json(held.before),
-        "after_mg": summary_json(held.after),
-        "improvement_percent": round(held.improvement_percent(), 1) if held.after.mean else None,
-        "ci95_mg": [round(value, 4) for value in held.ci95],
+        "method": holdout.method,
+        "points": holdout.points,
+        "postures": holdout.postures,
+        "before_mg": summary_json(holdout.before),
+        "after_mg": summary_json(holdout.after),
+        "improvement_percent": round(holdout.improvement_percent(), 1) if holdout.after.mean else None,
+        "ci95_mg": [round(value, 4) for value in holdout.ci95],
     }
 
 
@@ -144,14 +142,14 @@ def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def coverage_json(seen: Coverage) -> dict[str, Any]:
+def coverage_json(coverage: Coverage) -> dict[str, Any]:
     """The `coverage` object."""
-    worst, condition = seen.worst_direction_mg, seen.condition_number
+    worst, condition = coverage.worst_direction_mg, coverage.condition_number
     return {
-        "subsets": [list(row) for row in seen.subsets],
-        "axis_min_g": [round(value, 4) for value in seen.axis_min_g],
-        "axis_max_g": [round(value, 4) for value in seen.axis_max_g],
-        "cells": seen.cells,
+        "subsets": [list(row) for row in coverage.subsets],
+        "axis_min_g": [round(value, 4) for value in coverage.axis_min_g],
+        "axis_max_g": [round(value, 4) for value in coverage.axis_max_g],
+        "cells": coverage.cells,
         "condition_number": None if condition is None else significant(condition),
         "worst_direction_mg": None if worst is None else significant(worst),
     }
@@ -159,11 +157,11 @@ def coverage_json(seen: Coverage) -> dict[str, Any]:
 
 def trial_json(trial: Trial) -> dict[str, Any]:
     """One entry of `models_tried`."""
-    held = trial.holdout
+    holdout = trial.holdout
     return {
         "model": trial.model,
-        "after_mg": None if held is None else round(held.after.mean, 4),
-        "compared_mg": None if held is None else round(held.compared_mg(), 4),
+        "after_mg": None if holdout is None else round(holdout.after.mean, 4),
+        "compared_mg": None if holdout is None else round(holdout.compared_mg(), 4),
         "reason": trial.reason,
     }
 
@@ -235,9 +233,9 @@ def fault(value: Any, schema: dict[str, Any], where: str = "") -> str | None:
     if kind is not None and not _is(value, kind):
         return f"{where or 'it'} is not {_NAMES[kind]}"
     for check in _CHECKS:
-        found = check(value, schema, where)
-        if found is not None:
-            return found
+        wrong = check(value, schema, where)
+        if wrong is not None:
+            return wrong
     return None
 
 
@@ -298,24 +296,24 @@ def _items(value: Any, schema: dict[str, Any], where: str) -> str | None:
 
 
 def _first(parts: Any) -> str | None:
-    return next((found for part in parts if (found := fault(*part)) is not None), None)
+    return next((wrong for part in parts if (wrong := fault(*part)) is not None), None)
 
 
 def _branches(value: Any, schema: dict[str, Any], where: str) -> str | None:
     """`anyOf`: the fault of the branch that the value is of the kind of, else of the first."""
     faults = [(branch, fault(value, branch, where)) for branch in schema.get("anyOf", ())]
-    if any(found is None for _, found in faults) or not faults:
+    if any(wrong is None for _, wrong in faults) or not faults:
         return None
-    alike = (found for branch, found in faults if _is(value, branch.get("type", "null")))
+    alike = (wrong for branch, wrong in faults if _is(value, branch.get("type", "null")))
     return next(alike, faults[0][1])
 
 
 def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
     for part in schema.get("allOf", ()):
         chosen = "then" if fault(value, part.get("if", {}), where) is None else "else"
-        found = fault(value, part.get(chosen, {}), where)
-        if found is not None:
-            return found
+        wrong = fault(value, part.get(chosen, {}), where)
+        if wrong is not None:
+            return wrong
     return None
 
 
@@ -349,8 +347,52 @@ class WindowUse:
 
 
 @dataclass(frozen=True, slots=True)
-class ReportInput:
-    """All that a report is made of, save the provenance.
+class ReportRecording:
+    """The report's `recording`, in the order of its keys; by default that of no samples."""
+
+    path: str
+    sha256: str
+    bytes: int
+    format: str
+    device: Device = field(default_factory=Device)
+    sample_rate_hz: float | None = None
+    lsb_per_g: float | None = None
+    range_g: float | None = None
+    start_time: str | None = None
+    timezone: str | None = None
+    samples: int = 0
+    duration_s: float | None = None
+    gaps: list[dict[str, Any]] = field(default_factory=list)
+    gaps_omitted: int = 0
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class FileHealth:
+    """The report's `file_health`, in the order of its keys; by default that of no samples."""
+
+    problems: list[dict[str, Any]] = field(default_factory=list)
+    filled_samples: int = 0
+    clipped_samples_before: int = 0
+    clipped_samples_after: int | None = None
+    rate_hz_measured: float | None = None
+    lost_bytes: int = 0
+    lost_percent: float = 0.0
+    clock: dict[str, Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedInput:
+    """What the reports of all kinds are made of."""
+
+    settings: EffectiveSettings
+    judgement: Judgement
+    optimizer: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportInput(JudgedInput):
+    """All that a recording's report is made of, save the provenance.
 
     Attributes:
         taken: sections of the report that do not follow from the judgement: those of another report
@@ -360,49 +402,36 @@ class ReportInput:
     recording: Recording
     sha256: str
     facts: Facts
-    settings: dict[str, Any]
-    judgement: Judgement
     windows: WindowUse
-    optimizer: dict[str, Any]
     clipped_after: int | None
     taken: dict[str, Any] = field(default_factory=dict)
 
 
 def build(data: ReportInput) -> dict[str, Any]:
     """The report without `provenance`: the same for the same input, settings and version."""
-    source = {
-        "recording": recording_json(data.recording, data.sha256, data.facts),
-        "settings": data.settings,
-        "file_health": _health(data),
-    }
-    windows = {name: getattr(data.windows, name) for name in data.windows.__dataclass_fields__}
     raw = data.facts.still_error_mg
-    used = {**windows, "raw_error_mg": None if raw is None else round(raw, 4)}
-    return document(source, data.judgement, data.optimizer, used) | data.taken
+    windows = {**asdict(data.windows), "raw_error_mg": None if raw is None else round(raw, 4)}
+    return document(_recording(data), _health(data), windows, data) | data.taken
 
 
 def document(
-    source: dict[str, Any], verdict: Judgement, optimizer: dict[str, Any], windows: dict[str, Any]
+    recording: ReportRecording, health: FileHealth, windows: dict[str, Any], data: JudgedInput
 ) -> dict[str, Any]:
-    """A report in the order of its keys.
-
-    Args:
-        source: the objects `recording`, `settings` and `file_health`.
-        windows: the object `fit.windows`.
-    """
+    """A report in the order of its keys; `windows` is the object `fit.windows`."""
+    verdict = data.judgement
     return {
         "schema_version": SCHEMA_VERSION,
         "accelcal_version": __version__,
-        "recording": source["recording"],
-        "settings": source["settings"],
+        "recording": asdict(recording),
+        "settings": data.settings.as_json(),
         "outcome": str(verdict.outcome),
         "message": verdict.message,
-        "calibration": calibration_json(verdict, optimizer),
+        "calibration": calibration_json(verdict, data.optimizer),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
         "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),
         "models_tried": [trial_json(trial) for trial in verdict.trials],
-        "file_health": source["file_health"],
+        "file_health": asdict(health),
     }
 
 
@@ -411,31 +440,31 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
     return {
         "accelcal_version": __version__,
         "calibration": data.taken.get("calibration") or calibration_json(data.judgement, data.optimizer),
-        "recording": recording_json(data.recording, data.sha256, data.facts),
+        "recording": asdict(_recording(data)),
     }
 
 
-def recording_json(recording: Recording, sha256: str, facts: Facts) -> dict[str, Any]:
-    """The `recording` object."""
+def _recording(data: ReportInput) -> ReportRecording:
+    recording, facts = data.recording, data.facts
     start = facts.first_us if recording.start_us is None else recording.start_us
-    known = not any(problem.code == "no_start_time" for problem in facts.problems)
-    return {
-        "path": printable(recording.path),
-        "sha256": sha256,
-        "bytes": recording.total_bytes,
-        "format": recording.format,
-        "device": as_json_device(recording.device),
-        "sample_rate_hz": recording.rate_hz,
-        "lsb_per_g": recording.lsb_per_g,
-        "range_g": recording.range_g,
-        "start_time": iso_time(start, facts.utc_offset_s) if known else None,
-        "timezone": recording.timezone,
-        "samples": facts.samples,
-        "duration_s": duration_s(recording, facts),
-        "gaps": [_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
-        "gaps_omitted": facts.gaps_omitted,
-        "notes": notes_json(recording, facts),
-    }
+    dated = not any(problem.code == "no_start_time" for problem in facts.problems)
+    return ReportRecording(
+        path=printable(recording.path),
+        sha256=data.sha256,
+        bytes=recording.total_bytes,
+        format=recording.format,
+        device=recording.device,
+        sample_rate_hz=recording.rate_hz,
+        lsb_per_g=recording.lsb_per_g,
+        range_g=recording.range_g,
+        start_time=iso_time(start, facts.utc_offset_s) if dated else None,
+        timezone=recording.timezone,
+        samples=facts.samples,
+        duration_s=duration_s(recording, facts),
+        gaps=[_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
+        gaps_omitted=facts.gaps_omitted,
+        notes=notes_json(recording, facts),
+    )
 
 
 def duration_s(recording: Recording, facts: Facts) -> float:
@@ -453,17 +482,17 @@ def _gap(gap: Gap, offset_s: int | None) -> dict[str, Any]:
     }
 
 
-def _health(data: ReportInput) -> dict[str, Any]:
+def _health(data: ReportInput) -> FileHealth:
     facts = data.facts
-    return {
-        "problems": [problem_json(problem) for problem in facts.problems],
-        "filled_samples": facts.filled,
-        "clipped_samples_before": facts.clipped,
-        "clipped_samples_after": data.clipped_after,
-        "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
+    return FileHealth(
+        problems=[problem_json(problem) for problem in facts.problems],
+        filled_samples=facts.filled,
+        clipped_samples_before=facts.clipped,
+        clipped_samples_after=data.clipped_after,
+        rate_hz_measured=None if facts.rate_hz is None else round(facts.rate_hz, 6),
         **damage_json(facts),
-        "clock": clock_json(data.recording, facts),
-    }
+        clock=clock_json(data.recording, facts),
+    )
 
 
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:

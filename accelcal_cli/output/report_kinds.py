@@ -1,6 +1,7 @@
-"""The report of a fit to points from a table: the same keys, nothing that only samples could tell.
+"""Reports of other kinds than one recording's, with the same keys and nothing that only samples could tell.
 
-The report of a pool, several recordings calibrated as one, and what its members say of it.
+That of a fit to points from a table; that of a pool, several recordings calibrated as one, and what the
+reports of its members say of it.
 """
 
 from __future__ import annotations
@@ -8,19 +9,26 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.recording import Device, Recording, as_json_device
-from accelcal_cli.core.results import Holdout, Judgement
-from accelcal_cli.output.report import WindowUse, document, summary_json
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.results import Holdout
+from accelcal_cli.output.report import (
+    FileHealth,
+    JudgedInput,
+    ReportRecording,
+    WindowUse,
+    document,
+    summary_json,
+)
 from accelcal_cli.output.report_reading import Document
 
 
 @dataclass(frozen=True, slots=True)
-class PointsInput:
+class PointsInput(JudgedInput):
     """All that such a report is made of.
 
     Attributes:
@@ -36,46 +44,14 @@ class PointsInput:
     implausible: int
     raw_error_mg: float | None
     after_error_mg: float | None
-    settings: dict[str, Any]
-    judgement: Judgement
-    optimizer: dict[str, Any]
 
 
 def build_points(data: PointsInput) -> dict[str, Any]:
     """The report without `provenance`."""
-    source = {"recording": _points_recording(data), "settings": data.settings, "file_health": no_health()}
-    return document(source, data.judgement, data.optimizer, _windows(data))
-
-
-def _points_recording(data: PointsInput) -> dict[str, Any]:
-    unknown = ("sample_rate_hz", "lsb_per_g", "range_g", "start_time", "timezone")
-    return {
-        "path": printable(data.path),
-        "sha256": data.sha256,
-        "bytes": data.bytes,
-        "format": "points",
-        "device": as_json_device(Device()),
-        **dict.fromkeys(unknown),
-        "samples": data.rows,
-        "duration_s": None,
-        "gaps": [],
-        "gaps_omitted": 0,
-        "notes": [],
-    }
-
-
-def no_health() -> dict[str, Any]:
-    """The object `file_health` where there is no file of samples."""
-    return {
-        "problems": [],
-        "filled_samples": 0,
-        "clipped_samples_before": 0,
-        "clipped_samples_after": None,
-        "rate_hz_measured": None,
-        "lost_bytes": 0,
-        "lost_percent": 0.0,
-        "clock": None,
-    }
+    recording = ReportRecording(
+        path=printable(data.path), sha256=data.sha256, bytes=data.bytes, format="points", samples=data.rows
+    )
+    return document(recording, FileHealth(), _windows(data), data)
 
 
 def _windows(data: PointsInput) -> dict[str, Any]:
@@ -109,7 +85,7 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
-class PoolInput:
+class PoolInput(JudgedInput):
     """All that the report of a pool is made of, save the provenance.
 
     Attributes:
@@ -123,58 +99,48 @@ class PoolInput:
     example: Recording
     bytes: int
     samples: int
-    settings: dict[str, Any]
-    judgement: Judgement
     windows: WindowUse
-    optimizer: dict[str, Any]
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
     """The report without `provenance`."""
-    source = {"recording": _pool_recording(data), "settings": data.settings, "file_health": no_health()}
-    made = document(source, data.judgement, data.optimizer, {**asdict(data.windows), "raw_error_mg": None})
+    windows = {**asdict(data.windows), "raw_error_mg": None}
+    report = document(_pool_recording(data), FileHealth(), windows, data)
     device = data.example.device
-    told = {
+    section = {
         "serial": device.serial,
         "recordings": [member.as_json() for member in data.members],
         "left_out": [{**member.as_json(), "reason": printable(why)} for member, why in data.left_out],
     }
-    return {**made, "pool": told}
+    return {**report, "pool": section}
 
 
-def _pool_recording(data: PoolInput) -> dict[str, Any]:
-    example = data.example
-    return {
-        "path": printable(f"pool of {len(data.members)} recordings of device {example.device.serial}"),
-        "sha256": hashlib.sha256("".join(one.sha256 for one in data.members).encode()).hexdigest(),
-        "bytes": data.bytes,
-        "format": FORMAT,
-        "device": {**as_json_device(example.device), "firmware": None},
-        "sample_rate_hz": None,
-        "lsb_per_g": example.lsb_per_g,
-        "range_g": example.range_g,
-        "start_time": None,
-        "timezone": None,
-        "samples": data.samples,
-        "duration_s": None,
-        "gaps": [],
-        "gaps_omitted": 0,
-        "notes": [],
-    }
+def _pool_recording(data: PoolInput) -> ReportRecording:
+    example, members = data.example, data.members
+    return ReportRecording(
+        path=printable(f"pool of {len(members)} recordings of device {example.device.serial}"),
+        sha256=hashlib.sha256("".join(one.sha256 for one in members).encode()).hexdigest(),
+        bytes=data.bytes,
+        format=FORMAT,
+        device=replace(example.device, firmware=None),
+        lsb_per_g=example.lsb_per_g,
+        range_g=example.range_g,
+        samples=data.samples,
+    )
 
 
-def of_member(pool: Document, report: Path, held: Holdout | None) -> dict[str, Any]:
+def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str, Any]:
     """Sections of a member's report: those of the pool, and what the pool does to its own windows.
 
     Args:
         report: where the member's report will be; the pool's is named by its way from there.
-        held: errors on the member's own points, which are some of those that were fitted.
+        holdout: errors on the member's own points, which are some of those that were fitted.
     """
-    way = Path(os.path.relpath(pool.path, report.parent)).as_posix()
+    relative = Path(os.path.relpath(pool.path, report.parent)).as_posix()
     own = None
-    if held is not None:
-        errors = {"before_mg": summary_json(held.before), "after_mg": summary_json(held.after)}
-        own = {"points": held.points, "postures": held.postures, **errors}
-    said = pool.report["pool"]
-    told = {**said, "path": printable(way), "sha256": pool.content_sha256, "own_windows": own}
-    return {**{name: pool.report[name] for name in TAKEN}, "pool": told}
+    if holdout is not None:
+        errors = {"before_mg": summary_json(holdout.before), "after_mg": summary_json(holdout.after)}
+        own = {"points": holdout.points, "postures": holdout.postures, **errors}
+    pooled = pool.report["pool"]
+    section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}
+    return {**{name: pool.report[name] for name in TAKEN}, "pool": section}

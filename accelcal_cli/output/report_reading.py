@@ -1,7 +1,4 @@
-"""Reports as documents, read back from their files.
-
-The coefficients of a report, read back to apply them: exact, and checked one against another.
-"""
+"""Reports read back from their files, and their coefficients: exact, and checked one against another."""
 
 from __future__ import annotations
 
@@ -43,8 +40,8 @@ class Document:
     @property
     def content_sha256(self) -> str:
         """SHA-256 of what it says but for `provenance`, as JSON with sorted keys."""
-        said = {name: value for name, value in self.report.items() if name != "provenance"}
-        return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()
+        content = {name: value for name, value in self.report.items() if name != "provenance"}
+        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def read_document(path: Path) -> Document:
@@ -187,12 +184,12 @@ def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
 
 
 def _origin(report: Mapping[str, Any]) -> Origin:
-    by_way, made = report.get("coefficients"), report["recording"]
-    if by_way is None:
-        path, digest, version = made["path"], made["sha256"], report["accelcal_version"]
-        return Origin(path, digest, Device(**made["device"]), str(version))
-    device = Device(**by_way["device"])
-    return Origin(by_way["recording_path"], by_way["recording_sha256"], device, by_way["accelcal_version"])
+    applied, recording = report.get("coefficients"), report["recording"]
+    if applied is None:
+        path, digest, version = recording["path"], recording["sha256"], report["accelcal_version"]
+        return Origin(path, digest, Device(**recording["device"]), str(version))
+    device = Device(**applied["device"])
+    return Origin(applied["recording_path"], applied["recording_sha256"], device, applied["accelcal_version"])
 
 
 def calibration_of(section: Mapping[str, Any]) -> Calibration:
@@ -202,22 +199,22 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
         ValueError: the integers or the model are missing or impossible; the message says which.
     """
     try:
-        held, place, model = section["fixed_point"], section["gravity"], section["model"]
-        integers = {name: held["parameters"][name] for name in PARAMETER_NAMES}
-        upper = {name: held["parameters"].get(name, 0) for name in UPPER_NAMES}
-        scale = _scale(held["temperature_reference_mc"], held["temperature_span_c"])
-        gravity = Gravity(place["latitude"], place["altitude"])
+        fixed_point, gravity_section, model = section["fixed_point"], section["gravity"], section["model"]
+        integers = {name: fixed_point["parameters"][name] for name in PARAMETER_NAMES}
+        upper = {name: fixed_point["parameters"].get(name, 0) for name in UPPER_NAMES}
+        scale = _scale(fixed_point["temperature_reference_mc"], fixed_point["temperature_span_c"])
+        gravity = Gravity(gravity_section["latitude"], gravity_section["altitude"])
         gravity.local_g()
-        bits = held["fraction_bits"]
+        bits = fixed_point["fraction_bits"]
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
         raise ValueError(f"calibration lacks what is needed ({error})") from error
     _check_integers({**integers, **upper})
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
     yx, zx, zy = upper.values()
-    found = Calibration(model, tuple(integers.values()), scale, gravity, (yx, zx, zy))
-    _check_model(found)
-    return found
+    calibration = Calibration(model, tuple(integers.values()), scale, gravity, (yx, zx, zy))
+    _check_model(calibration)
+    return calibration
 
 
 def _scale(reference_mc: Any, span_c: Any) -> TemperatureScale | None:
@@ -236,40 +233,40 @@ def _check_integers(named: dict[str, Any]) -> None:
             raise ValueError(f"calibration.fixed_point.parameters.{name} is no 32-bit integer")
 
 
-def _check_model(found: Calibration) -> None:
+def _check_model(calibration: Calibration) -> None:
     """A parameter that the model does not have keeps its ideal value."""
-    if not isinstance(found.model, str) or found.model not in (*MODELS, FULL_GAIN):
-        raise ValueError(f"calibration.model is {found.model!r}, which this version does not know")
-    full, base = found.model == FULL_GAIN, found.model.removesuffix("T")
-    if found.model != base + ("T" if found.temperature else ""):
-        raise ValueError(f"model {found.model} and the temperature scale contradict each other")
-    free = range(9) if full else MODELS[found.model].free
+    if not isinstance(calibration.model, str) or calibration.model not in (*MODELS, FULL_GAIN):
+        raise ValueError(f"calibration.model is {calibration.model!r}, which this version does not know")
+    full, base = calibration.model == FULL_GAIN, calibration.model.removesuffix("T")
+    if calibration.model != base + ("T" if calibration.temperature else ""):
+        raise ValueError(f"model {calibration.model} and the temperature scale contradict each other")
+    free = range(9) if full else MODELS[calibration.model].free
     fixed = [
         name
         for index, name in enumerate(PARAMETER_NAMES)
-        if index not in free and found.parameters[index] != IDENTITY[index]
+        if index not in free and calibration.parameters[index] != IDENTITY[index]
     ]
-    fixed += [name for name, value in zip(UPPER_NAMES, found.upper, strict=True) if value and not full]
+    fixed += [name for name, value in zip(UPPER_NAMES, calibration.upper, strict=True) if value and not full]
     if fixed:
-        raise ValueError(f"model {found.model} has no parameter {fixed[0]}, but fixed_point gives one")
+        raise ValueError(f"model {calibration.model} has no parameter {fixed[0]}, but fixed_point gives one")
 
 
-def contradiction(section: Mapping[str, Any], found: Calibration) -> str | None:
+def contradiction(section: Mapping[str, Any], calibration: Calibration) -> str | None:
     """Which number of a `calibration` section is not what its own integers say, if any."""
-    made = coefficients_json(found)
-    for name, value in made.items():
+    expected = coefficients_json(calibration)
+    for name, value in expected.items():
         if section.get(name) != value:
             return f"calibration.{name} is not what calibration.fixed_point says"
     return None
 
 
-def implausible(found: Calibration) -> str | None:
+def implausible(calibration: Calibration) -> str | None:
     """Why no sensor can have such a calibration, or None."""
-    stretch = np.linalg.svd(found.gain(), compute_uv=False)
+    stretch = np.linalg.svd(calibration.gain(), compute_uv=False)
     if not (stretch.min() >= STRETCH[0] and stretch.max() <= STRETCH[1]):
         return f"its gain stretches by {stretch.min():.3g} to {stretch.max():.3g}, which no sensor does"
-    if np.abs(found.offset_g()).max() > LARGEST_OFFSET_G:
+    if np.abs(calibration.offset_g()).max() > LARGEST_OFFSET_G:
         return f"an offset is beyond {LARGEST_OFFSET_G:g} g, which no sensor has"
-    if np.abs(found.slope_g_per_c()).max() > LARGEST_SLOPE_G_PER_C:
+    if np.abs(calibration.slope_g_per_c()).max() > LARGEST_SLOPE_G_PER_C:
         return f"a slope is beyond {LARGEST_SLOPE_G_PER_C:g} g per C, which no sensor has"
     return None

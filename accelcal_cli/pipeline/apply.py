@@ -26,7 +26,7 @@ from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun,
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.method import Method, make_method
 from accelcal_cli.pipeline.outputs import prepare
-from accelcal_cli.pipeline.report_settings import rebuild
+from accelcal_cli.pipeline.report_settings import settings_from_report
 
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that decide the values themselves."""
@@ -165,7 +165,7 @@ def _read_otherwise(report: dict[str, Any], recording: Recording, request: Reque
     before = settings.get("input") if isinstance(settings, dict) else None
     if not isinstance(before, dict):
         return True
-    now = request.effective_settings(recording.companion)["input"]
+    now = jobs.input_settings(request.options, recording.companion)
     return any(before.get(name) != now[name] for name in READING)
 
 
@@ -216,7 +216,7 @@ def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> S
     """
     section = donor.document.report.get("settings")
     known = isinstance(section, dict) and section.get("profile") != SIX_POSE
-    settings = rebuild(donor.document).settings if known else DEFAULT
+    settings = settings_from_report(donor.document).settings if known else DEFAULT
     base = settings if isinstance(settings, Settings) else DEFAULT
     base = replace(base, precision_mg=wanted.precision_mg)
     if relation is Relation.OWN:

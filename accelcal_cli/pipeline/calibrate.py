@@ -238,16 +238,14 @@ class RecordingRun:
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.parquet import ParquetSink
 
-        facts, recording = data.facts, data.recording
         columns, threads = export.columns_of(data), self.request.threads
-        shown, metadata = self.progress("writing", recording.total_bytes), reports.parquet_metadata(data)
+        shown, metadata = self.progress("writing", data.recording.total_bytes), reports.parquet_metadata(data)
         chunks = self.reader.chunks(self.request.chunk_samples)
         with (
             replacing(self.job.parquet) as temporary,
             ParquetSink(temporary, self.job.parquet, columns, metadata, threads) as sink,
         ):
-            target = export.Target(applier_of(data), sink, facts.utc_offset_s or 0, threads)
-            over = export.write_calibrated(recording, chunks, target, shown)
+            over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()
             jobs.check_unchanged(self.bytes_at, self.before)
             outputs.remove(self.job.report)
@@ -262,16 +260,10 @@ class RecordingRun:
             return replace(data, clipped_after=0)
         shown = self.progress("applying", data.recording.total_bytes)
         chunks = self.reader.chunks(self.request.chunk_samples)
-        parts = export.calibrated(chunks, applier_of(data), shown)
+        parts = export.calibrated(chunks, export.transform_of(data), shown)
         return replace(data, clipped_after=sum(export.beyond(xyz, range_g) for _, xyz in parts))
 
 
 def writes_parquet(data: ReportInput) -> bool:
     """Whether calibrated data belong to a result."""
-    return data.judgement.calibration is not None and not data.settings["report_only"]
-
-
-def applier_of(data: ReportInput) -> export.Applier:
-    """What applies a result's calibration to its recording."""
-    assert data.judgement.calibration is not None
-    return export.applier(data.judgement.calibration, data.recording.lsb_per_g, data.settings["precision_mg"])
+    return data.judgement.calibration is not None and not data.settings.report_only

@@ -7,7 +7,7 @@ from typing import Any
 
 from accelcal_cli.collect.table import given_points, read_table
 from accelcal_cli.core.points import IDENTITY, PointSet
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import EffectiveSettings, Settings
 from accelcal_cli.judge.errors import deviations_mg, mean
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import named_optimizer
@@ -43,7 +43,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
         implausible=given.implausible,
         raw_error_mg=_error_mg(given.rows, IDENTITY),
         after_error_mg=None if parameters is None else _error_mg(given.rows, parameters),
-        settings={**settings.as_json(), "report_only": True, "input": {"format": "points"}},
+        settings=EffectiveSettings(settings, True, {"format": "points"}),
         judgement=verdict,
         optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
     )

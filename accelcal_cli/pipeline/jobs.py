@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import DEFAULT, PoseSettings, Settings
+from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
 from accelcal_cli.formats import all_formats
 
@@ -238,17 +238,15 @@ class Request:
         """Hash of the file of the coefficients to apply, if there is one."""
         return None if self.coefficients is None else self.coefficients.sha256
 
-    def effective_settings(self, companion: Path | None) -> dict[str, Any]:
-        """The report's `settings`: all that decides the result besides the recording.
+    def effective_settings(self, companion: Path | None) -> EffectiveSettings:
+        """All that decides the result besides the recording.
 
         Args:
             companion: the file that says how to read the recording; its content counts.
         """
-        effective = {**self.settings.as_json(), "report_only": self.report_only}
-        if isinstance(self.settings, PoseSettings):
-            effective["poses"] = None if self.poses is None else self.poses.name
-            effective["poses_sha256"] = None if self.poses is None else sha256(self.poses)
-        return {**effective, "input": input_settings(self.options, companion)}
+        poses = (None, None) if self.poses is None else (self.poses.name, sha256(self.poses))
+        used = input_settings(self.options, companion)
+        return EffectiveSettings(self.settings, self.report_only, used, poses)
 
 
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:

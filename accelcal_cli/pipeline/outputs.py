@@ -101,7 +101,7 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
     if "pool" in report:
         return False
     used = report.get("coefficients", {}).get("sha256")
-    settings = json_round_trip(request.effective_settings(recording.companion))
+    settings = json_round_trip(request.effective_settings(recording.companion).as_json())
     return bool(report["settings"] == settings and used == request.coefficients_sha256)
 
 

@@ -222,5 +222,5 @@ def _why_not(data: ReportInput, document: Document) -> str | None:
     for member in document.report["pool"]["left_out"]:
         if member["sha256"] == data.sha256:
             return f"left out of the pool: {member['reason']}"
-    usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings["max_error_mg"]
+    usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings.method.max_error_mg
     return None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)

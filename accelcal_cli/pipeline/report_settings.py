@@ -1,6 +1,6 @@
-"""Records back from JSON, by the types of their fields.
+"""Settings and reading options back from a report's `settings`.
 
-Settings and reading options back from a report's `settings`.
+Records are made from JSON by the types of their fields, and checked against what their fields allow.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import PROFILES, SIX_POSE, STILLNESS, PoseSettings, Settings
+from accelcal_cli.core.settings import SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
 from accelcal_cli.formats import named_format
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report_reading import Document, damaged
@@ -45,15 +45,15 @@ def restored(kind: type[T], values: Mapping[str, Any]) -> Restored[T]:
     """
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     hints = get_type_hints(kind)
-    held = {}
+    converted_values = {}
     for name in names:
         if name in values:
             try:
-                held[name] = converted(values[name], hints[name])
+                converted_values[name] = converted(values[name], hints[name])
             except TypeError as error:
                 raise ValueError(f"{name} cannot be {str(values[name])[:80]!r}") from error
     missing = tuple(name for name in names if name not in values)
-    return Restored(kind(**held), missing, tuple(name for name in values if name not in names))
+    return Restored(kind(**converted_values), missing, tuple(name for name in values if name not in names))
 
 
 def converted(value: Any, hint: Any) -> Any:
@@ -104,53 +104,6 @@ def _of_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
     return tuple(converted(item, kind) for item, kind in zip(value, kinds, strict=True))
 
 
-LIMITS: dict[str, tuple[float, float]] = {
-    "segment_seconds": (1e-6, 3600),
-    "stillness_threshold_g": (1e-9, 4),
-    "stillness_deviation_g": (1e-9, 4),
-    "stillness_axes": (0, 2),
-    "cells_per_g": (1, 1000),
-    "norm_low_g": (0, 10),
-    "norm_high_g": (0, 10),
-    "posture_degrees": (1e-3, 180),
-    "folds": (2, 1000),
-    "min_postures": (2, 1_000_000),
-    "coverage_g": (0, 4),
-    "max_error_mg": (0, 1e6),
-    "min_temperature_range_c": (0, 1e3),
-    "temperature_block_c": (1e-3, 1e3),
-    "face_degrees": (0.1, 90),
-    "state_degrees": (1e-3, 180),
-    "min_state_seconds": (0, 3600),
-    "max_condition": (1, 1e9),
-    "max_vector_error_mg": (0, 1e6),
-    "precision_mg": (1e-3, 1e3),
-    "latitude": (-90, 90),
-    "altitude_m": (-500, 9000),
-    "max_damage_percent": (0, 100),
-    "rate_hz": (1e-3, 1e5),
-    "lsb_per_g": (1e-9, 1e9),
-}
-"""Between which a number can be used at all; a report with others was not written so."""
-
-ADAPTIVE_LIMITS: dict[str, tuple[int, int]] = {
-    "acceleration_factor": (1, 30),
-    "rotation_factor": (1, 30),
-    "min_samples": (1, 1_000_000),
-    "min_windows": (1, 1_000_000),
-    "max_windows": (1, 1_000_000),
-    "held_windows": (1, 1_000_000),
-}
-"""The same for the numbers of stillness rule `adaptive`: what its integers and the memory hold."""
-
-CHOICES = {
-    "profile": tuple(PROFILES),
-    "stillness": tuple(STILLNESS),
-    "model": ("auto", "9", "6", "3"),
-    "unit": ("g", "mg", "m/s2", "counts"),
-    "date_format": ("dmy", "mdy", "ymd"),
-}
-
 POINTS = "points"
 """What `fit` calls the format of its tables."""
 
@@ -171,7 +124,7 @@ class NamedFile:
 
 
 @dataclass(frozen=True, slots=True)
-class Rebuilt:
+class ReportSettings:
     """What a report was made with.
 
     Attributes:
@@ -192,17 +145,17 @@ class Rebuilt:
     unknown: tuple[str, ...]
 
 
-def rebuild(document: Document) -> Rebuilt:
+def settings_from_report(document: Document) -> ReportSettings:
     """The settings of a report.
 
     Raises:
         UnreadableError: they are missing, or one cannot be what it is.
     """
-    held = document.report.get("settings")
-    if not isinstance(held, dict) or not isinstance(held.get("input"), dict):
+    values = document.report.get("settings")
+    if not isinstance(values, dict) or not isinstance(values.get("input"), dict):
         raise damaged(document, "it does not say how the recording was read")
     try:
-        return _rebuilt(held)
+        return _from_values(values)
     except ValueError as error:
         raise damaged(document, f"settings: {error}") from error
     except AccelcalError as error:
@@ -211,47 +164,47 @@ def rebuild(document: Document) -> Rebuilt:
         ) from error
 
 
-def _rebuilt(held: dict[str, Any]) -> Rebuilt:
-    settings, options = _settings(held), _options(held["input"])
+def _from_values(values: dict[str, Any]) -> ReportSettings:
+    settings, options = _settings(values), _options(values["input"])
     _check(settings.record)
     _check(options.record)
-    missing, unknown = _odd(held, settings, options)
-    return Rebuilt(
+    missing, unknown = _unmatched(values, settings, options)
+    return ReportSettings(
         settings=settings.record,
         options=options.record,
-        report_only=_typed(held, "report_only", bool, default=False),
-        layout=_file(held["input"], "layout"),
-        poses=_file(held, "poses"),
+        report_only=_typed(values, "report_only", bool, default=False),
+        layout=_file(values["input"], "layout"),
+        poses=_file(values, "poses"),
         missing=missing,
         unknown=unknown,
     )
 
 
-def _settings(held: Mapping[str, Any]) -> Restored[Any]:
-    if held.get("profile") == SIX_POSE:
-        return restored(PoseSettings, _without(held, NOT_POSE_SETTINGS))
-    return restored(Settings, _without(held, NOT_SETTINGS))
+def _settings(values: Mapping[str, Any]) -> Restored[Any]:
+    if values.get("profile") == SIX_POSE:
+        return restored(PoseSettings, _without(values, NOT_POSE_SETTINGS))
+    return restored(Settings, _without(values, NOT_SETTINGS))
 
 
-def _options(held: Mapping[str, Any]) -> Restored[ReadOptions]:
+def _options(values: Mapping[str, Any]) -> Restored[ReadOptions]:
     """Reading options; a table of points has none."""
-    if held.get("format") == POINTS:
+    if values.get("format") == POINTS:
         return Restored(ReadOptions(), (), ())
-    return restored(ReadOptions, _without(held, NOT_OPTIONS))
+    return restored(ReadOptions, _without(values, NOT_OPTIONS))
 
 
 def _without(values: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name not in names}
 
 
-def _odd(
-    held: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
+def _unmatched(
+    values: Mapping[str, Any], settings: Restored[Any], options: Restored[ReadOptions]
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Missing and unknown keys, by their places in `settings`."""
-    outer = [name for name in NOT_SETTINGS if name not in held]
+    outer = [name for name in NOT_SETTINGS if name not in values]
     read = [name for name in options.missing if name not in NOT_OPTIONS]
-    if held["input"].get("format") != POINTS:
-        read += [name for name in NOT_OPTIONS if name not in held["input"]]
+    if values["input"].get("format") != POINTS:
+        read += [name for name in NOT_OPTIONS if name not in values["input"]]
     return (
         (*settings.missing, *outer, *(f"input.{name}" for name in read)),
         (*settings.unknown, *(f"input.{name}" for name in options.unknown)),
@@ -259,26 +212,27 @@ def _odd(
 
 
 def _check(record: Settings | PoseSettings | ReadOptions) -> None:
-    """Raise ValueError for a number out of its limits, AccelcalError for a name this version lacks."""
-    for name in record.__dataclass_fields__:
-        value = getattr(record, name)
-        low, high = LIMITS.get(name, (float("-inf"), float("inf")))
-        numbers = value if isinstance(value, tuple) else (value,)
-        if name in LIMITS and value is not None and not all(low <= v <= high for v in numbers):
-            raise ValueError(f"{name} cannot be {value}")
-        if name in CHOICES and value is not None and value not in CHOICES[name]:
-            raise ValueError(f"{name} cannot be {value!r}")
+    """Raise ValueError for a value that its field does not allow, AccelcalError for an unknown name."""
+    _check_values(record)
     if isinstance(record, Settings):
         named_optimizer(record.optimizer)
-        _check_rule(record)
+        _check_stillness(record)
     elif isinstance(record, ReadOptions):
         utc_offset_s(record.timezone, 0)
         if record.format is not None:
             named_format(record.format)
 
 
-def _check_rule(record: Settings) -> None:
-    """Raise ValueError for numbers of a rule of stillness that cannot be, or that belong to another."""
+def _check_values(record: Any, start: str = "") -> None:
+    """Raise ValueError for a value beyond its bounds or not among its choices."""
+    for name in record.__dataclass_fields__:
+        value = getattr(record, name)
+        if value is not None and not setting_of(record, name).allows(value):
+            raise ValueError(f"{start}{name} cannot be {value!r}")
+
+
+def _check_stillness(record: Settings) -> None:
+    """Raise ValueError for numbers of a rule of stillness that are impossible, or belong to another rule."""
     rule = STILLNESS[record.stillness]
     for name in ("stillness_axes", "stillness_threshold_g", "stillness_deviation_g"):
         value = getattr(record, name)
@@ -286,15 +240,14 @@ def _check_rule(record: Settings) -> None:
             raise ValueError(f"{name} cannot be {value}")
     if (record.adaptive is not None) != (record.stillness == "adaptive"):
         raise ValueError(f"adaptive cannot be {record.adaptive}")
-    for name, (low, high) in ADAPTIVE_LIMITS.items():
-        if record.adaptive is not None and not low <= getattr(record.adaptive, name) <= high:
-            raise ValueError(f"adaptive.{name} cannot be {getattr(record.adaptive, name)}")
+    if record.adaptive is not None:
+        _check_values(record.adaptive, "adaptive.")
 
 
 def _file(values: Mapping[str, Any], name: str) -> NamedFile | None:
-    told = _typed(values, name, str, default=None)
-    digest = _typed(values, f"{name}_sha256", str, default=None)
-    return None if told is None else NamedFile(told, digest)
+    file_name = _typed(values, name, str, default=None)
+    sha256 = _typed(values, f"{name}_sha256", str, default=None)
+    return None if file_name is None else NamedFile(file_name, sha256)
 
 
 def _typed(values: Mapping[str, Any], name: str, kind: type, *, default: Any) -> Any:

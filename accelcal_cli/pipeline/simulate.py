@@ -35,17 +35,17 @@ def simulate(
     base = out.with_name(out.name.removesuffix(encoder.suffix))
     path = base.with_name(base.name + encoder.suffix)
     truth_path = base.with_name(base.name + ".truth.json")
-    beside = None if encoder.companion is None else base.with_name(base.name + encoder.companion.suffix)
-    _refuse_existing([path, truth_path, *([beside] if beside else [])], force=force)
+    companion = None if encoder.companion is None else base.with_name(base.name + encoder.companion.suffix)
+    _refuse_existing([path, truth_path, *([companion] if companion else [])], force=force)
     truth = Truth()
     recording = describe(plan, path, format_name)
     with replacing(path) as temporary:
         encoder.write(temporary, recording, _counted(stream(plan, truth), progress))
-    if encoder.companion is not None and beside is not None:
-        write_text(beside, encoder.companion.text(recording))
-    known = _truth_json(plan, truth, format_name)
-    write_text(truth_path, json.dumps(known, indent=2) + "\n")
-    return path, known
+    if encoder.companion is not None and companion is not None:
+        write_text(companion, encoder.companion.text(recording))
+    truth_json = _truth_json(plan, truth, format_name)
+    write_text(truth_path, json.dumps(truth_json, indent=2) + "\n")
+    return path, truth_json
 
 
 def _as_sampled(plan: Plan, sampling: Sampling) -> Plan:

@@ -127,7 +127,7 @@ class Study:
     def settings(self) -> dict[str, Any]:
         """All that decides the recordings' own results but the recordings and their layout files."""
         return {
-            **self.request.effective_settings(self.request.options.layout),
+            **self.request.effective_settings(self.request.options.layout).as_json(),
             "integers": self.request.integers,
         }
 

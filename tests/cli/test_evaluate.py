@@ -164,7 +164,7 @@ def test_gravity_of_a_place(capsys: Capture) -> None:
     ("words", "part"),
     [
         (("--local-gravity", "9.81", "--latitude", "50"), "give one of them"),
-        (("--altitude", "50"), "--altitude says nothing"),
+        (("--altitude", "50"), "--altitude needs --latitude"),
         (("--points", "20"), "multiple of 9"),
         (("--optimizer", "all"), "one optimizer"),
     ],

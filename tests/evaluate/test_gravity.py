@@ -9,7 +9,7 @@ import pytest
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.cases import Plan, methods
-from accelcal_cli.evaluate.gravity import Residuals, run
+from accelcal_cli.evaluate.simulation import Residuals, gravity_residuals
 
 LOCAL, STANDARD = 9.81676, 9.80665
 SHIFT = (LOCAL**2 - STANDARD**2) ** 2
@@ -18,7 +18,7 @@ SHIFT = (LOCAL**2 - STANDARD**2) ** 2
 
 def residuals(noise_g: float, *, number: int = 90, cases: int = 20) -> tuple[Residuals, ...]:
     plan = Plan(number, noise_g, rest_g=standard_g(LOCAL))
-    return run(plan, methods(("gauss-newton",))[0], cases, 1, lambda done: None)
+    return gravity_residuals(plan, methods(("gauss-newton",))[0], cases, 1, lambda done: None)
 
 
 def test_the_shift_by_hand() -> None:
@@ -52,7 +52,7 @@ def test_the_same_seed_gives_the_same_residuals() -> None:
 def test_fits_that_fail_are_left_out_or_refused() -> None:
     plan = Plan(18, 0.001, rest_g=Fraction(5))  # beyond the range of fixed point
     with pytest.raises(DivergedError, match="no case could be fitted"):
-        run(plan, methods(("fixed32",))[0], 2, 1, lambda done: None)
+        gravity_residuals(plan, methods(("fixed32",))[0], 2, 1, lambda done: None)
 
 
 def test_nine_subsets_must_share_the_points() -> None:

@@ -15,9 +15,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.results import Facts
 from accelcal_cli.output import parquet
 from accelcal_cli.output.files import refuse_foreign, written_by_us
-from accelcal_cli.output.parquet import Columns, ParquetSink
+from accelcal_cli.output.parquet import Column, ParquetSink, columns_of
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
@@ -31,8 +33,26 @@ def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> 
     return [*held, random.randint(0, 4, number).astype(np.uint8)]
 
 
-def write(path: Path, columns: Columns, held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
-    with ParquetSink(path, path, columns, {"a": 1}, threads) as sink:
+def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
+    facts = Facts(
+        samples=0,
+        first_us=None,
+        last_us=None,
+        rate_hz=None,
+        gaps=(),
+        gaps_omitted=0,
+        problems=(),
+        filled=0,
+        clipped=0,
+        has_temperature=temperature,
+        has_gyroscope=gyroscope,
+        utc_offset_s=3600 if utc else None,
+    )
+    return columns_of(Recording(Path("a"), "csv", 100.0, 256.0, 0), facts, "")
+
+
+def write(path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
+    with ParquetSink(path, path, kept, {"a": 1}, threads) as sink:
         for start, stop in itertools.pairwise(edges):
             sink.write([array[start:stop] for array in held])
         sink.close()
@@ -40,7 +60,7 @@ def write(path: Path, columns: Columns, held: list[np.ndarray], edges: list[int]
 
 def test_columns_types_units_and_metadata(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
-    write(path, Columns(temperature=True, gyroscope=True, utc=False), arrays(10), [0, 10])
+    write(path, columns(temperature=True, gyroscope=True, utc=False), arrays(10), [0, 10])
     schema = pq.read_schema(path)
     assert schema.names == ["time", "x", "y", "z", "temperature", "gx", "gy", "gz", "validity"]
     assert schema.field("time").type == pa.timestamp("us")
@@ -52,14 +72,14 @@ def test_columns_types_units_and_metadata(tmp_path: Path) -> None:
 
 def test_a_known_zone_makes_the_times_utc(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
-    columns = Columns(temperature=False, gyroscope=False, utc=True)
-    write(path, columns, arrays(3, temperature=False, gyroscope=False), [0, 3])
+    kept = columns(temperature=False, gyroscope=False, utc=True)
+    write(path, kept, arrays(3, temperature=False, gyroscope=False), [0, 3])
     assert pq.read_schema(path).field("time").type == pa.timestamp("us", "UTC")
 
 
 def test_pandas_reads_the_same_values(tmp_path: Path) -> None:
     path, held = tmp_path / "a.parquet", arrays(1000)
-    write(path, Columns(temperature=True, gyroscope=True, utc=False), held, [0, 1000])
+    write(path, columns(temperature=True, gyroscope=True, utc=False), held, [0, 1000])
     frame = pd.read_parquet(path)
     assert (frame["time"].to_numpy("datetime64[us]").astype(np.int64) == held[0]).all()
     assert (frame["x"].to_numpy() == held[1]).all()
@@ -72,19 +92,19 @@ def test_the_bytes_do_not_depend_on_portions_or_threads(cuts: list[int]) -> None
     import tempfile
 
     held = arrays(5000)
-    columns = Columns(temperature=True, gyroscope=True, utc=False)
+    kept = columns(temperature=True, gyroscope=True, utc=False)
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
         patch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
-        write(Path(name) / "a", columns, held, [0, 5000])
-        write(Path(name) / "b", columns, held, [0, *sorted(cuts), 5000])
-        write(Path(name) / "c", columns, held, [0, *sorted(cuts), 5000], threads=1)
+        write(Path(name) / "a", kept, held, [0, 5000])
+        write(Path(name) / "b", kept, held, [0, *sorted(cuts), 5000])
+        write(Path(name) / "c", kept, held, [0, *sorted(cuts), 5000], threads=1)
         assert len({(Path(name) / one).read_bytes() for one in "abc"}) == 1
 
 
 def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:
     ours, foreign, text = tmp_path / "o.parquet", tmp_path / "f.parquet", tmp_path / "t.parquet"
     write(
-        ours, Columns(temperature=False, gyroscope=False, utc=False), [*arrays(3)[:4], arrays(3)[-1]], [0, 3]
+        ours, columns(temperature=False, gyroscope=False, utc=False), [*arrays(3)[:4], arrays(3)[-1]], [0, 3]
     )
     pd.DataFrame({"x": [1]}).to_parquet(foreign)
     text.write_text("mine")

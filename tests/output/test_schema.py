@@ -10,6 +10,7 @@ from typing import Any
 import jsonschema
 import pytest
 
+from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.output.report import fault, report_schema
 from tests.device_recordings import donor
 
@@ -51,6 +52,12 @@ def tolerant(schema: Any) -> Any:
 def test_a_real_report_has_no_fault(report: dict) -> None:
     assert fault(report, report_schema()) is None
     assert fault({**report, "later": 1}, report_schema()) is None
+
+
+def test_the_settings_that_every_report_needs_are_those_that_are_declared() -> None:
+    needed = set(report_schema()["properties"]["settings"]["required"]) - {"report_only", "input"}
+    for settings in (Settings(), PoseSettings()):
+        assert needed <= settings.as_json().keys()
 
 
 def test_every_missing_key_is_named(report: dict) -> None:

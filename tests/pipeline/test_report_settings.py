@@ -18,20 +18,31 @@ from accelcal_cli.core.settings import (
     Adaptive,
     PoseSettings,
     Settings,
+    setting_of,
     with_stillness,
 )
 from accelcal_cli.output.report_reading import Document
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.report_settings import ADAPTIVE_LIMITS, LIMITS, Rebuilt, rebuild
+from accelcal_cli.pipeline.report_settings import ReportSettings, settings_from_report
 from accelcal_cli.segment.adaptive import MOVING, NEVER
 
 
+def bounded(*kinds: Any) -> dict[str, tuple[float, float]]:
+    """Lower and upper bounds of all fields that have them."""
+    declared = {name: setting_of(kind, name) for kind in kinds for name in kind.__dataclass_fields__}
+    return {name: (one.low, one.high) for name, one in declared.items() if None not in (one.low, one.high)}
+
+
+LIMITS = bounded(Settings, PoseSettings, ReadOptions)
+ADAPTIVE_LIMITS = bounded(Adaptive)
+
+
 def stored(request: Request) -> dict[str, Any]:
-    return json.loads(json.dumps(request.effective_settings(None)))
+    return json.loads(json.dumps(request.effective_settings(None).as_json()))
 
 
-def rebuilt(settings: Any) -> Rebuilt:
-    return rebuild(Document(Path("a.json"), "", {"settings": settings}))
+def rebuilt(settings: Any) -> ReportSettings:
+    return settings_from_report(Document(Path("a.json"), "", {"settings": settings}))
 
 
 @pytest.mark.parametrize(
@@ -45,15 +56,17 @@ def rebuilt(settings: Any) -> Rebuilt:
 def test_everything_comes_back(settings: Settings) -> None:
     options = ReadOptions(format="csv", rate_hz=30.0, unit="mg", columns=("a", "b", "c"), sensor="s")
     made = rebuilt(stored(Request(options=options, settings=settings, report_only=True)))
-    assert made == Rebuilt(settings, options, True, None, None, (), ())
+    assert made == ReportSettings(settings, options, True, None, None, (), ())
 
 
 def test_settings_of_a_session_come_back() -> None:
     settings = PoseSettings(face_degrees=20.0, latitude=10.0)
     made = rebuilt(
-        json.loads(json.dumps(Request(settings=settings, report_only=True).effective_settings(None)))
+        json.loads(
+            json.dumps(Request(settings=settings, report_only=True).effective_settings(None).as_json())
+        )
     )
-    assert made == Rebuilt(settings, ReadOptions(), True, None, None, (), ())
+    assert made == ReportSettings(settings, ReadOptions(), True, None, None, (), ())
 
 
 def test_missing_and_unknown_settings_are_told() -> None:
@@ -68,8 +81,8 @@ def test_missing_and_unknown_settings_are_told() -> None:
 
 def test_every_number_has_its_limits() -> None:
     """A setting without limits could bring a report that makes nonsense of them to a bug."""
-    read = ((record, LIMITS) for record in (DEFAULT, PoseSettings(), ReadOptions()))
-    for record, limits in (*read, (Adaptive(), ADAPTIVE_LIMITS)):
+    for record in (Settings, PoseSettings, ReadOptions, Adaptive):
+        limits = bounded(record)
         for name, field in record.__dataclass_fields__.items():
             assert name in limits or not any(kind in str(field.type) for kind in ("int", "float")), name
 
@@ -80,7 +93,7 @@ def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
     held = stored(Request())
     if name not in {**held, **held["input"]}:
         held = json.loads(
-            json.dumps(Request(settings=PoseSettings(), report_only=True).effective_settings(None))
+            json.dumps(Request(settings=PoseSettings(), report_only=True).effective_settings(None).as_json())
         )
     inside = held if name in held else held["input"]
     inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
