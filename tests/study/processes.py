@@ -101,6 +101,21 @@ def soon(look: Callable[[], Found], within_s: float = 120.0) -> Found:
     raise AssertionError("nothing came")
 
 
+class Clock:
+    """Time that passes when a test says so."""
+
+    sleep = staticmethod(time.sleep)
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def pass_(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
 def kill(process: subprocess.Popen[bytes]) -> None:
     """End a study at once, and wait until nothing is left of it."""
     process.kill()

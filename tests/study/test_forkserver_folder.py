@@ -14,6 +14,7 @@ import pytest
 
 from tests.cli.run import run_process
 from tests.cli.studies import study_folder
+from tests.study.processes import soon
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are forked there")
 ROOT = Path(__file__).resolve().parents[2]
@@ -65,8 +66,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path
         subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, env=environment)
         for _ in range(2)
     )
-    while len(list(short.iterdir())) < 2:
-        pass
+    soon(lambda: len(list(short.iterdir())) == 2)
     killed.send_signal(signal.SIGKILL)
     killed.communicate()
     assert run_process("study", study_folder(tmp_path / "in", ("a.raw",)), "-d", tmp_path / "out").code == 0
@@ -83,7 +83,6 @@ def test_another_server_is_started_where_it_was_killed(tmp_path: Path) -> None:
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=60,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -13,7 +13,6 @@ from tests.cli.studies import results, rows, run_in
 from tests.device_recordings import rest, write_device
 from tests.recordings import directions
 from tests.study.borrowing import report
-from tests.study.clusters import cluster
 from tests.study.pooling import pool_of, study
 from tests.study.processes import begun, kill, lines, soon
 
@@ -175,12 +174,10 @@ def test_profile_paper_has_no_cells(here: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-def test_with_a_cluster_the_bytes_are_the_same(here: Path) -> None:
+def test_with_a_cluster_the_bytes_are_the_same(here: Path, scheduler: Path) -> None:
     pytest.importorskip("distributed")
-    (here / "cluster").mkdir()
-    with cluster(here / "cluster") as file:
-        for _ in range(2):
-            ran = study(here, "--borrow", "--dask", str(file), out="there")
+    for _ in range(2):
+        ran = study(here, "--borrow", "--dask", scheduler, out="there")
     assert "10 unchanged" in ran.err
     study(here, "--borrow", out="local")
     assert results(here / "there") == results(here / "local")
