@@ -1,7 +1,4 @@
-"""The devices of a study as aligned text.
-
-`accelcal devices`.
-"""
+"""`accelcal devices`: the devices of a study as aligned text, JSON or CSV."""
 
 from __future__ import annotations
 

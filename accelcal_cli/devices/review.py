@@ -1,11 +1,4 @@
-"""One device as it is shown.
-
-Why a device should be serviced.
-
-From a study's table to its devices.
-
-A review as one JSON object, and as rows of recordings.
-"""
+"""A verdict on each device of a study, with its reasons; the review as JSON and as rows of recordings."""
 
 from __future__ import annotations
 

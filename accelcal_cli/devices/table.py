@@ -1,11 +1,4 @@
-"""The twelve parameters of a device, as columns of a study's table and as people read them.
-
-A study's recordings, device by device, as arrays.
-
-Reading a study's table.
-
-Which recordings tell something of their device's coefficients.
-"""
+"""A study's table as arrays, device by device; the twelve parameters, and which recordings count for them."""
 
 from __future__ import annotations
 

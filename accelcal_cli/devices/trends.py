@@ -1,12 +1,7 @@
-"""When a device is to be serviced: every number, with its source.
+"""Level and drift of each parameter of each device: weighted least squares of all devices at once.
 
-Weighted least squares of all parameters of all devices at once.
-
-Offsets at one temperature, so that recordings with and without slopes can be compared.
-
-How probable a deviation is by chance.
-
-Level and drift of each parameter of each device, in people's units.
+Offsets are first brought to one temperature, so that recordings with and without slopes can be compared.
+`Rules` holds every limit beyond which a device is to be serviced, with its source.
 """
 
 from __future__ import annotations

@@ -29,15 +29,15 @@ from accelcal_cli.output.report_reading import COPIED, Coefficients, check_secti
 from accelcal_cli.pipeline import calibrate
 from accelcal_cli.pipeline.calibrate import Passes
 from accelcal_cli.pipeline.jobs import (
+    FileStamp,
     Job,
     ProgressMaker,
     Request,
     Result,
-    Seen,
+    file_stamp,
     hashing,
     no_progress,
     real,
-    seen,
     sha256,
 )
 from accelcal_cli.pipeline.outputs import prepare, up_to_date
@@ -266,7 +266,7 @@ def apply(
     """
     path, donor = source or job.source, request.coefficients
     assert donor is not None
-    before = seen(path)
+    before = file_stamp(path)
     with open_recording(path, request.options, request.threads) as reader:
         found = link(donor, reader.recording, path, request)
         request = replace(request, settings=settings_for(donor, found, request.settings))
@@ -387,7 +387,7 @@ def borrow(
     progress: ProgressMaker = no_progress,
     *,
     must_be_better: bool,
-    before: Seen | None = None,
+    before: FileStamp | None = None,
 ) -> Loan:
     """Apply the coefficients of the first report that stands the test.
 

@@ -30,15 +30,15 @@ from accelcal_cli.pipeline.export import (
     write_calibrated,
 )
 from accelcal_cli.pipeline.jobs import (
+    FileStamp,
     Job,
     ProgressMaker,
     Request,
     Result,
-    Seen,
+    check_unchanged,
+    file_stamp,
     hashing,
     no_progress,
-    same,
-    seen,
 )
 from accelcal_cli.pipeline.method import Method, fitting, make_method, optimizer_json
 from accelcal_cli.pipeline.outputs import (
@@ -70,7 +70,7 @@ class Passes:
     progress: ProgressMaker
     reader: Reader
     bytes_at: Path
-    before: Seen | None = None
+    before: FileStamp | None = None
 
     def method(self) -> Method:
         """How the settings find and judge the recording's stillness."""
@@ -108,7 +108,7 @@ class Passes:
             UnreadableError: the recording changed between the passes or within one.
             OutputError: a file cannot be written.
         """
-        same(self.bytes_at, self.before)
+        check_unchanged(self.bytes_at, self.before)
         if writes_parquet(data):
             data = replace(data, clipped_after=self._write_parquet(data))
         else:
@@ -137,7 +137,7 @@ class Passes:
             target = Target(applier_of(data), sink, facts.utc_offset_s or 0, threads)
             over = write_calibrated(recording, chunks, target, shown)
             sink.close()
-            same(self.bytes_at, self.before)
+            check_unchanged(self.bytes_at, self.before)
             remove(self.job.report)
             return over
 
@@ -176,7 +176,7 @@ def calibrate(
         AccelcalError: it cannot be read, or its outputs cannot be written.
     """
     path = source or job.source
-    before = seen(path)
+    before = file_stamp(path)
     with open_recording(path, request.options, request.threads) as reader:
         prepare(job, force=request.force)
         if not request.force and (held := up_to_date(job, path, reader.recording, request)) is not None:

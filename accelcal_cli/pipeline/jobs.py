@@ -137,12 +137,12 @@ def sha256(path: Path) -> str:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
 
 
-Seen = tuple[int, int]
+FileStamp = tuple[int, int]
 """Size [bytes] and time of the last change [ns since 1970] of a file."""
 
 
-def seen(path: Path) -> Seen | None:
-    """How a file is found; None where it cannot be looked at."""
+def file_stamp(path: Path) -> FileStamp | None:
+    """A file's stamp; None where it cannot be looked at."""
     try:
         found = path.stat()
     except OSError:
@@ -150,9 +150,9 @@ def seen(path: Path) -> Seen | None:
     return found.st_size, found.st_mtime_ns
 
 
-def same(path: Path, before: Seen | None) -> None:
-    """Raise UnreadableError if a file changed, or went, since it was seen: what was read does not agree."""
-    if before is not None and seen(path) != before:
+def check_unchanged(path: Path, before: FileStamp | None) -> None:
+    """Raise UnreadableError if a file changed or went since it had a stamp: what was read does not agree."""
+    if before is not None and file_stamp(path) != before:
         raise UnreadableError(
             "changed while it was read",
             path=path,

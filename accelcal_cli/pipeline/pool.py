@@ -25,7 +25,7 @@ from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, calibration_of, check_sections
 from accelcal_cli.pipeline.calibrate import Passes
-from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, Result, Seen, hashing, no_progress
+from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, hashing, no_progress
 from accelcal_cli.pipeline.method import CellProcedure, fitting, local_lsb_per_g, optimizer_json
 from accelcal_cli.pipeline.outputs import prepare
 
@@ -151,7 +151,7 @@ def apply_pool(
     request: Request,
     document: Document,
     progress: ProgressMaker = no_progress,
-    before: Seen | None = None,
+    before: FileStamp | None = None,
 ) -> Result | str:
     """Apply a pool's coefficients to one of its recordings.
 

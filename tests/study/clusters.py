@@ -27,7 +27,7 @@ ENDLESS = """
 import os, pathlib, time
 from accelcal_cli.study import task
 
-def stage(self, name, total, plain=task.Parts.stage):
+def stage(self, name, total, plain=task.StageProgress.stage):
     moved = plain(self, name, total)
 
     def endless(done):
@@ -35,11 +35,11 @@ def stage(self, name, total, plain=task.Parts.stage):
         while name == "writing" and pathlib.Path("endless").exists():
             pathlib.Path(f"{os.getpid()}.begun").touch()
             time.sleep(0.01)
-            self._told(0.5)
+            self._report_progress(0.5)
 
     return endless
 
-task.Parts.stage = stage
+task.StageProgress.stage = stage
 """
 """Imported by each worker: while a file is there, no recording ends but by being cancelled."""
 

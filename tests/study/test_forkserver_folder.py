@@ -34,8 +34,8 @@ def fatal(*words):
 killed, plain = [], process_pool._process
 process_pool._process = fatal
 if __name__ == "__main__":
-    for ended in process_pool.Crew(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
-        print(ended.answer)
+    for ended in process_pool.ProcessPool(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
+        print(ended.result)
     print(len(killed))
 """
 
@@ -60,7 +60,9 @@ def test_a_long_path_of_temporary_files_is_no_hindrance(
 
 
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path) -> None:
-    script = "from accelcal_cli.study.process_pool import short_lived\nwith short_lived(): input()"
+    script = (
+        "from accelcal_cli.study.process_pool import forkserver_folder\nwith forkserver_folder(): input()"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     killed, living = (
         subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, env=environment)
@@ -76,7 +78,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path
 
 
 def test_another_server_is_started_where_it_was_killed(tmp_path: Path) -> None:
-    script = tmp_path / "crew.py"
+    script = tmp_path / "pool.py"
     script.write_text(SERVER_KILLED)
     done = subprocess.run(
         [sys.executable, script],
