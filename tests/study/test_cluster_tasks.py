@@ -31,6 +31,10 @@ def work(task: tuple[str, Any], told: ProgressCallback) -> Any:
     """Does what the task says."""
     kind, value = task
     if kind == "kill":
+        Path(value).unlink(missing_ok=True)
+        told(0.5)
+        while not Path(value).exists():
+            time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGKILL)
     if kind == "parts":
         told(0.25)
@@ -62,19 +66,30 @@ def done(executor: Cluster, *tasks: tuple[str, Any]) -> dict[tuple[str, Any], Fi
     return {ended.task: ended for ended in executor.run(list(tasks))}
 
 
-def test_a_task_that_kills_its_workers_fails_alone(scheduler: Path, requirements: WorkerRequirements) -> None:
-    """Two tries, as the scheduler of these tests allows; those that waited behind it are done."""
+def test_a_task_that_kills_its_workers_fails_alone(
+    scheduler: Path, requirements: WorkerRequirements, tmp_path: Path
+) -> None:
+    """Two tries, as the scheduler of these tests allows; those that waited behind it are done.
+
+    Each ends once it is known to have begun, and so all that its worker did before.
+    """
+    known, kill = tmp_path / "known", ("kill", str(tmp_path / "known"))
     lost: list[Any] = []
     executor = Cluster(
-        str(scheduler), work, requirements, limit=6, lost=lambda task, _owner: lost.append(task)
+        str(scheduler),
+        work,
+        requirements,
+        limit=6,
+        on_progress=lambda task, _part: known.touch() if task == kill else None,
+        lost=lambda task, _owner: lost.append(task),
     )
     others = [("echo", number) for number in range(8)]
-    found = done(executor, ("kill", 0), *others)
+    found = done(executor, kill, *others)
     assert [found[one].result for one in others] == others
-    killed = found["kill", 0]
+    killed = found[kill]
     assert killed.fault == "every worker that tried it was lost, perhaps for want of memory"
     assert killed.retry
-    assert set(lost) == {("kill", 0)}
+    assert set(lost) == {kill}
 
 
 def test_the_parts_of_a_task_add_up_to_one(scheduler: Path, requirements: WorkerRequirements) -> None:
