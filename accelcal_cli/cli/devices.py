@@ -141,12 +141,12 @@ LIMITS = {
     "scale_percent": "Scale error of an axis.",
     "misalignment_percent": "Misalignment between two axes.",
     "slope_mg_per_c": "Temperature slope of an offset.",
-    "drift_mg": "Drift of an offset a month; of a slope over 10 C.",
-    "drift_percent": "Drift of scale or misalignment a month.",
-    "outlying": "Robust standard deviations of the held-out error above devices of its kind.",
+    "drift_mg": "Drift of an offset per month, or of a slope over 10 C.",
+    "drift_percent": "Drift of scale or misalignment per month.",
+    "outlying": "Robust standard deviations of the held-out error above other devices of its kind.",
     "refused_percent": "Share of recordings refused or borrowed.",
     "damaged_percent": "Share of recordings that lost bytes to damage.",
-    "least_days": "Shortest span that gives a drift.",
+    "least_days": "Shortest time span in days from which a drift is estimated.",
 }
 """Help of the options that set the limits of the rules."""
 
@@ -164,26 +164,26 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 
 @click.command("devices")
 @click.argument("out", type=click.Path(path_type=Path, readable=False))
-@click.option("--device", metavar="SERIAL", help="Only this device, in full.")
+@click.option("--device", metavar="SERIAL", help="Show this device only, in detail.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
-@click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table, a row a device and recording.")
-@click.option("-q", "--quiet", is_flag=True, help="Nothing on stderr.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table with a row for each recording.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
 @limits
 @click.option(
     "--reference-c",
     type=Within(-100, 200),
     metavar="C",
-    help="Temperature of the offsets.  [default: the median of each device's recordings]",
+    help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
 )
 def command(out: Path, **values: Any) -> int:
-    """Show how the devices of a study drift, and which to service and why.
+    """Show how the devices of a study drift, which of them need service, and why.
 
-    OUT is the folder of `accelcal study`; only its study.parquet is read. A line for each device: its
-    recordings, its fastest drift of an offset and of scale or misalignment with standard errors, and
-    service, watch (perhaps), good or unknown, with the first reason.
+    OUT is the output folder of `accelcal study`; only its study.parquet is read. One line is printed for each
+    device: its recordings, the fastest drift of an offset and of scale or misalignment with standard errors,
+    and a verdict (service, watch, good or unknown) with the first reason.
     """
     if values["as_json_"] and values["as_csv"]:
-        raise UsageError("--json and --csv exclude each other", hint="give one of them")
+        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
     rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
     reviewed = review(out, rules, time.time())
     devices = _chosen(reviewed, values["device"], out)

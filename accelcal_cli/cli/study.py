@@ -120,48 +120,55 @@ FOLDER = click.Path(path_type=Path, readable=False)
 
 @click.command("study")
 @click.argument("folders", nargs=-1, required=True, type=FOLDER)
-@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder of the outputs.")
-@click.option("--include", multiple=True, metavar="GLOB", help="Begin only these files, such as '*.cwa'.")
-@click.option("--exclude", multiple=True, metavar="GLOB", help="Not these files, such as 'pilot/*'.")
+@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder for the outputs.")
+@click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
+@click.option("--exclude", multiple=True, metavar="GLOB", help="Skip these files, such as 'pilot/*'.")
 @click.option(
-    "-j", "--jobs", type=click.IntRange(1, 1024), help="Workers.  [default: as CPUs and memory allow]"
+    "-j",
+    "--jobs",
+    type=click.IntRange(1, 1024),
+    help="Number of workers.  [default: as many as CPUs and memory allow]",
 )
-@click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="The longest a recording may take.")
-@click.option("--settle", type=Positive(), metavar="SECONDS", help="Leave files changed since for later.")
+@click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="Time limit for each recording.")
+@click.option(
+    "--settle", type=Positive(), metavar="SECONDS", help="Skip files modified within the last SECONDS."
+)
 @click.option(
     "--newer-than",
     type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]),
     metavar="DATE",
-    help="Begin only files changed since.",
+    help="Process only files modified since DATE.",
 )
-@click.option("--retry-failed", is_flag=True, help="Try again what failed and has not changed.")
-@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
-@click.option("--shard", metavar="I/N", help="Only part I of N; `slurm`: this task's of a job array.")
-@click.option("--collect", is_flag=True, help="Sum up what the shards have done.")
-@click.option("--dask", metavar="ADDRESS", help="Work on the cluster of this scheduler (or scheduler.json).")
+@click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
+@click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
+@click.option(
+    "--shard", metavar="I/N", help="Process part I of N only; `slurm`: the part of this job array task."
+)
+@click.option("--collect", is_flag=True, help="Merge the results of all shards.")
+@click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
     "--pool",
     type=click.Choice(["device"]),
-    help="Calibrate all recordings of one device as one, and use the result for each of them.",
+    help="Calibrate all recordings of a device together, and apply the result to each of them.",
 )
 @click.option(
     "--borrow",
     is_flag=True,
-    help="Where a recording cannot be calibrated, or poorly, use the coefficients of the nearest good one of "
-    "its device, if they prove themselves on its own stillness.",
+    help="If a recording cannot be calibrated well, use the coefficients of the recording of the same device "
+    "nearest in time, provided that they reduce the error on its own still periods.",
 )
 @precision_option
 @calibrating_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
-    """Calibrate all recordings in each FOLDER and below, in parallel.
+    """Calibrate all recordings in each FOLDER and its subfolders, in parallel.
 
-    Mirrors the folders under the one of -d, and writes study.csv, study.parquet and study.json there. A
-    second run does only what is new, changed or unfinished. Prints a line for each recording, as `calibrate`
-    does; with -q nothing unless something failed.
+    The outputs mirror the folder structure below the folder given with -d, where study.csv, study.parquet and
+    study.json are written, too. A second run processes only what is new, changed or unfinished. One line is
+    printed for each recording, as by `calibrate`; with -q only failures and refusals are shown.
     """
     study = _study(folders, values)
     if not values["quiet"] and (number := overlooked(study)):
-        exit_codes.say(f"left out, since below {printable(study.out)}: {counted(number, 'recording')}")
+        exit_codes.say(f"ignored, because below {printable(study.out)}: {counted(number, 'recording')}")
     if values["dry_run"]:
         return _preview(study, values)
     if (
@@ -170,7 +177,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         and study.jobs > workers(study.jobs)
         and not values["quiet"]
     ):
-        exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow for ({workers(study.jobs)})")
+        exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow ({workers(study.jobs)})")
     with observing(values) as observer:
         summary = run(study, observer)
     return _exit_code(study, summary, observer, values)
@@ -179,9 +186,9 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     request = request_of(values)
     if values["shard"] and values["collect"]:
-        raise UsageError("--shard does a part, --collect sums up all parts", hint="give one of them")
+        raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["pool"] and request.settings.profile != DEFAULT.profile:
-        raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")
+        raise UsageError(f"recordings calibrated with profile {request.settings.profile} cannot be pooled")
     return Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,
@@ -203,7 +210,7 @@ def _seconds(moment: datetime | None) -> float | None:
     try:
         return None if moment is None else moment.timestamp()
     except (ValueError, OverflowError, OSError) as error:
-        raise UsageError(f"--newer-than {moment} is a time that no clock shows") from error
+        raise UsageError(f"--newer-than {moment} is outside the range of this machine's clock") from error
 
 
 def _preview(study: Study, values: dict[str, Any]) -> int:

@@ -196,17 +196,19 @@ def _check_there(path: Path) -> None:
         return
     if any(path.parent.glob("study.*-of-*.parquet")):
         raise UsageError(
-            "does not exist, only those of shards", path=path, hint="run the study with --collect first"
+            "does not exist; only shards have been run",
+            path=path,
+            hint="run the study with --collect first",
         )
-    hint = "name the folder that was given to `accelcal study` with -d, or run it first"
+    hint = "give the folder that was given to `accelcal study` with -d, or run the study first"
     raise UsageError("does not exist", path=path, hint=hint)
 
 
 def _not_ours(path: Path, names: list[str], missing: list[str]) -> UnreadableError:
     if all(name.startswith("se_") or name == "lost_percent" for name in missing) and "path" in names:
-        text = "is of an earlier version, without standard errors"
+        text = "was written by an earlier version, without standard errors"
         return UnreadableError(text, path=path, hint="run the study again, with --force")
-    return UnreadableError(f"is no table of a study: it has no column {missing[0]}", path=path)
+    return UnreadableError(f"is not the table of a study: it has no column {missing[0]}", path=path)
 
 
 def _texts(column: pa.ChunkedArray) -> list[str | None]:

@@ -80,7 +80,9 @@ def _client(library: Any, named: str, notify: Notify) -> Any:
         except Exception as error:
             raise _unreachable(address, error) from error
     if any(one.category.__name__ == "VersionMismatchWarning" for one in warned):
-        notify("on the cluster some versions (Python, dask, numpy or others) are not those that are here")
+        notify(
+            "some versions on the cluster (Python, dask, numpy or others) differ from those on this machine"
+        )
     return client
 
 
@@ -93,7 +95,7 @@ def _check(library: Any, address: str, wait_s: float) -> None:
         get_backend(parse_address(address)[0] if address else "")
     except ValueError as error:
         raise UsageError(
-            f"--dask {printable(address)!r} is no address", hint="use one such as tcp://host:8786"
+            f"--dask {printable(address)!r} is not an address", hint="use one such as tcp://host:8786"
         ) from error
     try:
         there = asyncio.run(_version(library, address, wait_s))
@@ -101,7 +103,7 @@ def _check(library: Any, address: str, wait_s: float) -> None:
         raise _unreachable(address, error) from error
     if there != library.__version__:
         raise ClusterError(
-            f"the scheduler at {address} has distributed {there}, here is {library.__version__}",
+            f"the scheduler at {address} has distributed {there}, this machine has {library.__version__}",
             hint="install the same version on every machine",
         )
 
@@ -228,13 +230,13 @@ class DaskSession:
         except Exception as error:
             raise self._lost(error) from error
         if threads == 0 and self.threads != 0:
-            self.options.notify(f"{self.options.address} has no workers; waiting for one")
+            self.options.notify(f"{self.options.address} has no workers yet; waiting")
         self.threads = threads
 
     def _lost(self, reason: object) -> ClusterError:
         return ClusterError(
-            f"the scheduler {self.options.address} was lost ({reason})",
-            hint="what is done is kept: run this again",
+            f"the connection to the scheduler {self.options.address} was lost ({reason})",
+            hint="finished recordings are kept: run the command again",
         )
 
     def _submit(self, task: Any, tries: int) -> None:
@@ -302,7 +304,7 @@ class DaskSession:
         if type(error).__name__ != "KilledWorker":
             said = " ".join(f"{type(error).__name__}: {error}".split())
             raise ClusterError(
-                f"a worker cannot take up a task ({said})",
+                f"a worker cannot start a task ({said})",
                 hint="install the same accelcal on every machine",
             ) from error
         del self.running[key]

@@ -138,11 +138,11 @@ def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
         have = f"{here} has accelcal {accelcal_cli.__version__}, not {requirements.version}"
         return ClusterError(have, hint="install the same version on every machine")
     if requirements.code != code():
-        have = f"{here} has another accelcal that is also called {requirements.version}"
-        return ClusterError(have, hint="install the same on every machine")
+        have = f"{here} has accelcal {requirements.version}, too, but its code differs"
+        return ClusterError(have, hint="install the same build on every machine")
     if (hidden := _hidden(requirements)) is not None:
         return ClusterError(
-            f"{here} does not see it", path=hidden, hint="the cluster must share the disks of FOLDER and OUT"
+            f"{here} cannot see it", path=hidden, hint="the cluster must share the disks of FOLDER and OUT"
         )
     return _unwritable(requirements.mark, here)
 

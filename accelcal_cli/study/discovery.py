@@ -54,9 +54,9 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
     for path in _foreign(out, base):
         if not force or path.resolve() in {one.resolve() for one in recordings}:
             raise OutputError(
-                "is in the way of the study's summary, and was not written by accelcal",
+                "would be overwritten by the study's summary, but was not written by accelcal",
                 path=path,
-                hint="move it away, or choose another folder with -d",
+                hint="move it, or choose another folder with -d",
             )
 
 
@@ -139,14 +139,14 @@ def _places(where: Where) -> list[tuple[Path, str]]:
     """Each folder with its place under OUT."""
     for folder in where.folders:
         if not folder.is_dir():
-            raise UsageError("is not a folder", path=folder, hint="name the folder of the recordings")
+            raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
     if len(where.folders) == 1:
         return [(where.folders[0], "")]
     names = [real(folder).name for folder in where.folders]
     twice = sorted(name for name in set(names) if names.count(name) > 1)
     if twice:
         raise UsageError(
-            f"several folders are called {twice[0]}", hint="make a study of each, with its own -d"
+            f"several folders are called {twice[0]}", hint="run a separate study for each, with its own -d"
         )
     return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
 

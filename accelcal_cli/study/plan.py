@@ -67,10 +67,10 @@ def _slurm(environment: Mapping[str, str]) -> Shard:
     names = ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_COUNT")
     words = [environment.get(name, "") for name in names]
     if not all(word.isdecimal() for word in words):
-        raise UsageError("--shard slurm is for a task of a job array", hint="submit it with sbatch --array")
+        raise UsageError("--shard slurm works only in a job array", hint="submit it with sbatch --array")
     task, least, number = map(int, words)
     if not 0 <= task - least < number:
-        raise UsageError("--shard slurm needs an array whose numbers rise by one", hint="use --array=1-N")
+        raise UsageError("--shard slurm needs an array with consecutive task numbers", hint="use --array=1-N")
     return Shard(task - least + 1, number)
 
 

@@ -163,8 +163,8 @@ class ProcessPool:
             return _started(self.work, preload)
         except (OSError, EOFError) as error:
             raise OutputError(
-                f"no process can be started for the work ({getattr(error, 'strerror', None) or error})",
-                hint="see that the working folder and that of temporary files exist, or use fewer --jobs",
+                f"no worker process can be started ({getattr(error, 'strerror', None) or error})",
+                hint="check that the current folder and that of temporary files exist, or use fewer --jobs",
             ) from error
 
     def _listen(self) -> Iterator[Finished]:

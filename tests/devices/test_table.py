@@ -94,7 +94,7 @@ def test_a_table_that_is_none(tmp_path: Path) -> None:
         read(tmp_path, NOW_S)
     whole = pq.read_table(write(tmp_path, [fitted("A", 0)]) / "study.parquet")
     pq.write_table(whole.drop_columns([name for name in COLUMNS if name.startswith("se_")]), path)
-    with pytest.raises(UnreadableError, match="of an earlier version, without standard errors; run"):
+    with pytest.raises(UnreadableError, match="by an earlier version, without standard errors; run"):
         read(tmp_path, NOW_S)
     for name in ("k_xx", "path"):
         wrong = pa.array([5 if name in TEXT else "five"])

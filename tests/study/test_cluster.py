@@ -147,7 +147,7 @@ def test_a_worker_may_come_later(folder: Path, tmp_path: Path) -> None:
     with cluster(tmp_path, 0) as file, contextlib.ExitStack() as stack:
         words = ("in", "-d", tmp_path / "out", "--include", NAMES[0], "--dask", file)
         process = begun(folder.parent, *words)
-        assert waiting(process) == f"accelcal: {file} has no workers; waiting for one\n"
+        assert waiting(process) == f"accelcal: {file} has no workers yet; waiting\n"
         start_workers(stack, file, 1)
         assert ended(process).code == 0
 
@@ -156,11 +156,11 @@ def test_it_waits_for_workers_until_the_scheduler_is_lost(folder: Path, tmp_path
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(cluster(tmp_path, 0))
         process = begun(folder.parent, "in", "-d", tmp_path / "out", "--dask", file)
-        assert waiting(process) == f"accelcal: {file} has no workers; waiting for one\n"
+        assert waiting(process) == f"accelcal: {file} has no workers yet; waiting\n"
         stack.close()
         lost = ended(process)
         assert lost.code == 69
-        assert_one_line(lost, "was lost", "run this again")
+        assert_one_line(lost, "was lost", "run the command again")
 
 
 def waiting(process: subprocess.Popen[bytes]) -> str:

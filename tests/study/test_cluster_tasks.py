@@ -124,7 +124,7 @@ def test_a_worker_that_does_not_meet_the_terms_ends_the_study(
     other = requirements.mark.with_name("other")
     for wrong, kind, said in (
         (replace(requirements, version="0.0.9"), ClusterError, "not 0.0.9; install the same version"),
-        (replace(requirements, content="another's"), ClusterError, "does not see it; the cluster must share"),
+        (replace(requirements, content="another's"), ClusterError, "cannot see it; the cluster must share"),
         (replace(requirements, folders=(other,)), ClusterError, f"{other}: the worker on"),
     ):
         with pytest.raises(kind, match=said) as raised:
@@ -146,11 +146,11 @@ def test_an_address_that_is_none(tmp_path: Path) -> None:
 
     with dask.config.set({"distributed.comm.timeouts.connect": "200ms"}):
         with (
-            pytest.raises(UsageError, match="'nonsense://x' is no address"),
+            pytest.raises(UsageError, match="'nonsense://x' is not an address"),
             connected("nonsense://x", print),
         ):
             pass
-        with pytest.raises(UsageError, match="'' is no address"), connected("", print):
+        with pytest.raises(UsageError, match="'' is not an address"), connected("", print):
             pass
         missing = str(tmp_path / "none.json")
         with pytest.raises(ClusterError, match="no scheduler has written"), connected(missing, print):
@@ -163,7 +163,9 @@ def test_another_version_of_the_scheduler_is_refused(
     import distributed
 
     monkeypatch.setattr(distributed, "__version__", "2020.1.0")
-    with pytest.raises(ClusterError, match=r"has distributed 20.*, here is 2020\.1\.0; install the same"):
+    with pytest.raises(
+        ClusterError, match=r"has distributed 20.*, this machine has 2020\.1\.0; install the same"
+    ):
         done(Cluster(str(scheduler), work, requirements), ("echo", 1))
 
 
@@ -177,4 +179,4 @@ def test_other_versions_of_other_libraries_are_said(
     monkeypatch.setattr(versions, "get_versions", lambda *_names: other)
     found = done(Cluster(str(scheduler), work, requirements, notify=said.append), ("echo", 1))
     assert found["echo", 1].result == ("echo", 1)
-    assert [line for line in said if "versions (Python, dask, numpy or others)" in line]
+    assert [line for line in said if "versions on the cluster (Python, dask, numpy or others) differ" in line]

@@ -119,4 +119,6 @@ def test_the_same_version_with_other_code_is_refused(tmp_path: Path) -> None:
     requirements = WorkerRequirements(
         accelcal_cli.__version__, "other", (tmp_path,), tmp_path / "x", "x", patience_s=0
     )
-    assert f"another accelcal that is also called {accelcal_cli.__version__}" in str(unsuitable(requirements))
+    assert f"has accelcal {accelcal_cli.__version__}, too, but its code differs" in str(
+        unsuitable(requirements)
+    )
