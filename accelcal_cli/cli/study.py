@@ -1,7 +1,4 @@
-"""What is seen of a running study: its lines, what is said of them, and one bar for all.
-
-`accelcal study`.
-"""
+"""`accelcal study`: its options, its lines and messages, and one progress bar for all recordings."""
 
 from __future__ import annotations
 
@@ -27,22 +24,21 @@ from accelcal_cli.study.plan import Study, overlooked, shard
 from accelcal_cli.study.records import FAILED, Item
 from accelcal_cli.study.run import preview, run
 from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.task import Answer
+from accelcal_cli.study.task import TaskResult
 
 
-class Told:
-    """Prints what comes, and keeps the exit code of each recording."""
+class TerminalObserver:
+    """Prints a line for each recording and keeps the exit codes."""
 
-    def __init__(self, out: Path, values: dict[str, Any], stack: contextlib.ExitStack) -> None:
+    def __init__(self, values: dict[str, Any], stack: contextlib.ExitStack) -> None:
         self.codes: list[int] = []
-        self._out = out
         self._values = values
         self._stack = stack
         self._bar: Any = None
         self._failed = 0
 
     def begin(self, items: Sequence[Item]) -> None:
-        """See `Watch`; every round has its own bar."""
+        """See `StudyObserver`; every round has its own bar."""
         if self._values["quiet"] or sys.stderr is None or not sys.stderr.isatty():
             return
         from tqdm import tqdm
@@ -54,23 +50,23 @@ class Told:
         self._stack.callback(self._bar.close)
         self._todo, self._done = len(items), 0
 
-    def moved(self, bytes_done: float) -> None:
-        """See `Watch`."""
+    def advance(self, bytes_done: float) -> None:
+        """See `StudyObserver`."""
         if self._bar is not None:
             self._bar.update(bytes_done)
 
-    def ended(self, item: Item, answer: Answer) -> None:
-        """See `Watch`."""
-        row = answer.entry.row
+    def finished(self, item: Item, result: TaskResult) -> None:
+        """See `StudyObserver`."""
+        row = result.entry.row
         assert row is not None
         self.codes.append(row["exit_code"])
         self._failed += row["outcome"] == FAILED
-        with self._aside(fresh=not answer.up_to_date):
+        with self._aside(fresh=not result.up_to_date):
             self._print(item, row)
-            self._comment(item, row, answer)
+            self._comment(item, row, result)
 
-    def said(self, text: str) -> None:
-        """See `Watch`."""
+    def note(self, text: str) -> None:
+        """See `StudyObserver`."""
         if not self._values["quiet"]:
             with self._aside(fresh=False):
                 exit_codes.say(text)
@@ -89,18 +85,18 @@ class Told:
     def _print(self, item: Item, row: dict[str, Any]) -> None:
         if self._values["as_json"]:
             if row["outcome"] != FAILED:
-                click.echo(_compact(item.job.report))
+                click.echo(json.dumps(json.loads(item.job.report.read_text("utf-8"))))
         elif not self._values["quiet"]:
             written = None if row["parquet"] is None else item.job.parquet
             click.echo(study_line(row, item.source, written))
 
-    def _comment(self, item: Item, row: dict[str, Any], answer: Answer) -> None:
+    def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
         name = printable(item.source)
         if row["outcome"] == FAILED:
             kept = (
                 ""
-                if answer.trace is None
-                else f"; please report it with {exit_codes.keep_trace(answer.trace)}"
+                if result.trace is None
+                else f"; please report it with {exit_codes.keep_trace(result.trace)}"
             )
             text = row["message"] if name in row["message"] else f"{name}: {row['message']}"
             exit_codes.say(f"{text}{kept}")
@@ -108,22 +104,15 @@ class Told:
             exit_codes.say(f"{name}: refused: {row['message']}")
         if self._values["quiet"]:
             return
-        for problem in answer.problems if self._values["verbose"] else answer.problems[:1]:
+        for problem in result.problems if self._values["verbose"] else result.problems[:1]:
             exit_codes.say(f"{name}: {problem}")
 
 
-def _compact(report: Path) -> str:
-    """A report in one line."""
-    import json
-
-    return json.dumps(json.loads(report.read_text("utf-8")))
-
-
 @contextlib.contextmanager
-def watching(out: Path, values: dict[str, Any]) -> Iterator[Told]:
-    """A watcher whose bar is gone at the end."""
+def observing(values: dict[str, Any]) -> Iterator[TerminalObserver]:
+    """An observer whose bar is removed at the end."""
     with contextlib.ExitStack() as stack:
-        yield Told(out, values, stack)
+        yield TerminalObserver(values, stack)
 
 
 FOLDER = click.Path(path_type=Path, readable=False)
@@ -131,48 +120,55 @@ FOLDER = click.Path(path_type=Path, readable=False)
 
 @click.command("study")
 @click.argument("folders", nargs=-1, required=True, type=FOLDER)
-@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder of the outputs.")
-@click.option("--include", multiple=True, metavar="GLOB", help="Begin only these files, such as '*.cwa'.")
-@click.option("--exclude", multiple=True, metavar="GLOB", help="Not these files, such as 'pilot/*'.")
+@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder for the outputs.")
+@click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
+@click.option("--exclude", multiple=True, metavar="GLOB", help="Skip these files, such as 'pilot/*'.")
 @click.option(
-    "-j", "--jobs", type=click.IntRange(1, 1024), help="Workers.  [default: as CPUs and memory allow]"
+    "-j",
+    "--jobs",
+    type=click.IntRange(1, 1024),
+    help="Number of workers.  [default: as many as CPUs and memory allow]",
 )
-@click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="The longest a recording may take.")
-@click.option("--settle", type=Positive(), metavar="SECONDS", help="Leave files changed since for later.")
+@click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="Time limit for each recording.")
+@click.option(
+    "--settle", type=Positive(), metavar="SECONDS", help="Skip files modified within the last SECONDS."
+)
 @click.option(
     "--newer-than",
     type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]),
     metavar="DATE",
-    help="Begin only files changed since.",
+    help="Process only files modified since DATE.",
 )
-@click.option("--retry-failed", is_flag=True, help="Try again what failed and has not changed.")
-@click.option("--dry-run", is_flag=True, help="Say what would be done, and do nothing.")
-@click.option("--shard", metavar="I/N", help="Only part I of N; `slurm`: this task's of a job array.")
-@click.option("--collect", is_flag=True, help="Sum up what the shards have done.")
-@click.option("--dask", metavar="ADDRESS", help="Work on the cluster of this scheduler (or scheduler.json).")
+@click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
+@click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
+@click.option(
+    "--shard", metavar="I/N", help="Process part I of N only; `slurm`: the part of this job array task."
+)
+@click.option("--collect", is_flag=True, help="Merge the results of all shards.")
+@click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
     "--pool",
     type=click.Choice(["device"]),
-    help="Calibrate all recordings of one device as one, and use the result for each of them.",
+    help="Calibrate all recordings of a device together, and apply the result to each of them.",
 )
 @click.option(
     "--borrow",
     is_flag=True,
-    help="Where a recording cannot be calibrated, or poorly, use the coefficients of the nearest good one of "
-    "its device, if they prove themselves on its own stillness.",
+    help="If a recording cannot be calibrated well, use the coefficients of the recording of the same device "
+    "nearest in time, provided that they reduce the error on its own still periods.",
 )
 @precision_option
 @calibrating_options
 def command(folders: tuple[Path, ...], **values: Any) -> int:
-    """Calibrate all recordings in each FOLDER and below, in parallel.
+    """Calibrate all recordings in each FOLDER and its subfolders, in parallel.
 
-    Mirrors the folders under the one of -d, and writes study.csv, study.parquet and study.json there. A
-    second run does only what is new, changed or unfinished. Prints a line for each recording, as `calibrate`
-    does; with -q nothing unless something failed.
+    The outputs mirror the folder structure below the folder given with -d, where study.csv, study.parquet and
+    study.json are written, too. A second run processes only what is new, changed or unfinished. One line is
+    printed for each recording, as by `calibrate`; with -q only failures and refusals are shown.
     """
     study = _study(folders, values)
     if not values["quiet"] and (number := overlooked(study)):
-        exit_codes.say(f"left out, since below {printable(study.out)}: {counted(number, 'recording')}")
+        exit_codes.say(f"ignored, because below {printable(study.out)}: {counted(number, 'recording')}")
     if values["dry_run"]:
         return _preview(study, values)
     if (
@@ -181,18 +177,18 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         and study.jobs > workers(study.jobs)
         and not values["quiet"]
     ):
-        exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow for ({workers(study.jobs)})")
-    with watching(study.out, values) as watch:
-        result = run(study, watch)
-    return _ended(study, result, watch, values)
+        exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow ({workers(study.jobs)})")
+    with observing(values) as observer:
+        summary = run(study, observer)
+    return _exit_code(study, summary, observer, values)
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     request = request_of(values)
     if values["shard"] and values["collect"]:
-        raise UsageError("--shard does a part, --collect sums up all parts", hint="give one of them")
+        raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["pool"] and request.settings.profile != DEFAULT.profile:
-        raise UsageError(f"profile {request.settings.profile} keeps no cells that could be pooled")
+        raise UsageError(f"recordings calibrated with profile {request.settings.profile} cannot be pooled")
     return Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,
@@ -214,7 +210,7 @@ def _seconds(moment: datetime | None) -> float | None:
     try:
         return None if moment is None else moment.timestamp()
     except (ValueError, OverflowError, OSError) as error:
-        raise UsageError(f"--newer-than {moment} is a time that no clock shows") from error
+        raise UsageError(f"--newer-than {moment} is outside the range of this machine's clock") from error
 
 
 def _preview(study: Study, values: dict[str, Any]) -> int:
@@ -228,21 +224,21 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
     return exit_codes.OK
 
 
-def _ended(study: Study, result: Summary, watch: Told, values: dict[str, Any]) -> int:
-    """The last words, and the exit code."""
-    for pool in result.pools.values():
+def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, values: dict[str, Any]) -> int:
+    """Sum up on stderr; returns the exit code."""
+    for pool in summary.pools.values():
         if pool["outcome"] in (FAILED, Outcome.REFUSED):
             device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")
             exit_codes.say(f"{device} are not pooled: {pool['message']}")
-    unfinished = study.collect and result.waiting > 0
+    unfinished = study.collect and summary.waiting > 0
     if not values["quiet"] or unfinished:
-        counts = [f"{number} {name.replace('_', ' ')}" for name, number in result.outcomes().items()]
-        more = {"unchanged": result.up_to_date, "not begun": result.waiting}
+        counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]
+        more = {"unchanged": summary.up_to_date, "not begun": summary.waiting}
         counts += [f"{number} {name}" for name, number in more.items() if number]
-        counts += [counted(result.left_out, "no recording")] if result.left_out else []
+        counts += [counted(summary.left_out, "no recording")] if summary.left_out else []
         table = printable(study.out / f"{study.shard.basename}.csv")
-        number = ": ".join(filter(None, [counted(len(result.rows), "recording"), ", ".join(counts)]))
+        number = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
         exit_codes.say(f"{number}; see {table}")
-    if len(watch.codes) == 1 and not unfinished:
-        return watch.codes[0]
-    return exit_codes.SOME_FAILED if any(watch.codes) or unfinished else exit_codes.OK
+    if len(observer.codes) == 1 and not unfinished:
+        return observer.codes[0]
+    return exit_codes.SOME_FAILED if any(observer.codes) or unfinished else exit_codes.OK

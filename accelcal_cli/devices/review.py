@@ -1,11 +1,4 @@
-"""One device as it is shown.
-
-Why a device should be serviced.
-
-From a study's table to its devices.
-
-A review as one JSON object, and as rows of recordings.
-"""
+"""A verdict on each device of a study, with its reasons; the review as JSON and as rows of recordings."""
 
 from __future__ import annotations
 
@@ -25,13 +18,13 @@ from accelcal_cli.devices.table import (
     OFFSETS,
     OWN,
     PARAMETERS,
-    Device,
+    DeviceKey,
     Floats,
     Records,
-    Use,
+    Usage,
     mask,
     read,
-    uses,
+    usages,
     with_error,
 )
 from accelcal_cli.devices.trends import (
@@ -68,13 +61,14 @@ class Reason:
 
 
 @dataclass(frozen=True, slots=True)
-class Unit:
+class DeviceReview:
     """A device.
 
     Attributes:
+        key: what its recordings share.
         rows: its recordings, in `Records`.
         firmware: all that its recordings name.
-        counts: how many recordings had which use.
+        counts: how many recordings had which usage.
         damaged: recordings that lost bytes to damage.
         begin, end: starts of the first and the last recording that has a date.
         held_out_mg: median held-out error of its own calibrations; None where it has none.
@@ -82,10 +76,10 @@ class Unit:
         worst_lost_percent: the most that one of its recordings lost.
     """
 
-    device: Device
+    key: DeviceKey
     rows: range
     firmware: tuple[str, ...]
-    counts: dict[Use, int]
+    counts: dict[Usage, int]
     damaged: int
     begin: str | None
     end: str | None
@@ -95,31 +89,31 @@ class Unit:
     trends: tuple[Trend, ...]
     reasons: tuple[Reason, ...] = field(default=())
 
-    def counted(self, *wanted: Use) -> int:
-        """How many recordings had one of these uses."""
+    def counted(self, *wanted: Usage) -> int:
+        """How many recordings had one of these usages."""
         return sum(self.counts.get(use, 0) for use in wanted)
 
     @property
     def recordings(self) -> int:
         """Its recordings, copies counted once."""
-        return sum(self.counts.values()) - self.counted(Use.COPY)
+        return sum(self.counts.values()) - self.counted(Usage.COPY)
 
     @property
     def refused(self) -> int:
         """Recordings that could not be calibrated by themselves."""
-        return self.counted(Use.REFUSED, Use.BORROWED)
+        return self.counted(Usage.REFUSED, Usage.BORROWED)
 
     @property
     def verdict(self) -> Verdict:
         """The worst that the reasons say."""
         if self.reasons:
             return Verdict.SERVICE if any(one.certain for one in self.reasons) else Verdict.WATCH
-        told = bool(self.trends) or self.counted(Use.GOOD) > 0
-        return Verdict.GOOD if told else Verdict.UNKNOWN
+        known = bool(self.trends) or self.counted(Usage.GOOD) > 0
+        return Verdict.GOOD if known else Verdict.UNKNOWN
 
 
 @dataclass(frozen=True, slots=True)
-class Kin:
+class DeviceGroup:
     """Devices of one kind (model and format).
 
     Attributes:
@@ -137,37 +131,37 @@ class Kin:
     damaged: int
 
 
-def kin(units: Iterable[Unit]) -> Kin:
+def device_group(devices: Iterable[DeviceReview]) -> DeviceGroup:
     """What is usual among devices."""
-    units = list(units)
-    errors = [unit.held_out_mg for unit in units if unit.held_out_mg is not None]
+    devices = list(devices)
+    errors = [device.held_out_mg for device in devices if device.held_out_mg is not None]
     centre = median(errors) if errors else None
     spread = 0.0 if centre is None else 1.4826 * median(abs(error - centre) for error in errors)
-    return Kin(
+    return DeviceGroup(
         len(errors),
         centre,
         spread,
-        sum(unit.recordings for unit in units),
-        sum(unit.refused for unit in units),
-        sum(unit.damaged for unit in units),
+        sum(device.recordings for device in devices),
+        sum(device.refused for device in devices),
+        sum(device.damaged for device in devices),
     )
 
 
-def reasons(unit: Unit, others: Kin, rules: Rules) -> tuple[Reason, ...]:
+def reasons(device: DeviceReview, others: DeviceGroup, rules: Rules) -> tuple[Reason, ...]:
     """All of a device, the certain ones first, of each rule the worst first.
 
     Args:
         others: its kind, itself included.
     """
-    found = [*_drifts(unit, rules), *_levels(unit, rules), *_outlying(unit, others, rules)]
-    found += _refused(unit, others, rules)
-    found += _damaged(unit, others, rules)
+    found = [*_drifts(device, rules), *_levels(device, rules), *_outlying(device, others, rules)]
+    found += _refused(device, others, rules)
+    found += _damaged(device, others, rules)
     return tuple(sorted(found, key=lambda one: not one.certain))
 
 
-def _drifts(unit: Unit, rules: Rules) -> Iterator[Reason]:
+def _drifts(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
     limits = dict(zip(PARAMETERS, rules.drifts().tolist(), strict=True))
-    found = [(trend, trend.drift) for trend in unit.trends if trend.drift is not None]
+    found = [(trend, trend.drift) for trend in device.trends if trend.drift is not None]
     for trend, drift in sorted(found, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
         size = abs(drift.per_month)
         if size > limits[trend.parameter] and drift.probability < PERHAPS:
@@ -177,7 +171,7 @@ def _drifts(unit: Unit, rules: Rules) -> Iterator[Reason]:
             yield Reason("drift", text + doubt, drift.significant)
 
 
-def _levels(device: Unit, rules: Rules) -> Iterator[Reason]:
+def _levels(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
     limits = dict(zip(PARAMETERS, rules.levels().tolist(), strict=True))
     for trend in sorted(device.trends, key=lambda one: -abs(one.value) / limits[one.parameter]):
         beyond = abs(trend.value) - limits[trend.parameter]
@@ -188,27 +182,29 @@ def _levels(device: Unit, rules: Rules) -> Iterator[Reason]:
             yield Reason("level", text, beyond > SIGNIFICANT * trend.error)
 
 
-def _outlying(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:
-    if unit.held_out_mg is None or others.held_out_mg is None or others.devices < FEWEST_DEVICES:
+def _outlying(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
+    if device.held_out_mg is None or others.held_out_mg is None or others.devices < FEWEST_DEVICES:
         return
     spread = max(others.spread_mg, LEAST_SPREAD_MG)
-    if unit.held_out_mg > others.held_out_mg + rules.outlying * spread:
-        text = f"held-out error {unit.held_out_mg:.1f} mg, of devices of its kind {others.held_out_mg:.1f} mg"
-        yield Reason("held out", text, unit.counted(*OWN) >= REPEATED)
+    if device.held_out_mg > others.held_out_mg + rules.outlying * spread:
+        text = (
+            f"held-out error {device.held_out_mg:.1f} mg, of devices of its kind {others.held_out_mg:.1f} mg"
+        )
+        yield Reason("held out", text, device.counted(*OWN) >= REPEATED)
 
 
-def _refused(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:
-    rest = (others.refused - unit.refused, others.recordings - unit.recordings)
-    if _repeated((unit.refused, unit.recordings), rest, rules.refused_percent):
-        text = f"{unit.refused} of {unit.recordings} recordings refused or borrowed{_elsewhere(*rest)}"
+def _refused(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
+    rest = (others.refused - device.refused, others.recordings - device.recordings)
+    if _repeated((device.refused, device.recordings), rest, rules.refused_percent):
+        text = f"{device.refused} of {device.recordings} recordings refused or borrowed{_elsewhere(*rest)}"
         yield Reason("refused", text, True)
 
 
-def _damaged(unit: Unit, others: Kin, rules: Rules) -> Iterator[Reason]:
-    rest = (others.damaged - unit.damaged, others.recordings - unit.recordings)
-    if _repeated((unit.damaged, unit.recordings), rest, rules.damaged_percent):
-        worst = f"up to {unit.worst_lost_percent:.2g} % lost"
-        text = f"damage in {unit.damaged} of {unit.recordings} recordings, {worst}{_elsewhere(*rest)}"
+def _damaged(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
+    rest = (others.damaged - device.damaged, others.recordings - device.recordings)
+    if _repeated((device.damaged, device.recordings), rest, rules.damaged_percent):
+        worst = f"up to {device.worst_lost_percent:.2g} % lost"
+        text = f"damage in {device.damaged} of {device.recordings} recordings, {worst}{_elsewhere(*rest)}"
         yield Reason("damaged", text, True)
 
 
@@ -230,16 +226,16 @@ class Review:
     Attributes:
         records: as in the table.
         referred: the same with offsets at one temperature a device.
-        use: of each recording.
-        units: the devices, those to service first.
+        usage: of each recording.
+        devices: the devices, those to service first.
         kinds: what is usual among devices of a model and format.
     """
 
     records: Records
     referred: Referred
-    use: list[Use]
-    units: tuple[Unit, ...]
-    kinds: dict[tuple[str, str], Kin]
+    usage: list[Usage]
+    devices: tuple[DeviceReview, ...]
+    kinds: dict[tuple[str, str], DeviceGroup]
     rules: Rules
 
 
@@ -257,47 +253,47 @@ def review(out: Path, rules: Rules, now_s: float) -> Review:
 
 def judged(records: Records, rules: Rules) -> Review:
     """Judge the devices of recordings."""
-    found = uses(records)
-    referred = at_one_temperature(records, mask(found, Use.USED, Use.UNDATED), rules.reference_c)
-    told = trends(referred.records, found, rules)
-    units = [_unit(records, referred, found, device, told[device]) for device in range(len(told))]
-    kinds = {kind: kin(one for one in units if one.device.kind == kind) for kind in _kinds(units)}
-    units = [replace(one, reasons=reasons(one, kinds[one.device.kind], rules)) for one in units]
+    usage = usages(records)
+    referred = at_one_temperature(records, mask(usage, Usage.USED, Usage.UNDATED), rules.reference_c)
+    levels = trends(referred.records, usage, rules)
+    devices = [_reviewed(records, referred, usage, index, one) for index, one in enumerate(levels)]
+    kinds = {kind: device_group(one for one in devices if one.key.kind == kind) for kind in _kinds(devices)}
+    devices = [replace(one, reasons=reasons(one, kinds[one.key.kind], rules)) for one in devices]
     order = tuple(Verdict)
-    units.sort(key=lambda one: order.index(one.verdict))
-    return Review(records, referred, found, tuple(units), kinds, rules)
+    devices.sort(key=lambda one: order.index(one.verdict))
+    return Review(records, referred, usage, tuple(devices), kinds, rules)
 
 
-def _kinds(units: list[Unit]) -> list[tuple[str, str]]:
-    return sorted({one.device.kind for one in units})
+def _kinds(devices: list[DeviceReview]) -> list[tuple[str, str]]:
+    return sorted({one.key.kind for one in devices})
 
 
-def _unit(
-    records: Records, referred: Referred, found: list[Use], device: int, told: tuple[Trend, ...]
-) -> Unit:
-    rows = records.rows(device)
-    single = [row for row in rows if found[row] is not Use.COPY]
+def _reviewed(
+    records: Records, referred: Referred, usage: list[Usage], index: int, of_device: tuple[Trend, ...]
+) -> DeviceReview:
+    rows = records.rows(index)
+    single = [row for row in rows if usage[row] is not Usage.COPY]
     dated = [row for row in single if np.isfinite(records.days[row])]
     starts = records.text["start_time"]
     lost = [float(value) for value in np.nan_to_num(records.number["lost_percent"][single])]
-    warm = float(referred.temperature_c[device])
-    return Unit(
-        records.devices[device],
+    temperature_c = float(referred.temperature_c[index])
+    return DeviceReview(
+        records.devices[index],
         rows,
         tuple(sorted({name for row in rows if (name := records.text["device_firmware"][row])})),
-        dict(Counter(found[row] for row in rows)),
+        dict(Counter(usage[row] for row in rows)),
         sum(value >= DAMAGED_FROM_PERCENT for value in lost),
         starts[dated[0]] if dated else None,
         starts[dated[-1]] if dated else None,
-        _held_out(records, found, single),
-        warm if np.isfinite(warm) else None,
+        _held_out(records, usage, single),
+        temperature_c if np.isfinite(temperature_c) else None,
         max(lost, default=0.0),
-        told,
+        of_device,
     )
 
 
-def _held_out(records: Records, found: list[Use], rows: list[int]) -> float | None:
-    errors = [float(records.number["after_mg"][row]) for row in rows if found[row] in OWN]
+def _held_out(records: Records, usage: list[Usage], rows: list[int]) -> float | None:
+    errors = [float(records.number["after_mg"][row]) for row in rows if usage[row] in OWN]
     known = [error for error in errors if np.isfinite(error)]
     return median(known) if known else None
 
@@ -309,7 +305,7 @@ ERRORS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "lost_percent"
 AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in PARAMETERS[OFFSETS])
 
 
-def as_json(review: Review, units: tuple[Unit, ...]) -> dict[str, Any]:
+def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
     """All that is known of some devices; null for what is not."""
     kinds = [
         {"model": model or None, "format": name or None, **asdict(known)}
@@ -322,27 +318,27 @@ def as_json(review: Review, units: tuple[Unit, ...]) -> dict[str, Any]:
         "failed_without_serial": review.records.failed,
         "rules": asdict(review.rules),
         "kinds": kinds,
-        "devices": [_device(review, unit) for unit in units],
+        "devices": [_device(review, device) for device in devices],
     }
 
 
-def _device(review: Review, unit: Unit) -> dict[str, Any]:
+def _device(review: Review, device: DeviceReview) -> dict[str, Any]:
     return {
-        "serial": unit.device.serial,
-        "model": unit.device.model or None,
-        "format": unit.device.format or None,
-        "firmware": list(unit.firmware),
-        "verdict": str(unit.verdict),
-        "reasons": [asdict(one) for one in unit.reasons],
-        "recordings": unit.recordings,
-        "uses": {str(use): number for use, number in sorted(unit.counts.items())},
-        "damaged": unit.damaged,
-        "first": unit.begin,
-        "last": unit.end,
-        "held_out_mg": unit.held_out_mg,
-        "reference_c": unit.reference_c,
-        "parameters": {trend.parameter.name: _trend(trend) for trend in unit.trends},
-        "history": [row(review, unit, at) for at in unit.rows],
+        "serial": device.key.serial,
+        "model": device.key.model or None,
+        "format": device.key.format or None,
+        "firmware": list(device.firmware),
+        "verdict": str(device.verdict),
+        "reasons": [asdict(one) for one in device.reasons],
+        "recordings": device.recordings,
+        "uses": {str(use): number for use, number in sorted(device.counts.items())},
+        "damaged": device.damaged,
+        "first": device.begin,
+        "last": device.end,
+        "held_out_mg": device.held_out_mg,
+        "reference_c": device.reference_c,
+        "parameters": {trend.parameter.name: _trend(trend) for trend in device.trends},
+        "history": [row(review, device, at) for at in device.rows],
     }
 
 
@@ -356,19 +352,19 @@ def _trend(trend: Trend) -> dict[str, Any]:
     }
 
 
-def row(review: Review, unit: Unit, at: int) -> dict[str, Any]:
+def row(review: Review, device: DeviceReview, at: int) -> dict[str, Any]:
     """One recording of a device: a row of the CSV, in the study's units."""
     records = review.records
-    device = {"serial": unit.device.serial, "device_model": unit.device.model or None}
-    own = {"format": unit.device.format or None, "device_firmware": records.text["device_firmware"][at]}
+    whose = {"serial": device.key.serial, "device_model": device.key.model or None}
+    own = {"format": device.key.format or None, "device_firmware": records.text["device_firmware"][at]}
     said = {name: records.text[name][at] for name in SAID}
     numbers = {name: _number(records.number[name], at) for name in ERRORS}
     return {
-        **device,
+        **whose,
         **own,
-        "verdict": str(unit.verdict),
+        "verdict": str(device.verdict),
         **said,
-        "use": str(review.use[at]),
+        "use": str(review.usage[at]),
         "model": records.text["model"][at],
         **numbers,
         **_parameters(review, at),
@@ -386,19 +382,19 @@ def columns() -> list[str]:
 def _parameters(review: Review, at: int) -> dict[str, float | None]:
     """Parameters with their standard errors, and the offsets at the device's one temperature."""
     records, moved = review.records, review.referred.records
-    told: dict[str, float | None] = {}
+    columns: dict[str, float | None] = {}
     for index, parameter in enumerate(PARAMETERS):
-        told[parameter.column] = _number(records.values[:, index], at)
-        told[f"se_{parameter.column}"] = _number(records.errors[:, index], at)
-    told["reference_c"] = _number(records.number["reference_c"], at)
+        columns[parameter.column] = _number(records.values[:, index], at)
+        columns[f"se_{parameter.column}"] = _number(records.errors[:, index], at)
+    columns["reference_c"] = _number(records.number["reference_c"], at)
     device = int(records.first.searchsorted(at, side="right")) - 1
-    told["one_temperature_c"] = _number(review.referred.temperature_c, device)
+    columns["one_temperature_c"] = _number(review.referred.temperature_c, device)
     for name, index in zip(AT_ONE, range(12)[OFFSETS], strict=True):
-        told[name] = _number(moved.values[:, index], at)
-        told[f"se_{name}"] = _number(moved.errors[:, index], at)
-    return told
+        columns[name] = _number(moved.values[:, index], at)
+        columns[f"se_{name}"] = _number(moved.errors[:, index], at)
+    return columns
 
 
 def _number(held: Floats, at: int) -> float | None:
-    found = float(held[at])
-    return found if isfinite(found) else None
+    value = float(held[at])
+    return value if isfinite(value) else None

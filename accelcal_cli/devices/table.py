@@ -1,11 +1,4 @@
-"""The twelve parameters of a device, as columns of a study's table and as people read them.
-
-A study's recordings, device by device, as arrays.
-
-Reading a study's table.
-
-Which recordings tell something of their device's coefficients.
-"""
+"""A study's table as arrays, device by device; the twelve parameters, and which recordings count for them."""
 
 from __future__ import annotations
 
@@ -93,7 +86,7 @@ Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
-class Device:
+class DeviceKey:
     """What recordings must share to be compared: values of one sensor, read in one way.
 
     Attributes:
@@ -126,7 +119,7 @@ class Records:
         failed: how many of these could not be read at all.
     """
 
-    devices: tuple[Device, ...]
+    devices: tuple[DeviceKey, ...]
     first: Indices
     text: dict[str, list[str | None]]
     number: dict[str, Floats]
@@ -203,17 +196,19 @@ def _check_there(path: Path) -> None:
         return
     if any(path.parent.glob("study.*-of-*.parquet")):
         raise UsageError(
-            "does not exist, only those of shards", path=path, hint="run the study with --collect first"
+            "does not exist; only shards have been run",
+            path=path,
+            hint="run the study with --collect first",
         )
-    hint = "name the folder that was given to `accelcal study` with -d, or run it first"
+    hint = "give the folder that was given to `accelcal study` with -d, or run the study first"
     raise UsageError("does not exist", path=path, hint=hint)
 
 
 def _not_ours(path: Path, names: list[str], missing: list[str]) -> UnreadableError:
     if all(name.startswith("se_") or name == "lost_percent" for name in missing) and "path" in names:
-        text = "is of an earlier version, without standard errors"
+        text = "was written by an earlier version, without standard errors"
         return UnreadableError(text, path=path, hint="run the study again, with --force")
-    return UnreadableError(f"is no table of a study: it has no column {missing[0]}", path=path)
+    return UnreadableError(f"is not the table of a study: it has no column {missing[0]}", path=path)
 
 
 def _texts(column: pa.ChunkedArray) -> list[str | None]:
@@ -253,11 +248,11 @@ def records(held: dict[str, Any], latest_day: float) -> Records:
     )
 
 
-def _device(held: dict[str, Any], row: int) -> Device:
-    return Device(held["device_serial"][row], held["device_model"][row] or "", held["format"][row] or "")
+def _device(held: dict[str, Any], row: int) -> DeviceKey:
+    return DeviceKey(held["device_serial"][row], held["device_model"][row] or "", held["format"][row] or "")
 
 
-def _sortable(device: Device, start: float) -> tuple[str, str, str, bool, float]:
+def _sortable(device: DeviceKey, start: float) -> tuple[str, str, str, bool, float]:
     undated = isnan(start)
     return device.serial, device.model, device.format, undated, 0.0 if undated else start
 
@@ -293,7 +288,7 @@ def day(start: str | None, latest_day: float) -> float:
     return found if EARLIEST_DAY <= found <= latest_day else nan
 
 
-class Use(StrEnum):
+class Usage(StrEnum):
     """What became of a recording."""
 
     USED = "used"
@@ -313,14 +308,14 @@ class Use(StrEnum):
     """Its offsets hold its scale errors, too, and most other recordings' do not, or the reverse."""
 
 
-COUNTED = (Use.USED, Use.UNDATED)
-NOT_OWN: dict[str, Use] = {
-    Outcome.REFUSED: Use.REFUSED,
-    Outcome.BORROWED: Use.BORROWED,
-    Outcome.ALREADY_GOOD: Use.GOOD,
+COUNTED = (Usage.USED, Usage.UNDATED)
+NOT_OWN: dict[str, Usage] = {
+    Outcome.REFUSED: Usage.REFUSED,
+    Outcome.BORROWED: Usage.BORROWED,
+    Outcome.ALREADY_GOOD: Usage.GOOD,
 }
 
-OWN = (Use.USED, Use.UNDATED, Use.OTHER_MODEL, Use.NO_ERRORS, Use.GOOD)
+OWN = (Usage.USED, Usage.UNDATED, Usage.OTHER_MODEL, Usage.NO_ERRORS, Usage.GOOD)
 """Recordings whose held-out error is that of their own calibration."""
 
 
@@ -344,8 +339,8 @@ class _Seen:
     dated: list[bool]
 
 
-def uses(records: Records) -> list[Use]:
-    """The use of each recording."""
+def usages(records: Records) -> list[Usage]:
+    """The usage of each recording."""
     known = np.isfinite(records.values)
     seen = _Seen(
         records,
@@ -363,7 +358,7 @@ def _each(known: NDArray[np.bool_], whether: Callable[[Iterable[bool]], bool]) -
     return [whether(row) for row in known.tolist()]
 
 
-def _of_device(seen: _Seen, rows: range) -> list[Use]:
+def _of_device(seen: _Seen, rows: range) -> list[Usage]:
     pairs = {(seen.values[row], seen.file[row]) for row in rows}
     sharing = Counter(values for values, _ in pairs)
     files: set[str] = set()
@@ -371,33 +366,33 @@ def _of_device(seen: _Seen, rows: range) -> list[Use]:
     for row in rows:
         copy = seen.file[row] in files
         files.add(seen.file[row])
-        found.append(Use.COPY if copy else _single(seen, row, shared=sharing[seen.values[row]] > 1))
+        found.append(Usage.COPY if copy else _single(seen, row, shared=sharing[seen.values[row]] > 1))
     return _of_one_family(seen, rows, found)
 
 
-def _of_one_family(seen: _Seen, rows: range, found: list[Use]) -> list[Use]:
+def _of_one_family(seen: _Seen, rows: range, found: list[Usage]) -> list[Usage]:
     """Those that fitted the scale, or those that did not: the more; if as many, the former."""
     scaled = [seen.scaled[row] for row, use in zip(rows, found, strict=True) if use in COUNTED]
     usual = 2 * sum(scaled) >= len(scaled)
     return [
-        Use.OTHER_MODEL if use in COUNTED and seen.scaled[row] is not usual else use
+        Usage.OTHER_MODEL if use in COUNTED and seen.scaled[row] is not usual else use
         for row, use in zip(rows, found, strict=True)
     ]
 
 
-def _single(seen: _Seen, row: int, *, shared: bool) -> Use:
+def _single(seen: _Seen, row: int, *, shared: bool) -> Usage:
     own = NOT_OWN.get(seen.records.text["outcome"][row] or "")
     if own is not None:
         return own
     if not seen.fitted[row]:
-        return Use.REFUSED if seen.records.text["model"][row] is None else Use.GOOD
+        return Usage.REFUSED if seen.records.text["model"][row] is None else Usage.GOOD
     if shared:
-        return Use.SHARED
+        return Usage.SHARED
     if not seen.weighed[row]:
-        return Use.NO_ERRORS
-    return Use.USED if seen.dated[row] else Use.UNDATED
+        return Usage.NO_ERRORS
+    return Usage.USED if seen.dated[row] else Usage.UNDATED
 
 
-def mask(found: list[Use], *wanted: Use) -> NDArray[np.bool_]:
-    """(n,) which recordings have one of these uses."""
+def mask(found: list[Usage], *wanted: Usage) -> NDArray[np.bool_]:
+    """(n,) which recordings have one of these usages."""
     return np.array([use in wanted for use in found], bool)

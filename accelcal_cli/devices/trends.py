@@ -1,12 +1,7 @@
-"""When a device is to be serviced: every number, with its source.
+"""Level and drift of each parameter of each device: weighted least squares of all devices at once.
 
-Weighted least squares of all parameters of all devices at once.
-
-Offsets at one temperature, so that recordings with and without slopes can be compared.
-
-How probable a deviation is by chance.
-
-Level and drift of each parameter of each device, in people's units.
+Offsets are first brought to one temperature, so that recordings with and without slopes can be compared.
+`Rules` holds every limit beyond which a device is to be serviced, with its source.
 """
 
 from __future__ import annotations
@@ -30,7 +25,7 @@ from accelcal_cli.devices.table import (
     Kind,
     Parameter,
     Records,
-    Use,
+    Usage,
     mask,
 )
 
@@ -316,7 +311,7 @@ def normal(deviation: float) -> float:
     return erfc(abs(deviation) / sqrt(2))
 
 
-def two_sided(t: float, freedom: int) -> float:
+def t_test(t: float, freedom: int) -> float:
     """The same of Student's t with `freedom` (1 or more) degrees of freedom.
 
     The finite sums of Abramowitz, Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4.
@@ -378,15 +373,15 @@ class Trend:
     drift: Drift | None
 
 
-def trends(records: Records, found: list[Use], rules: Rules) -> list[tuple[Trend, ...]]:
+def trends(records: Records, found: list[Usage], rules: Rules) -> list[tuple[Trend, ...]]:
     """Those of each device, of the parameters that were ever measured.
 
     Args:
         records: with their offsets at one temperature a device.
     """
     held = Measured((records.values - IDEAL) * FACTOR, records.errors * FACTOR, records.days, records.first)
-    level = means(held.where(mask(found, Use.USED, Use.UNDATED)))
-    drift = lines(held.where(mask(found, Use.USED)), rules.least_days)
+    level = means(held.where(mask(found, Usage.USED, Usage.UNDATED)))
+    drift = lines(held.where(mask(found, Usage.USED)), rules.least_days)
     return [_of_device(*one) for one in zip(level, drift, strict=True)]
 
 
@@ -400,7 +395,7 @@ def _trend(parameter: Parameter, mean: Mean, line: Line, tested: int) -> Trend:
     if isnan(line.slope):
         return Trend(parameter, mean.value, mean.error, mean.number, None)
     freedom = line.number - FEWEST + 1
-    chance = two_sided(line.slope / line.slope_error, freedom)
+    chance = t_test(line.slope / line.slope_error, freedom)
     certain = chance < normal(SIGNIFICANT) / tested
     slope, error = line.slope * DAYS_A_MONTH, line.slope_error * DAYS_A_MONTH
     drift = Drift(slope, error, line.scatter, freedom, chance, certain)

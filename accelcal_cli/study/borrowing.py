@@ -1,6 +1,6 @@
-"""Which recordings of one device may use whose coefficients: decided from their rows alone.
+"""The round in which recordings that cannot be calibrated well borrow coefficients of their device.
 
-The round in which recordings that cannot be calibrated well borrow coefficients of their device.
+Which recording may use whose coefficients is decided from the rows of the table alone.
 """
 
 from __future__ import annotations
@@ -11,23 +11,22 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.pipeline.apply import borrow
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.jobs import Result
 from accelcal_cli.study import summary
 from accelcal_cli.study.plan import BORROW, Study
-from accelcal_cli.study.records import Entry, Item, Stamp, Told, stamp
-from accelcal_cli.study.rounds import Known, Round, common_of
-from accelcal_cli.study.task import Answer, Common, Parts, guarded, outputs_of, problems_of, row_of
+from accelcal_cli.study.records import Entry, ProgressCallback
+from accelcal_cli.study.rounds import Round, StudyState, common_of
+from accelcal_cli.study.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 Row = Mapping[str, Any]
 
-LENDERS = 3
+MOST_DONORS = 3
 """So many are tried before a recording keeps its own result."""
 
 GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
@@ -59,7 +58,7 @@ def _damaged(row: Row, max_percent: float) -> bool:
     return bool(row["outcome"] == Outcome.REFUSED and row["lost_percent"] > max_percent)
 
 
-def lenders(
+def donors(
     rows: Mapping[str, Row],
     max_damage_percent: float,
     *,
@@ -77,16 +76,16 @@ def lenders(
     """
     found: dict[str, list[str]] = {}
     for device in _devices(rows).values():
-        asking = {
+        recipients = {
             name
             for name in device.keys() - set(settled)
-            if _asks(name, device, max_damage_percent, compare=compare)
+            if _borrows(name, device, max_damage_percent, compare=compare)
         }
-        lending = [name for name in device if name not in asking and device[name]["outcome"] in GOOD]
-        for name in sorted(asking):
+        lending = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
+        for name in sorted(recipients):
             near = sorted((_apart_s(device[name], rows[one]), one) for one in _alike(name, lending, device))
             if near:
-                found[name] = [one for _, one in near[:LENDERS]]
+                found[name] = [one for _, one in near[:MOST_DONORS]]
     return found
 
 
@@ -107,7 +106,7 @@ def _alike(name: str, others: list[str], rows: Mapping[str, Row]) -> list[str]:
     ]
 
 
-def _asks(name: str, device: Mapping[str, Row], max_damage_percent: float, *, compare: bool) -> bool:
+def _borrows(name: str, device: Mapping[str, Row], max_damage_percent: float, *, compare: bool) -> bool:
     row = device[name]
     if row["outcome"] == Outcome.REFUSED:
         return not _damaged(row, max_damage_percent)
@@ -143,120 +142,67 @@ def identity(row: Row) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Lender:
-    """A recording whose coefficients may be borrowed.
-
-    Attributes:
-        name: as that of its item.
-        identity: of its result.
-    """
+class Donor:
+    """A recording whose coefficients may be borrowed: the name of its item, and its report."""
 
     name: str
     report: Path
-    identity: str
 
 
 @dataclass(frozen=True, slots=True)
-class Borrowing:
+class BorrowTask(ReplacementTask):
     """One recording that should borrow.
 
     Attributes:
-        own: its own result.
-        lenders: whom it may ask, in this order.
+        donors: whose coefficients it may try, in this order.
     """
 
-    item: Item
-    common: Common
-    own: Entry
-    lenders: tuple[Lender, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `Later`."""
-        return (self.item.name,)
-
-    @property
-    def inputs(self) -> tuple[str, ...]:
-        """On what the result depends, in the order in which it is looked at."""
-        assert self.own.row is not None
-        return (identity(self.own.row), *(one.identity for one in self.lenders))
+    donors: tuple[Donor, ...]
+    round: ClassVar[str] = BORROW
+    refusal: ClassVar[str] = "borrowed nothing"
 
     def stands(self, entry: Entry) -> bool:
-        """See `Later`: all that was looked at is as it was, and where nothing was lent, all were asked."""
-        asked = len(entry.inputs)
+        """See `RoundTask`: what was tried is unchanged, and if nothing was accepted, all were tried."""
+        tried = len(entry.inputs)
         assert entry.row is not None
-        done = entry.row["outcome"] == Outcome.BORROWED or asked == len(self.inputs)
-        return done and entry.inputs == self.inputs[:asked]
-
-    def failure(self, code: int, message: str, *, again: bool) -> Entry:
-        """See `Doing`: the own result stays, if it is still there."""
-        if all(stamp(self.common.out / name) == held for name, held in self.own.outputs):
-            return self.entry(self.kept(message), self.own.outputs, self.inputs, again=again)
-        return self.entry(summary.failed(self.item, code, message), (), self.inputs, again=True)
-
-    def entry(
-        self,
-        line: dict[str, Any],
-        outputs: tuple[tuple[str, Stamp], ...],
-        inputs: tuple[str, ...],
-        *,
-        again: bool = False,
-    ) -> Entry:
-        """What is remembered of the round."""
-        item = self.item
-        return Entry(item.name, item.stamps, self.common.asked, line, outputs, again, BORROW, inputs)
-
-    def kept(self, why: str) -> dict[str, Any]:
-        """The own result's row, and why it stays."""
-        assert self.own.row is not None
-        return {**self.own.row, "message": f"{self.own.row['message']}; borrowed nothing: {why}"}
+        done = entry.row["outcome"] == Outcome.BORROWED or tried == len(self.inputs)
+        return done and entry.inputs == self.inputs[:tried]
 
 
-def tasks(study: Study, known: Known) -> list[Borrowing]:
-    """See `Round`; what was pooled lends, but does not ask."""
+def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
+    """See `Round`; what was pooled lends, but does not borrow."""
     settings, common, standing = study.request.settings, common_of(study), known.standing
     rows = {name: one.last.row for name, one in standing.items() if one.last.row and not one.last.failed}
     settled = [name for name, one in standing.items() if one.last is not one.own]
     compare = settings.profile == DEFAULT.profile
-    found = lenders(rows, settings.max_damage_percent, compare=compare, settled=settled)
+    found = donors(rows, settings.max_damage_percent, compare=compare, settled=settled)
 
-    def lender(name: str) -> Lender:
-        return Lender(name, standing[name].item.job.report, identity(rows[name]))
+    def task(name: str, names: list[str]) -> BorrowTask:
+        own = standing[name].own
+        inputs = (identity(own.row or {}), *(identity(rows[one]) for one in names))
+        lending = tuple(Donor(one, standing[one].item.job.report) for one in names)
+        return BorrowTask(standing[name].item, common, own, inputs, lending)
 
-    return [
-        Borrowing(standing[name].item, common, standing[name].own, tuple(map(lender, names)))
-        for name, names in found.items()
-    ]
-
-
-def borrowed(task: Borrowing, told: Told) -> Answer:
-    """Ask one lender after another; whatever happens is an answer."""
-    return guarded(task, lambda: _borrowed(task, told))
+    return [task(*pair) for pair in found.items()]
 
 
-def _borrowed(task: Borrowing, told: Told) -> Answer:
-    assert task.own.row is not None
-    item, request, shown = task.item, task.common.request, Parts(told).stage
-    poorer = task.own.row["outcome"] != Outcome.REFUSED
-    reports = [one.report for one in task.lenders]
-    loan = borrow(item.job, request, reports, shown, must_be_better=poorer, before=item.stamps[0])
+def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
+    """Try one donor after another; whatever happens is a result."""
+    return guarded(task, lambda: _borrowed(task, report_progress))
+
+
+def _borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
+    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    poorer = task.own_row["outcome"] != Outcome.REFUSED
+    reports = [donor.report for donor in task.donors]
+    loan = borrow(item.job, request, reports, progress, must_be_better=poorer, before=item.stamps[0])
     if loan.result is None:
-        held = calibrate(item.job, request, shown)
-        line = task.kept("; ".join(loan.reasons))
-        return _answer(task, held, line, task.inputs)
+        own = calibrate(item.job, request, progress)
+        return task.result(own, task.kept("; ".join(loan.reasons)))
     number = len(loan.reasons)
-    line = row_of(item, task.common, loan.result) | _instead(task.own.row, task.lenders[number])
-    return _answer(task, loan.result, line, task.inputs[: number + 2])
-
-
-def _answer(task: Borrowing, result: Result, line: dict[str, Any], inputs: tuple[str, ...]) -> Answer:
-    outputs = outputs_of(task.item, task.common, result)
-    return Answer(task.entry(line, outputs, inputs), result.up_to_date, problems_of(result))
-
-
-def _instead(own: dict[str, Any], lender: Lender) -> dict[str, Any]:
-    """Columns that say whose coefficients a row has, and what the recording's own were worth."""
-    return {"borrowed_from": printable(lender.name), **summary.own(own)}
+    accepted = {"borrowed_from": printable(task.donors[number].name), **summary.own(task.own_row)}
+    row = row_of(item, task.common, loan.result) | accepted
+    return task.result(loan.result, row, task.inputs[: number + 2])
 
 
 BORROWING = Round(BORROW, borrowed, tasks)

@@ -1,8 +1,6 @@
-"""A connection to a cluster of dask.distributed, which is an extra and imported here alone.
+"""Tasks done by the workers of a dask.distributed cluster; if a worker is lost, another does its task.
 
-Tasks in the hands of a cluster of dask.distributed: given, heard of, and taken back.
-
-Tasks done by a cluster of dask.distributed; what befalls a worker there is made good elsewhere.
+distributed is an optional extra and is imported in this module and on the workers only.
 """
 
 from __future__ import annotations
@@ -23,15 +21,15 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 from accelcal_cli.core.errors import ClusterError, UsageError, printable
-from accelcal_cli.study.dask_worker import BEGAN, LEFT, PART, TOPIC, Terms, order
-from accelcal_cli.study.records import Ended, Moved, Work
+from accelcal_cli.study.dask_worker import BEGAN, ENDED, PROGRESS, TOPIC, WorkerRequirements, serialized_task
+from accelcal_cli.study.records import Finished, ProgressDelta, TaskFunction
 
-CONNECT_LOOK_S = 0.5
-Said = Callable[[str], None]
+FILE_POLL_S = 0.5
+Notify = Callable[[str], None]
 
 
 @contextlib.contextmanager
-def connected(told: str, said: Said) -> Iterator[Any]:
+def connected(address: str, notify: Notify) -> Iterator[Any]:
     """A client of the scheduler at an address, or of the one that wrote a scheduler file.
 
     It waits as long as distributed does (`distributed.comm.timeouts.connect`, 30 s unless configured). What
@@ -43,7 +41,7 @@ def connected(told: str, said: Said) -> Iterator[Any]:
     """
     library = _library()
     with _silence():
-        client = _client(library, told, said)
+        client = _client(library, address, notify)
         try:
             yield client
         finally:
@@ -69,11 +67,11 @@ def _silence() -> Iterator[None]:
         logging.disable(before)
 
 
-def _client(library: Any, told: str, said: Said) -> Any:
+def _client(library: Any, named: str, notify: Notify) -> Any:
     import dask
 
     wait_s = dask.utils.parse_timedelta(dask.config.get("distributed.comm.timeouts.connect"))
-    address = _address(told, wait_s)
+    address = _address(named, wait_s)
     _check(library, address, wait_s)
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
@@ -82,7 +80,9 @@ def _client(library: Any, told: str, said: Said) -> Any:
         except Exception as error:
             raise _unreachable(address, error) from error
     if any(one.category.__name__ == "VersionMismatchWarning" for one in warned):
-        said("on the cluster some versions (Python, dask, numpy or others) are not those that are here")
+        notify(
+            "some versions on the cluster (Python, dask, numpy or others) differ from those on this machine"
+        )
     return client
 
 
@@ -95,7 +95,7 @@ def _check(library: Any, address: str, wait_s: float) -> None:
         get_backend(parse_address(address)[0] if address else "")
     except ValueError as error:
         raise UsageError(
-            f"--dask {printable(address)!r} is no address", hint="use one such as tcp://host:8786"
+            f"--dask {printable(address)!r} is not an address", hint="use one such as tcp://host:8786"
         ) from error
     try:
         there = asyncio.run(_version(library, address, wait_s))
@@ -103,7 +103,7 @@ def _check(library: Any, address: str, wait_s: float) -> None:
         raise _unreachable(address, error) from error
     if there != library.__version__:
         raise ClusterError(
-            f"the scheduler at {address} has distributed {there}, here is {library.__version__}",
+            f"the scheduler at {address} has distributed {there}, this machine has {library.__version__}",
             hint="install the same version on every machine",
         )
 
@@ -123,13 +123,13 @@ def _unreachable(address: str, error: Exception) -> ClusterError:
     )
 
 
-def _address(told: str, wait_s: float) -> str:
+def _address(named: str, wait_s: float) -> str:
     """The address itself; for a scheduler file what it holds, once it is there."""
-    if not told.endswith(".json"):
-        return told
-    path, end = Path(told), time.monotonic() + wait_s
-    while (address := _written(path)) is None and time.monotonic() < end:
-        time.sleep(CONNECT_LOOK_S)
+    if not named.endswith(".json"):
+        return named
+    path, end = Path(named), time.monotonic() + wait_s
+    while (address := _address_in(path)) is None and time.monotonic() < end:
+        time.sleep(FILE_POLL_S)
     if address is None:
         raise ClusterError(
             "no scheduler has written its address here", path=printable(path), hint="start `dask scheduler`"
@@ -137,7 +137,7 @@ def _address(told: str, wait_s: float) -> str:
     return address
 
 
-def _written(path: Path) -> str | None:
+def _address_in(path: Path) -> str | None:
     try:
         found = json.loads(path.read_text("utf-8"))["address"]
     except (OSError, ValueError, KeyError, TypeError):
@@ -146,38 +146,38 @@ def _written(path: Path) -> str | None:
 
 
 POLL_S = 1.0
-LOOK_S = 3.0
+COUNT_S = 3.0
 GRACE_S = 10.0
 DONE = "done"
 
 
 @dataclass(slots=True)
-class Wishes:
+class ClusterOptions:
     """What a cluster is asked to do.
 
     Attributes:
         told: address of the scheduler, or name of its scheduler file.
         work: what is done with a task.
-        terms: what a worker must be.
+        requirements: what a worker must be.
         limit: how many tasks the cluster is given at a time; None for as many as its workers have threads.
         timeout_s: the longest a task may take from when it began; None for no end.
-        moved: see `Moved`.
-        said: called with what a person should know.
+        on_progress: see `ProgressDelta`.
+        notify: called with what the user should know.
         lost: called with a task and the `HOST.PROCESS` that began it and is gone.
     """
 
-    told: str
-    work: Work
-    terms: Terms
+    address: str
+    work: TaskFunction
+    requirements: WorkerRequirements
     limit: int | None = None
     timeout_s: float | None = None
-    moved: Moved = lambda _task, _part: None
-    said: Said = lambda _text: None
+    on_progress: ProgressDelta = lambda _task, _fraction: None
+    notify: Notify = lambda _text: None
     lost: Callable[[Any, str], None] = lambda _task, _owner: None
 
 
 @dataclass(slots=True)
-class _Given:
+class _Running:
     """A task in the hands of the cluster; `owners` began it, all but the last of them in vain."""
 
     task: Any
@@ -185,175 +185,175 @@ class _Given:
     tries: int
     owners: list[str] = field(default_factory=list)
     began: float | None = None
-    lives: bool = False
-    part: float = 0.0
+    at_work: bool = False
+    fraction: float = 0.0
 
 
 @dataclass(slots=True)
-class Session:
+class DaskSession:
     """One run; the keys of its tasks begin with its name.
 
-    No more is given out than can begin: if a worker is lost, distributed blames all that it held.
+    No more tasks are submitted than can begin: if a worker is lost, distributed blames all that it held.
     """
 
-    wishes: Wishes
+    options: ClusterOptions
     client: Any
     waiting: deque[Any]
     name: str = field(default_factory=lambda: f"accelcal-{secrets.token_hex(6)}")
-    running: dict[str, _Given] = field(default_factory=dict)
-    heard: SimpleQueue[tuple[str, str, Any]] = field(default_factory=SimpleQueue)
+    running: dict[str, _Running] = field(default_factory=dict)
+    events: SimpleQueue[tuple[str, str, Any]] = field(default_factory=SimpleQueue)
     number: int = 0
     threads: int = -1
-    looked: float = 0.0
+    next_count_s: float = 0.0
 
-    def run(self) -> Iterator[Ended]:
+    def run(self) -> Iterator[Finished]:
         """Give, and listen, until nothing is left."""
-        self.client.subscribe_topic(TOPIC, lambda event: self.heard.put(tuple(event[1])))
+        self.client.subscribe_topic(TOPIC, lambda event: self.events.put(tuple(event[1])))
         try:
             while self.waiting or self.running:
-                self._look()
-                while self.waiting and len(self.running) < (self.wishes.limit or max(1, self.threads)):
-                    self._give(self.waiting.popleft(), tries=1)
+                self._count_workers()
+                while self.waiting and len(self.running) < (self.options.limit or max(1, self.threads)):
+                    self._submit(self.waiting.popleft(), tries=1)
                 yield from self._listen()
-                yield from self._late()
+                yield from self._overdue()
         finally:
             with contextlib.suppress(Exception):
-                self._give_up()
+                self._cancel_all()
 
-    def _look(self) -> None:
+    def _count_workers(self) -> None:
         """How many can work now, from time to time."""
-        if time.monotonic() < self.looked:
+        if time.monotonic() < self.next_count_s:
             return
-        self.looked = time.monotonic() + LOOK_S
+        self.next_count_s = time.monotonic() + COUNT_S
         try:
             threads = sum(self.client.nthreads().values())
         except Exception as error:
             raise self._lost(error) from error
         if threads == 0 and self.threads != 0:
-            self.wishes.said(f"{self.wishes.told} has no workers; waiting for one")
+            self.options.notify(f"{self.options.address} has no workers yet; waiting")
         self.threads = threads
 
     def _lost(self, reason: object) -> ClusterError:
         return ClusterError(
-            f"the scheduler {self.wishes.told} was lost ({reason})",
-            hint="what is done is kept: run this again",
+            f"the connection to the scheduler {self.options.address} was lost ({reason})",
+            hint="finished recordings are kept: run the command again",
         )
 
-    def _give(self, task: Any, tries: int) -> None:
+    def _submit(self, task: Any, tries: int) -> None:
         self.number += 1
         key = f"{self.name}-{self.number}"
         try:
-            given = order(self.wishes.work, task, self.wishes.terms)
-            future = self.client.submit(pickle.loads, given, key=key, pure=False)
+            content = serialized_task(self.options.work, task, self.options.requirements)
+            future = self.client.submit(pickle.loads, content, key=key, pure=False)
         except Exception as error:
             raise self._lost(error) from error
-        self.running[key] = _Given(task, future, tries)
-        future.add_done_callback(lambda _future: self.heard.put((key, DONE, None)))
+        self.running[key] = _Running(task, future, tries)
+        future.add_done_callback(lambda _future: self.events.put((key, DONE, None)))
 
-    def _listen(self) -> Iterator[Ended]:
+    def _listen(self) -> Iterator[Finished]:
         """What comes within a moment; what others do is none of ours."""
         try:
-            key, kind, value = self.heard.get(timeout=POLL_S)
+            key, kind, value = self.events.get(timeout=POLL_S)
         except Empty:
             return
-        given = self.running.get(key)
-        if given is None:
+        running = self.running.get(key)
+        if running is None:
             return
         if kind == DONE:
-            yield from self._done(key, given)
+            yield from self._done(key, running)
         elif kind == BEGAN:
-            given.owners.append(value)
-            given.began, given.lives = time.monotonic(), True
-        elif kind == LEFT:
-            given.lives = False
-        elif kind == PART:
-            self._moved(given, value)
+            running.owners.append(value)
+            running.began, running.at_work = time.monotonic(), True
+        elif kind == ENDED:
+            running.at_work = False
+        elif kind == PROGRESS:
+            self._progress(running, value)
 
-    def _moved(self, given: _Given, part: float) -> None:
-        self.wishes.moved(given.task, part - given.part)
-        given.part = part
+    def _progress(self, running: _Running, fraction: float) -> None:
+        self.options.on_progress(running.task, fraction - running.fraction)
+        running.fraction = fraction
 
-    def _done(self, key: str, given: _Given) -> Iterator[Ended]:
+    def _done(self, key: str, running: _Running) -> Iterator[Finished]:
         """One that is not pending any more, unless its result was lost with the worker."""
-        status = given.future.status
+        status = running.future.status
         if status == "pending":
-            given.future.add_done_callback(lambda _future: self.heard.put((key, DONE, None)))
+            running.future.add_done_callback(lambda _future: self.events.put((key, DONE, None)))
             return
         if status == "cancelled":
             raise self._lost("its tasks are gone")
         if status == "error":
-            yield from self._erred(key, given, given.future.exception())
+            yield from self._erred(key, running, running.future.exception())
             return
-        kind, value = self._result(given)
-        if kind == "unfit":
+        kind, value = self._result(running)
+        if kind == "unsuitable":
             raise value
         del self.running[key]
-        self._clear(given, given.owners[:-1])
-        self._moved(given, 1.0)
-        yield Ended(given.task, answer=value)
+        self._clear(running, running.owners[:-1])
+        self._progress(running, 1.0)
+        yield Finished(running.task, result=value)
 
-    def _result(self, given: _Given) -> tuple[str, Any]:
+    def _result(self, running: _Running) -> tuple[str, Any]:
         try:
-            result: tuple[str, Any] = given.future.result()
+            result: tuple[str, Any] = running.future.result()
         except Exception as error:
             raise self._lost(error) from error
         return result
 
-    def _erred(self, key: str, given: _Given, error: Exception) -> Iterator[Ended]:
-        """Work never raises: either its workers were killed, or they could not take the task up."""
+    def _erred(self, key: str, running: _Running, error: Exception) -> Iterator[Finished]:
+        """The work never raises: either its workers were killed, or they could not begin the task."""
         if type(error).__name__ != "KilledWorker":
             said = " ".join(f"{type(error).__name__}: {error}".split())
             raise ClusterError(
-                f"a worker cannot take up a task ({said})",
+                f"a worker cannot start a task ({said})",
                 hint="install the same accelcal on every machine",
             ) from error
         del self.running[key]
-        self._clear(given, given.owners)
-        if not given.owners and given.tries == 1:
-            self._give(given.task, tries=2)
+        self._clear(running, running.owners)
+        if not running.owners and running.tries == 1:
+            self._submit(running.task, tries=2)
             return
         fault = "every worker that tried it was lost, perhaps for want of memory"
-        yield Ended(given.task, fault=fault, again=True)
+        yield Finished(running.task, fault=fault, retry=True)
 
-    def _clear(self, given: _Given, owners: list[str]) -> None:
+    def _clear(self, running: _Running, owners: list[str]) -> None:
         for owner in owners:
-            self.wishes.lost(given.task, owner)
+            self.options.lost(running.task, owner)
 
-    def _late(self) -> Iterator[Ended]:
-        limit = self.wishes.timeout_s
+    def _overdue(self) -> Iterator[Finished]:
+        limit = self.options.timeout_s
         if limit is None:
             return
-        for key, given in list(self.running.items()):
-            if given.began is not None and time.monotonic() - given.began > limit:
+        for key, running in list(self.running.items()):
+            if running.began is not None and time.monotonic() - running.began > limit:
                 del self.running[key]
                 with contextlib.suppress(OSError):
-                    self.client.cancel([given.future], force=True)
-                yield Ended(given.task, fault=f"took more than {limit / 60:g} minutes and was ended")
+                    self.client.cancel([running.future], force=True)
+                yield Finished(running.task, fault=f"took more than {limit / 60:g} minutes and was ended")
 
-    def _give_up(self) -> None:
+    def _cancel_all(self) -> None:
         """Cancel what runs, and wait a moment for it to be gone, so that nothing half-written is left."""
-        self.client.cancel([given.future for given in self.running.values()], force=True)
-        begun = {key for key, given in self.running.items() if given.lives}
+        self.client.cancel([running.future for running in self.running.values()], force=True)
+        begun = {key for key, running in self.running.items() if running.at_work}
         end = time.monotonic() + GRACE_S
         while begun and (left := end - time.monotonic()) > 0:
             with contextlib.suppress(Empty):
-                key, kind, _ = self.heard.get(timeout=left)
-                if kind == LEFT:
+                key, kind, _ = self.events.get(timeout=left)
+                if kind == ENDED:
                     begun.discard(key)
 
 
 @dataclass(slots=True)
-class Cluster(Wishes):
+class Cluster(ClusterOptions):
     """The workers of a scheduler."""
 
-    def run(self, tasks: list[Any]) -> Generator[Ended, None, None]:
-        """See `Engine`.
+    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
+        """See `Executor`.
 
         Raises:
             UsageError: distributed is not installed.
-            ClusterError: the scheduler cannot be reached or is lost, or a worker does not meet the terms.
+            ClusterError: the scheduler cannot be reached or is lost, or a worker is unsuitable.
             OutputError: a worker cannot write where the outputs go.
         """
         if tasks:
-            with connected(self.told, self.said) as client:
-                yield from Session(self, client, deque(tasks)).run()
+            with connected(self.address, self.notify) as client:
+                yield from DaskSession(self, client, deque(tasks)).run()

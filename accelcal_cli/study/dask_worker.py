@@ -1,6 +1,6 @@
-"""What a worker of a cluster does with a task, and whether it may: imported there, without the command.
+"""What a worker of a cluster does with a task, and whether it is suitable; imported there without click.
 
-A recording calibrated by a process whose current folder is not the user's.
+Its current folder is not the user's: paths become absolute, and messages name files as the user did.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from typing import Any
 import accelcal_cli
 from accelcal_cli.core.errors import AccelcalError, ClusterError, OutputError, printable
 from accelcal_cli.output.files import beside, owner
-from accelcal_cli.study.records import Told, Work
-from accelcal_cli.study.task import Answer, Task, calibrated
+from accelcal_cli.study.records import ProgressCallback, TaskFunction
+from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
 
 TOPIC = "accelcal"
-"""Under which workers tell how far they are."""
+"""Under which workers send how far they are."""
 
-BEGAN, PART, LEFT = "began", "part", "left"
+BEGAN, PROGRESS, ENDED = "began", "progress", "ended"
 TELL_S = 1.0
 LOOK_S = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Terms:
+class WorkerRequirements:
     """What a worker must be and see, so that its results are the study's.
 
     Attributes:
@@ -54,31 +54,31 @@ class _CancelledError(BaseException):
 
 
 @dataclass(frozen=True, slots=True)
-class _Order:
-    """Becomes the result of `carry_out` where its pickle is loaded."""
+class _SerializedTask:
+    """Becomes the result of `do_task` where its pickle is loaded."""
 
-    work: Work
+    work: TaskFunction
     task: Any
-    terms: Terms
+    requirements: WorkerRequirements
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return carry_out, (pickle.dumps((self.work, self.task)), self.terms)
+        return do_task, (pickle.dumps((self.work, self.task)), self.requirements)
 
 
-def order(work: Work, task: Any, terms: Terms) -> bytes:
+def serialized_task(work: TaskFunction, task: Any, requirements: WorkerRequirements) -> bytes:
     """Bytes to be done by `pickle.loads` in a thread of a worker.
 
     Neither the scheduler nor a worker without this package, or with another, can stumble over them: the
     task itself fails. (A worker that cannot unpickle a task of distributed's ends.)
     """
-    return pickle.dumps(_Order(work, task, terms))
+    return pickle.dumps(_SerializedTask(work, task, requirements))
 
 
-def carry_out(order: bytes, terms: Terms) -> tuple[str, Any]:
+def do_task(content: bytes, requirements: WorkerRequirements) -> tuple[str, Any]:
     """Do a task in a thread of a worker.
 
     Returns:
-        `answer` and what the work returned, `unfit` and why this worker must not do it, or `left` and
+        `result` and what the work returned, `unsuitable` and why this worker must not do it, or `ended` and
         None where the task was cancelled meanwhile.
     """
     from distributed import get_worker
@@ -86,39 +86,39 @@ def carry_out(order: bytes, terms: Terms) -> tuple[str, Any]:
     worker = get_worker()
     key = worker.get_current_task()
 
-    def tell(kind: str, value: Any) -> None:
+    def send(kind: str, value: Any) -> None:
         worker.log_event(TOPIC, (key, kind, value))
 
-    error = unfit(terms)
+    error = unsuitable(requirements)
     if error is not None:
-        return "unfit", error
-    work, task = pickle.loads(order)
-    tell(BEGAN, owner())
+        return "unsuitable", error
+    work, task = pickle.loads(content)
+    send(BEGAN, owner())
     try:
-        return "answer", work(task, _telling(worker, key, tell))
+        return "result", work(task, _progress_callback(worker, key, send))
     except _CancelledError:
-        return LEFT, None
+        return ENDED, None
     finally:
-        tell(LEFT, owner())
+        send(ENDED, owner())
 
 
-def _telling(worker: Any, key: Any, tell: Callable[[str, Any], None]) -> Callable[[float], None]:
+def _progress_callback(worker: Any, key: Any, send: Callable[[str, Any], None]) -> Callable[[float], None]:
     """Tells the parts, not too often, and ends the work once its task is cancelled.
 
     A cluster cannot end a thread; the state of a task is described in distributed's "Worker State Machine".
     """
     following = 0.0
 
-    def told(part: float) -> None:
+    def report_progress(fraction: float) -> None:
         nonlocal following
         state = worker.state.tasks.get(key)
         if state is None or state.state == "cancelled":
             raise _CancelledError
         if time.monotonic() >= following:
             following = time.monotonic() + TELL_S
-            tell(PART, part)
+            send(PROGRESS, fraction)
 
-    return told
+    return report_progress
 
 
 @lru_cache
@@ -131,39 +131,39 @@ def code() -> str:
 
 
 @lru_cache
-def unfit(terms: Terms) -> AccelcalError | None:
+def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
     """Why this process must not work for a study; None where it may. Looked at once a study."""
     here = f"the worker on {platform.node() or 'a host'}"
-    if terms.version != accelcal_cli.__version__:
-        have = f"{here} has accelcal {accelcal_cli.__version__}, not {terms.version}"
+    if requirements.version != accelcal_cli.__version__:
+        have = f"{here} has accelcal {accelcal_cli.__version__}, not {requirements.version}"
         return ClusterError(have, hint="install the same version on every machine")
-    if terms.code != code():
-        have = f"{here} has another accelcal that is also called {terms.version}"
-        return ClusterError(have, hint="install the same on every machine")
-    if (hidden := _hidden(terms)) is not None:
+    if requirements.code != code():
+        have = f"{here} has accelcal {requirements.version}, too, but its code differs"
+        return ClusterError(have, hint="install the same build on every machine")
+    if (hidden := _hidden(requirements)) is not None:
         return ClusterError(
-            f"{here} does not see it", path=hidden, hint="the cluster must share the disks of FOLDER and OUT"
+            f"{here} cannot see it", path=hidden, hint="the cluster must share the disks of FOLDER and OUT"
         )
-    return _unwritable(terms.mark, here)
+    return _unwritable(requirements.mark, here)
 
 
-def _hidden(terms: Terms) -> Path | None:
+def _hidden(requirements: WorkerRequirements) -> Path | None:
     """What a worker does not see; a shared disk may take its time to show a new file."""
-    end = time.monotonic() + terms.patience_s
-    while (missing := _missing(terms)) is not None and time.monotonic() < end:
+    end = time.monotonic() + requirements.patience_s
+    while (missing := _missing(requirements)) is not None and time.monotonic() < end:
         time.sleep(LOOK_S)
     return missing
 
 
-def _missing(terms: Terms) -> Path | None:
-    for folder in terms.folders:
+def _missing(requirements: WorkerRequirements) -> Path | None:
+    for folder in requirements.folders:
         if not folder.is_dir() or not os.access(folder, os.R_OK | os.X_OK):
             return folder
     try:
-        same = terms.mark.read_text("utf-8", "replace") == terms.content
+        same = requirements.mark.read_text("utf-8", "replace") == requirements.content
     except OSError:
         same = False
-    return None if same else terms.mark.parent
+    return None if same else requirements.mark.parent
 
 
 def _unwritable(mark: Path, here: str) -> AccelcalError | None:
@@ -174,19 +174,21 @@ def _unwritable(mark: Path, here: str) -> AccelcalError | None:
     return None
 
 
-def calibrated_from(cwd: Path, task: Task, told: Told) -> Answer:
-    """See `calibrated`; the answer and the files written are those that a process in `cwd` would give.
+def calibrate_in_user_folder(
+    cwd: Path, task: CalibrationTask, report_progress: ProgressCallback
+) -> TaskResult:
+    """See `calibrated`; the result and the files written are those that a process in `cwd` would give.
 
     Nobody's current folder is changed: other threads of this process may rely on it.
     """
-    answer = calibrated(seen_from(cwd, task), told)
-    if not answer.entry.failed or answer.entry.row is None:
-        return answer
-    row = {**answer.entry.row, "message": _as_said(cwd, task, answer.entry.row["message"])}
-    return replace(answer, entry=replace(answer.entry, row=row))
+    result = calibrated(in_user_folder(cwd, task), report_progress)
+    if not result.entry.failed or result.entry.row is None:
+        return result
+    row = {**result.entry.row, "message": _as_named(cwd, task, result.entry.row["message"])}
+    return replace(result, entry=replace(result.entry, row=row))
 
 
-def seen_from(cwd: Path, task: Task) -> Task:
+def in_user_folder(cwd: Path, task: CalibrationTask) -> CalibrationTask:
     """The task with absolute paths."""
     job, options = task.item.job, task.request.options
     there = replace(job, source=cwd / job.source, parquet=cwd / job.parquet, report=cwd / job.report)
@@ -196,11 +198,11 @@ def seen_from(cwd: Path, task: Task) -> Task:
         item=replace(task.item, job=there),
         out=cwd / task.out,
         request=replace(task.request, options=replace(options, layout=layout)),
-        said=job.source,
+        named=job.source,
     )
 
 
-def _as_said(cwd: Path, task: Task, message: str) -> str:
+def _as_named(cwd: Path, task: CalibrationTask, message: str) -> str:
     """A message with the folders as the user named them."""
     layout = task.request.options.layout
     folders = [task.item.source.parent, task.out, *([] if layout is None else [layout.parent])]

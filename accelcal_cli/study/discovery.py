@@ -1,8 +1,7 @@
-"""What a study writes in OUT beside the recordings' outputs, known by name and content.
+"""The files of a study and which of them are recordings; files that a study itself wrote.
 
-OUT may be the study's folder itself, and a recording or another program's table may have one of these names.
-
-The files of a study, and which of them are recordings.
+OUT may be the study's folder itself, and a recording or another program's table may have the name of a file
+that a study writes: these are recognised by name and content.
 """
 
 from __future__ import annotations
@@ -23,8 +22,16 @@ from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
 from accelcal_cli.formats import all_formats, named_format
 from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
-from accelcal_cli.pipeline.jobs import INTEGERS_SUFFIX, PARQUET_SUFFIX, REPORT_SUFFIX, Job, real, stem
-from accelcal_cli.study.records import Item, stamp
+from accelcal_cli.pipeline.jobs import (
+    INTEGERS_SUFFIX,
+    PARQUET_SUFFIX,
+    REPORT_SUFFIX,
+    Job,
+    file_stamp,
+    real,
+    stem,
+)
+from accelcal_cli.study.records import Item
 from accelcal_cli.study.summary import COLUMNS
 
 NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
@@ -47,9 +54,9 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
     for path in _foreign(out, base):
         if not force or path.resolve() in {one.resolve() for one in recordings}:
             raise OutputError(
-                "is in the way of the study's summary, and was not written by accelcal",
+                "would be overwritten by the study's summary, but was not written by accelcal",
                 path=path,
-                hint="move it away, or choose another folder with -d",
+                hint="move it, or choose another folder with -d",
             )
 
 
@@ -132,14 +139,14 @@ def _places(where: Where) -> list[tuple[Path, str]]:
     """Each folder with its place under OUT."""
     for folder in where.folders:
         if not folder.is_dir():
-            raise UsageError("is not a folder", path=folder, hint="name the folder of the recordings")
+            raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
     if len(where.folders) == 1:
         return [(where.folders[0], "")]
     names = [real(folder).name for folder in where.folders]
     twice = sorted(name for name in set(names) if names.count(name) > 1)
     if twice:
         raise UsageError(
-            f"several folders are called {twice[0]}", hint="make a study of each, with its own -d"
+            f"several folders are called {twice[0]}", hint="run a separate study for each, with its own -d"
         )
     return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
 
@@ -194,7 +201,7 @@ def _item(where: Where, path: Path, name: str) -> Item:
     job = Job(
         path, target.with_name(target.name + PARQUET_SUFFIX), target.with_name(target.name + REPORT_SUFFIX)
     )
-    return Item(name, job, tuple(stamp(one) for one in (path, named_layout(path), folder_layout(path))))
+    return Item(name, job, tuple(file_stamp(one) for one in (path, named_layout(path), folder_layout(path))))
 
 
 def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:

@@ -1,7 +1,7 @@
-"""What was done before: one line a recording, in OUT. A memory that saves work, never the result itself.
+"""The ledger: what earlier runs did, a line for each recording and round. It saves work, no more.
 
 Without it, or where it does not fit, a worker looks at the outputs and hashes the recording. Each line begins
-with its checksum: what is damaged, cut short or of another make is not read.
+with its checksum: a line that is damaged, cut short or of another version is not read.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from typing import Any, Self, TextIO
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output.files import replacing
-from accelcal_cli.study.records import OWN, Entry, Item, stamp
+from accelcal_cli.pipeline.jobs import file_stamp
+from accelcal_cli.study.records import OWN, Entry, Item
 
 
 class Ledger:
@@ -70,7 +71,7 @@ class Ledger:
 
     def in_place(self, entry: Entry) -> bool:
         """Whether the outputs that lie there are those of an entry."""
-        return all(stamp(self.out / name) == found for name, found in entry.outputs)
+        return all(file_stamp(self.out / name) == found for name, found in entry.outputs)
 
     def add(self, entry: Entry) -> None:
         """Keep an entry. A disk that is full costs the memory, not the work."""

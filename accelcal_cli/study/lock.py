@@ -162,5 +162,5 @@ def _started(process: int) -> str | None:
 def _refusal(path: Path, owner: dict[str, Any]) -> LockedError:
     who = f"process {owner['pid']} on {owner.get('host')}" if owner else "another process"
     elsewhere = owner and owner.get("host") != host()
-    hint = f"if it no longer runs there, remove {path.name}" if elsewhere else "wait for it to end"
+    hint = f"if it is no longer running there, remove {path.name}" if elsewhere else "wait for it to end"
     return LockedError(f"{who} is working in this folder", path=path, hint=hint)

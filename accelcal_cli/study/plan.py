@@ -1,9 +1,4 @@
-"""A study shared out among machines: each recording belongs to one shard, by its name alone.
-
-What is asked of a study.
-
-What is there of a study, what was done before, and what is left to do.
-"""
+"""What a study is to do (`Study`; `Shard` for a part of it), what was done before, and what is left."""
 
 from __future__ import annotations
 
@@ -72,10 +67,10 @@ def _slurm(environment: Mapping[str, str]) -> Shard:
     names = ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_COUNT")
     words = [environment.get(name, "") for name in names]
     if not all(word.isdecimal() for word in words):
-        raise UsageError("--shard slurm is for a task of a job array", hint="submit it with sbatch --array")
+        raise UsageError("--shard slurm works only in a job array", hint="submit it with sbatch --array")
     task, least, number = map(int, words)
     if not 0 <= task - least < number:
-        raise UsageError("--shard slurm needs an array whose numbers rise by one", hint="use --array=1-N")
+        raise UsageError("--shard slurm needs an array with consecutive task numbers", hint="use --array=1-N")
     return Shard(task - least + 1, number)
 
 
@@ -188,7 +183,7 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     Raises:
         UsageError: a folder is none, or there is no recording in them.
     """
-    looking = _Looking(study, ledger, study.asked(), Plan())
+    looking = _Planning(study, ledger, study.asked(), Plan())
     looked = [looking.as_it_counts(item) for item in files(study.where)]
     recordings = without_collisions([item for item in looked if not item.aside and looking.keeps(item)])
     if not recordings:
@@ -205,7 +200,7 @@ def plan(study: Study, ledger: Ledger) -> Plan:
 
 
 @dataclass(frozen=True, slots=True)
-class _Looking:
+class _Planning:
     """A plan in the making."""
 
     study: Study

@@ -1,7 +1,4 @@
-"""The round in which all recordings of a device are calibrated as one.
-
-The round in which the recordings of each pool get its coefficients.
-"""
+"""The two rounds of pools: a device's recordings are calibrated as one, and each gets the coefficients."""
 
 from __future__ import annotations
 
@@ -11,28 +8,28 @@ import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import printable
 from accelcal_cli.output.report import load_report
 from accelcal_cli.output.report_kinds import FORMAT, Member
 from accelcal_cli.output.report_reading import read_document
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, Job, Result, check_unchanged
+from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, check_unchanged, file_stamp
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
 from accelcal_cli.pipeline.pool import apply_pool, pool
 from accelcal_cli.study import summary
 from accelcal_cli.study.borrowing import GOOD, Row, identity, pools
 from accelcal_cli.study.plan import POOL, POOLED, Study
-from accelcal_cli.study.records import FAILED, Entry, Item, Stamp, Standing, Told, stamp
-from accelcal_cli.study.rounds import Known, Round, common_of
-from accelcal_cli.study.task import Answer, Common, Parts, guarded, outputs_of, problems_of, row_of
+from accelcal_cli.study.records import FAILED, Entry, Item, ProgressCallback, RecordingState
+from accelcal_cli.study.rounds import Round, StudyState, common_of
+from accelcal_cli.study.task import Common, ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 PREFIX = "study.pool."
 
 
 @dataclass(frozen=True, slots=True)
-class Pool:
+class PoolTask:
     """The recordings of one device to be calibrated as one.
 
     Attributes:
@@ -46,40 +43,40 @@ class Pool:
     common: Common
     names: tuple[str, ...]
     members: tuple[Member, ...]
-    stamps: tuple[Stamp | None, ...]
+    stamps: tuple[FileStamp | None, ...]
     serial: str
     inputs: tuple[str, ...]
 
     def stands(self, entry: Entry) -> bool:
-        """See `Later`."""
+        """See `RoundTask`."""
         return entry.inputs == self.inputs
 
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
-        """See `Doing`."""
+        """See `Task`."""
         return self.entry({"outcome": FAILED, "exit_code": code, "message": message}, again=again)
 
-    def entry(self, said: dict[str, Any], *, again: bool = False) -> Entry:
+    def entry(self, result: dict[str, Any], *, again: bool = False) -> Entry:
         """What is remembered of the pool."""
-        told = {"device_serial": self.serial, "recordings": len(self.members), **said}
-        found = stamp(self.item.job.report)
+        row = {"device_serial": self.serial, "recordings": len(self.members), **result}
+        written = file_stamp(self.item.job.report)
         name = self.item.job.report.name
-        outputs = () if found is None or said["outcome"] == FAILED else ((name, found),)
+        outputs = () if written is None or result["outcome"] == FAILED else ((name, written),)
         stamps = self.item.stamps
-        return Entry(self.item.name, stamps, self.common.asked, told, outputs, again, POOL, self.inputs)
+        return Entry(self.item.name, stamps, self.common.asked, row, outputs, again, POOL, self.inputs)
 
 
-def pool_tasks(study: Study, known: Known) -> list[Pool]:
+def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
     """See `Round`: a task for each pool."""
     return [pool_of(study, known, members) for members in members_of(study, known.standing)]
 
 
-def members_of(study: Study, standing: Mapping[str, Standing]) -> list[list[str]]:
+def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[list[str]]:
     """Names of the recordings of each pool."""
     rows = {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
     return pools(rows, study.request.settings.max_damage_percent)
 
 
-def pool_of(study: Study, known: Known, names: list[str]) -> Pool:
+def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
     """The task of a pool of these members."""
     held = [known.standing[name] for name in names]
     rows: list[Row] = [one.own.row or {} for one in held]
@@ -91,7 +88,9 @@ def pool_of(study: Study, known: Known, names: list[str]) -> Pool:
     )
     members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(held, rows, strict=True))
     stamps, inputs = tuple(one.item.stamps[0] for one in held), tuple(identity(line) for line in rows)
-    return Pool(stands_for, common_of(study), tuple(names), members, stamps, rows[0]["device_serial"], inputs)
+    return PoolTask(
+        stands_for, common_of(study), tuple(names), members, stamps, rows[0]["device_serial"], inputs
+    )
 
 
 def _name(line: Row) -> str:
@@ -101,20 +100,20 @@ def _name(line: Row) -> str:
     return f"{PREFIX}{re.sub(r'[^A-Za-z0-9_-]', '_', line['device_serial'])[:40]}-{digest}"
 
 
-def make_pool(task: Pool, told: Told) -> Answer:
+def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
     """Fit a pool and write its report; whatever happens is an answer."""
-    return guarded(task, lambda: _make_pool(task, told))
+    return guarded(task, lambda: _make_pool(task, report_progress))
 
 
-def _make_pool(task: Pool, told: Told) -> Answer:
+def _make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
     request = task.common.request
     if not request.force:
         refuse_foreign_report(task.item.job.report)
-    report = pool(task.members, request, Parts(told).stage)
+    report = pool(task.members, request, StageProgress(report_progress).stage)
     for member, before in zip(task.members, task.stamps, strict=True):
         check_unchanged(member.path, before)
     save_report(task.item.job.report, with_provenance(report, request.command))
-    return Answer(task.entry({"outcome": report["outcome"], "message": report["message"]}))
+    return TaskResult(task.entry({"outcome": report["outcome"], "message": report["message"]}))
 
 
 def remove_pools(out: Path, keep: Collection[str]) -> None:
@@ -138,49 +137,15 @@ POOLING = Round(POOL, make_pool, pool_tasks, of_pools=True)
 
 
 @dataclass(frozen=True, slots=True)
-class Pooled:
-    """One recording that gets its pool's coefficients.
+class PooledTask(ReplacementTask):
+    """One recording that gets the coefficients in its pool's report."""
 
-    Attributes:
-        own: its own result.
-        inputs: identities of its own result and of the pool.
-    """
-
-    item: Item
-    common: Common
-    own: Entry
     report: Path
-    inputs: tuple[str, ...]
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """See `Later`."""
-        return (self.item.name,)
-
-    def stands(self, entry: Entry) -> bool:
-        """See `Later`."""
-        return entry.inputs == self.inputs
-
-    def failure(self, code: int, message: str, *, again: bool) -> Entry:
-        """See `Doing`: the own result stays, if it is still there."""
-        if all(stamp(self.common.out / name) == held for name, held in self.own.outputs):
-            return self.entry(self.kept(message), self.own.outputs, again=again)
-        return self.entry(summary.failed(self.item, code, message), (), again=True)
-
-    def entry(
-        self, line: dict[str, Any], outputs: tuple[tuple[str, tuple[int, int]], ...], *, again: bool = False
-    ) -> Entry:
-        """What is remembered of the round."""
-        item = self.item
-        return Entry(item.name, item.stamps, self.common.asked, line, outputs, again, POOLED, self.inputs)
-
-    def kept(self, why: str) -> dict[str, Any]:
-        """The own result's row, and why it stays."""
-        assert self.own.row is not None
-        return {**self.own.row, "message": f"{self.own.row['message']}; not pooled: {why}"}
+    round: ClassVar[str] = POOLED
+    refusal: ClassVar[str] = "not pooled"
 
 
-def pooled_tasks(study: Study, known: Known) -> list[Pooled]:
+def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """See `Round`: a task for each member of a pool that has coefficients."""
     found, common = [], common_of(study)
     for members in members_of(study, known.standing):
@@ -192,35 +157,30 @@ def pooled_tasks(study: Study, known: Known) -> list[Pooled]:
         for name in members:
             own = known.standing[name].own
             inputs = (identity(own.row or {}), together)
-            found.append(Pooled(known.standing[name].item, common, own, one.item.job.report, inputs))
+            found.append(PooledTask(known.standing[name].item, common, own, inputs, one.item.job.report))
     return found
 
 
-def pooled(task: Pooled, told: Told) -> Answer:
+def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     """Apply a pool's coefficients to one of its recordings; whatever happens is an answer."""
-    return guarded(task, lambda: _pooled(task, told))
+    return guarded(task, lambda: _pooled(task, report_progress))
 
 
-def _pooled(task: Pooled, told: Told) -> Answer:
-    item, request, shown = task.item, task.common.request, Parts(told).stage
-    found = apply_pool(item.job, request, read_document(task.report), shown, item.stamps[0])
+def _pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
+    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    found = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
     if isinstance(found, str):
-        return _answer(task, calibrate(item.job, request, shown), task.kept(printable(found)))
-    return _answer(task, found, row_of(item, task.common, found) | _instead(task, found))
+        return task.result(calibrate(item.job, request, progress), task.kept(printable(found)))
+    return task.result(found, row_of(item, task.common, found) | _instead(task, found))
 
 
-def _answer(task: Pooled, result: Result, line: dict[str, Any]) -> Answer:
-    outputs = outputs_of(task.item, task.common, result)
-    return Answer(task.entry(line, outputs), result.up_to_date, problems_of(result))
-
-
-def _instead(task: Pooled, result: Result) -> dict[str, Any]:
+def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
     """Columns that say of which pool a row's coefficients are, and what they do to its own windows."""
     said, windows = result.report["pool"], result.report["pool"]["own_windows"]
-    told = {"pool": task.report.name, "pool_recordings": len(said["recordings"])}
+    columns = {"pool": task.report.name, "pool_recordings": len(said["recordings"])}
     if windows is not None:
-        told |= {f"windows_{when}_mg": windows[f"{when}_mg"]["mean"] for when in ("before", "after")}
-    return told | summary.own(task.own.row or {})
+        columns |= {f"windows_{when}_mg": windows[f"{when}_mg"]["mean"] for when in ("before", "after")}
+    return columns | summary.own(task.own_row)
 
 
-POOLED_ONES = Round(POOLED, pooled, pooled_tasks)
+APPLY_POOLS = Round(POOLED, pooled, pooled_tasks)

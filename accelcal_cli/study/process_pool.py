@@ -1,9 +1,8 @@
-"""Where the server that workers are forked from listens: a folder that goes with this process.
+"""Worker processes of this machine, each with one task at a time; a worker that dies costs its task alone.
 
-multiprocessing makes one in the folder for temporary files. A killed process would leave it there for ever,
-and where that folder's path is long the name of the socket becomes too long to be one.
-
-A crew of processes, each with one task at a time; what befalls one befalls its task alone.
+On Linux workers are forked from a server that has imported everything once. It listens in a folder of our
+own: that of multiprocessing would stay behind if the process is killed, and its path may be too long for the
+name of a socket.
 """
 
 from __future__ import annotations
@@ -30,19 +29,19 @@ from typing import Any
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.system import hold_to_one_thread, host, lives
-from accelcal_cli.study.records import Ended, Moved, Work
+from accelcal_cli.study.records import Finished, ProgressDelta, TaskFunction
 
-LONGEST = 40
+LONGEST_PATH = 40
 """Bytes of the path that leave room for the rest of a socket's name, 108 in all on Linux (unix(7))."""
 
-OTHERS = ("/tmp", "/var/tmp")
+SHORT_FOLDERS = ("/tmp", "/var/tmp")
 
-AFTER_ALL = -200
+EXIT_PRIORITY = -200
 """multiprocessing removes its own folder in ours before (at -100)."""
 
 
 @contextlib.contextmanager
-def short_lived() -> Iterator[None]:
+def forkserver_folder() -> Iterator[None]:
     """In the block, temporary files are made in a folder that is removed when this process ends.
 
     If it is killed, the next one of this host and user removes it.
@@ -51,7 +50,7 @@ def short_lived() -> Iterator[None]:
         OSError: there is no place for one.
     """
     before = tempfile.tempdir
-    tempfile.tempdir = str(_folder())
+    tempfile.tempdir = str(_temporary_folder())
     try:
         yield
     finally:
@@ -59,37 +58,39 @@ def short_lived() -> Iterator[None]:
 
 
 @cache
-def _folder() -> Path:
-    above = next((path for path in (tempfile.gettempdir(), *OTHERS) if _fits(path)), tempfile.gettempdir())
+def _temporary_folder() -> Path:
+    parent = next(
+        (path for path in (tempfile.gettempdir(), *SHORT_FOLDERS) if _fits(path)), tempfile.gettempdir()
+    )
     start = f"accelcal-{hashlib.sha256(host().encode()).hexdigest()[:6]}-"
-    _sweep(Path(above), start)
-    made = tempfile.mkdtemp(prefix=f"{start}{os.getpid()}-", dir=above)
-    Finalize(None, shutil.rmtree, (made, True), exitpriority=AFTER_ALL)
-    return Path(made)
+    _sweep(Path(parent), start)
+    folder = tempfile.mkdtemp(prefix=f"{start}{os.getpid()}-", dir=parent)
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=EXIT_PRIORITY)
+    return Path(folder)
 
 
 def _fits(path: str) -> bool:
-    return len(os.fsencode(path)) <= LONGEST and os.access(path, os.W_OK | os.X_OK)
+    return len(os.fsencode(path)) <= LONGEST_PATH and os.access(path, os.W_OK | os.X_OK)
 
 
-def _sweep(above: Path, start: str) -> None:
+def _sweep(parent: Path, start: str) -> None:
     """Remove the folders of processes that are gone."""
-    with contextlib.suppress(OSError), os.scandir(above) as found:
-        for one in found:
-            owner = one.name.removeprefix(start).split("-")[0]
-            if one.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
-                shutil.rmtree(one.path, ignore_errors=True)
+    with contextlib.suppress(OSError), os.scandir(parent) as entries:
+        for entry in entries:
+            owner = entry.name.removeprefix(start).split("-")[0]
+            if entry.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
+                shutil.rmtree(entry.path, ignore_errors=True)
 
 
 POLL_S = 1.0
 GRACE_S = 10.0
 TRIES = 5
-GONE_S = 0.1
-"""A server that was killed is known to be gone only a moment later."""
+RETRY_S = 0.1
+"""It takes a moment until a killed server is known to be gone."""
 
 TERMINATED = 143
-UNTOLD = 255
-"""What multiprocessing says of a process whose server is gone."""
+SERVER_GONE = 255
+"""The exit code that multiprocessing gives a process whose server is gone."""
 
 
 @dataclass(slots=True)
@@ -98,11 +99,11 @@ class _Worker:
     pipe: Connection
     task: Any = None
     began: float = 0.0
-    part: float = 0.0
+    fraction: float = 0.0
 
 
 @dataclass(slots=True)
-class Crew:
+class ProcessPool:
     """Workers that take tasks as they become free.
 
     Attributes:
@@ -110,18 +111,18 @@ class Crew:
         number: how many work at a time.
         timeout_s: the longest a task may take; None for no end.
         preload: a module with all that the work imports; imported once where workers are forked.
-        moved: see `Moved`.
+        on_progress: see `ProgressDelta`.
     """
 
-    work: Work
+    work: TaskFunction
     number: int
     timeout_s: float | None = None
     preload: str | None = None
-    moved: Moved = lambda _task, _part: None
+    on_progress: ProgressDelta = lambda _task, _fraction: None
     _idle: list[_Worker] = field(default_factory=list)
     _busy: list[_Worker] = field(default_factory=list)
 
-    def run(self, tasks: list[Any]) -> Generator[Ended, None, None]:
+    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
         """Do all tasks; yields each as it ends. All workers are gone when the iteration is.
 
         Raises:
@@ -131,13 +132,13 @@ class Crew:
         try:
             while waiting or self._busy:
                 while waiting and len(self._busy) < self.number:
-                    self._give(waiting)
+                    self._assign(waiting)
                 yield from self._listen()
         finally:
-            self._dismiss()
+            self._stop_all()
 
-    def _give(self, waiting: list[Any]) -> None:
-        """Give the last of them to a worker; fewer work from now on if none can be started."""
+    def _assign(self, waiting: list[Any]) -> None:
+        """Give the last task to a worker; if none can be started, go on with those there are."""
         try:
             worker = self._idle.pop() if self._idle else self._start()
         except OutputError:
@@ -146,58 +147,58 @@ class Crew:
             self.number = len(self._busy)
             return
         task = waiting.pop()
-        worker.task, worker.began, worker.part = task, time.monotonic(), 0.0
+        worker.task, worker.began, worker.fraction = task, time.monotonic(), 0.0
         self._busy.append(worker)
         with contextlib.suppress(OSError):
             worker.pipe.send(task)
 
     def _start(self) -> _Worker:
-        """A new worker; from another server if the first was killed."""
+        """A new worker, from a new server if the first was killed."""
         preload = self.preload or self.work.__module__
         try:
             for _ in range(TRIES):
                 with contextlib.suppress(EOFError, ConnectionError):
                     return _started(self.work, preload)
-                time.sleep(GONE_S)
+                time.sleep(RETRY_S)
             return _started(self.work, preload)
         except (OSError, EOFError) as error:
             raise OutputError(
-                f"no process can be started for the work ({getattr(error, 'strerror', None) or error})",
-                hint="see that the working folder and that of temporary files exist, or use fewer --jobs",
+                f"no worker process can be started ({getattr(error, 'strerror', None) or error})",
+                hint="check that the current folder and that of temporary files exist, or use fewer --jobs",
             ) from error
 
-    def _listen(self) -> Iterator[Ended]:
-        """What the busy workers have to say within a moment."""
+    def _listen(self) -> Iterator[Finished]:
+        """Results of the workers that send something within a second."""
         ready = connection.wait([worker.pipe for worker in self._busy], timeout=POLL_S)
         for worker in [worker for worker in self._busy if worker.pipe in ready]:
-            if (ended := self._heard(worker)) is not None:
+            if (ended := self._receive(worker)) is not None:
                 yield ended
-        for worker in [worker for worker in self._busy if self._late(worker)]:
+        for worker in [worker for worker in self._busy if self._overdue(worker)]:
             self._busy.remove(worker)
             _end([worker])
             assert self.timeout_s is not None
-            yield Ended(worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was ended")
+            yield Finished(worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was ended")
 
-    def _late(self, worker: _Worker) -> bool:
+    def _overdue(self, worker: _Worker) -> bool:
         return self.timeout_s is not None and time.monotonic() - worker.began > self.timeout_s
 
-    def _heard(self, worker: _Worker) -> Ended | None:
+    def _receive(self, worker: _Worker) -> Finished | None:
         try:
             kind, value = worker.pipe.recv()
         except (EOFError, OSError):
             self._busy.remove(worker)
             worker.process.join(GRACE_S)
-            return _fallen(worker)
-        if kind == "part":
-            self.moved(worker.task, value - worker.part)
-            worker.part = value
+            return _lost_worker(worker)
+        if kind == "progress":
+            self.on_progress(worker.task, value - worker.fraction)
+            worker.fraction = value
             return None
         self._busy.remove(worker)
         self._idle.append(worker)
-        self.moved(worker.task, 1 - worker.part)
-        return Ended(worker.task, answer=value)
+        self.on_progress(worker.task, 1 - worker.fraction)
+        return Finished(worker.task, result=value)
 
-    def _dismiss(self) -> None:
+    def _stop_all(self) -> None:
         for worker in self._idle:
             with contextlib.suppress(OSError):
                 worker.pipe.send(None)
@@ -208,22 +209,24 @@ class Crew:
         self._busy, self._idle = [], []
 
 
-def _fallen(worker: _Worker) -> Ended:
+def _lost_worker(worker: _Worker) -> Finished:
     code = worker.process.exitcode
     worker.pipe.close()
-    if code == UNTOLD:
-        return Ended(worker.task, fault="its process ended, and the one that could say why, too", again=True)
+    if code == SERVER_GONE:
+        return Finished(
+            worker.task, fault="its process ended, and the one that could say why, too", retry=True
+        )
     code = -signal.SIGTERM if code == TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name
         reason = ", perhaps for want of memory" if name == "SIGKILL" else ""
-        again = name in ("SIGKILL", "SIGTERM", "SIGHUP")
-        return Ended(worker.task, fault=f"its process was ended by {name}{reason}", again=again)
-    return Ended(worker.task, fault=f"its process ended unexpectedly (code {code})")
+        retry = name in ("SIGKILL", "SIGTERM", "SIGHUP")
+        return Finished(worker.task, fault=f"its process was ended by {name}{reason}", retry=retry)
+    return Finished(worker.task, fault=f"its process ended unexpectedly (code {code})")
 
 
 def _end(workers: list[_Worker]) -> None:
-    """End processes: kindly, so that they remove their temporary files, then not."""
+    """End processes: with SIGTERM, so that they remove their temporary files, else with SIGKILL."""
     for worker in workers:
         worker.process.terminate()
     for worker in workers:
@@ -234,14 +237,14 @@ def _end(workers: list[_Worker]) -> None:
         worker.pipe.close()
 
 
-def _started(work: Work, preload: str) -> _Worker:
+def _started(work: TaskFunction, preload: str) -> _Worker:
     """A new process, with nothing of this one's state but the pipe."""
     hold_to_one_thread()
     ours, theirs = multiprocessing.Pipe()
     process = _process(theirs, work, preload)
     try:
-        with short_lived():
-            _deaf_server()
+        with forkserver_folder():
+            _start_server()
             process.start()
     except (OSError, EOFError):
         ours.close()
@@ -251,7 +254,7 @@ def _started(work: Work, preload: str) -> _Worker:
     return _Worker(process, ours)
 
 
-def _process(pipe: Connection, work: Work, preload: str) -> BaseProcess:
+def _process(pipe: Connection, work: TaskFunction, preload: str) -> BaseProcess:
     """On Linux from a server that has imported everything once, elsewhere from nothing."""
     if sys.platform != "linux":
         return multiprocessing.get_context("spawn").Process(target=_serve, args=(pipe, work), daemon=True)
@@ -260,8 +263,8 @@ def _process(pipe: Connection, work: Work, preload: str) -> BaseProcess:
     return context.Process(target=_serve, args=(pipe, work), daemon=True)
 
 
-def _deaf_server() -> None:
-    """Start the server of workers, if there is one, deaf to Ctrl-C: it would tell what it was importing."""
+def _start_server() -> None:
+    """Start the server that ignores Ctrl-C: it would print a traceback of what it was importing."""
     if sys.platform != "linux":
         return
     resource_tracker.ensure_running()
@@ -272,21 +275,21 @@ def _deaf_server() -> None:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(pipe: Connection, work: Work) -> None:
-    """The life of a worker."""
+def _serve(pipe: Connection, work: TaskFunction) -> None:
+    """What a worker process does: one task after another until it receives None."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, _leave)
-    threading.Thread(target=_outlive_nobody, daemon=True).start()
+    signal.signal(signal.SIGTERM, _terminate)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     with contextlib.suppress(EOFError, OSError):
         while (task := pipe.recv()) is not None:
-            pipe.send(("answer", work(task, lambda part: pipe.send(("part", part)))))
+            pipe.send(("result", work(task, lambda fraction: pipe.send(("progress", fraction)))))
 
 
-def _leave(_number: int, _frame: Any) -> None:
+def _terminate(_number: int, _frame: Any) -> None:
     raise SystemExit(TERMINATED)
 
 
-def _outlive_nobody() -> None:
+def _end_with_parent() -> None:
     """End this process when the one that started it is gone, however it went."""
     parent = multiprocessing.parent_process()
     if parent is not None:

@@ -1,7 +1,4 @@
-"""What flows between the parts of a study.
-
-What carries out the tasks of a study: processes of this machine, or a cluster.
-"""
+"""What flows between the parts of a study: its files, their results, tasks and those who carry them out."""
 
 from __future__ import annotations
 
@@ -10,16 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from accelcal_cli.pipeline.jobs import Job
+from accelcal_cli.pipeline.jobs import FileStamp, Job
 
 FAILED = "failed"
 """The summary's outcome of a recording that gave no report."""
 
 OWN = "own"
 """The first round of a study: each recording's own result."""
-
-Stamp = tuple[int, int]
-"""Size [bytes] and time of the last change [ns since 1970] of a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +29,7 @@ class Item:
 
     name: str
     job: Job
-    stamps: tuple[Stamp | None, ...]
+    stamps: tuple[FileStamp | None, ...]
     refusal: str | None = None
     aside: bool = False
 
@@ -72,10 +66,10 @@ class Entry:
     """
 
     name: str
-    stamps: tuple[Stamp | None, ...]
+    stamps: tuple[FileStamp | None, ...]
     asked: str
     row: dict[str, Any] | None
-    outputs: tuple[tuple[str, Stamp], ...] = ()
+    outputs: tuple[tuple[str, FileStamp], ...] = ()
     again: bool = False
     round: str = OWN
     inputs: tuple[str, ...] = ()
@@ -86,17 +80,8 @@ class Entry:
         return self.row is not None and self.row["outcome"] == FAILED
 
 
-def stamp(path: Path) -> Stamp | None:
-    """A file's stamp; None where it cannot be looked at."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_size, found.st_mtime_ns
-
-
 @dataclass(frozen=True, slots=True)
-class Standing:
+class RecordingState:
     """What is known of a recording after some rounds: its own result, and the last one."""
 
     item: Item
@@ -104,34 +89,34 @@ class Standing:
     last: Entry
 
 
-Told = Callable[[float], None]
+ProgressCallback = Callable[[float], None]
 """Called where the work is done with the part of its task that is done, 0 to 1."""
 
-Work = Callable[[Any, Told], Any]
+TaskFunction = Callable[[Any, ProgressCallback], Any]
 """What is done with a task; a function of a module, and its task and answer can be pickled."""
 
-Moved = Callable[[Any, float], None]
+ProgressDelta = Callable[[Any, float], None]
 """Called with a task and by how much more of it is done; less than 0 where it begins anew."""
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class Finished:
     """One task that ended.
 
     Attributes:
-        answer: what the work returned; None where the worker did not live to say.
+        result: what the work returned; None where the worker did not live to say.
         fault: what befell the worker, else None.
-        again: whether the fault may lie in the machine and not in the task.
+        retry: whether the fault may lie in the machine and not in the task.
     """
 
     task: Any
-    answer: Any = None
+    result: Any = None
     fault: str | None = None
-    again: bool = False
+    retry: bool = False
 
 
-class Engine(Protocol):
+class Executor(Protocol):
     """Does tasks, several at a time; what befalls one befalls it alone."""
 
-    def run(self, tasks: list[Any]) -> Generator[Ended, None, None]:
+    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
         """Do all tasks; yields each as it ends. Nothing is left running when the iteration is given up."""

@@ -1,6 +1,6 @@
-"""Which engine does the tasks of a study, and what is left to tidy up after it.
+"""Rounds of a study: each gives tasks to workers, and the results of earlier rounds decide which.
 
-A study goes in rounds: each gives tasks to workers, and what came of the earlier ones decides which.
+Also the choice between processes of this machine and a cluster.
 """
 
 from __future__ import annotations
@@ -16,27 +16,39 @@ from accelcal_cli import __version__
 from accelcal_cli.core import system
 from accelcal_cli.core.errors import printable
 from accelcal_cli.output.files import sweep, sweep_of
-from accelcal_cli.study.dask_client import Cluster, Said
-from accelcal_cli.study.dask_worker import Terms, calibrated_from, code
+from accelcal_cli.study.dask_client import Cluster, Notify
+from accelcal_cli.study.dask_worker import WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.study.plan import Study
-from accelcal_cli.study.process_pool import Crew
-from accelcal_cli.study.records import Ended, Engine, Entry, Item, Moved, Standing, Work
-from accelcal_cli.study.task import BUG, Answer, Common, Doing, calibrated
+from accelcal_cli.study.process_pool import ProcessPool
+from accelcal_cli.study.records import (
+    Entry,
+    Executor,
+    Finished,
+    Item,
+    ProgressDelta,
+    RecordingState,
+    TaskFunction,
+)
+from accelcal_cli.study.task import BUG, Common, Task, TaskResult, calibrated
 
 PRELOAD = "accelcal_cli.study.preload"
 MANY = 1 << 20
 
 
-def engine_of(study: Study, work: Work, recordings: int, moved: Moved, said: Said) -> Engine:
+def executor_for(
+    study: Study, work: TaskFunction, recordings: int, on_progress: ProgressDelta, notify: Notify
+) -> Executor:
     """Processes of this machine for so many recordings, or the cluster that was named.
 
     A cluster finds the own results; what a device's recordings have in common is found here.
     """
     if study.dask is None or work is not calibrated:
-        return Crew(work, workers_of(study, recordings), study.timeout_s, PRELOAD, moved)
+        return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
     cwd = Path.cwd()
-    abroad, terms = functools.partial(calibrated_from, cwd), _terms(study, cwd)
-    return Cluster(study.dask, abroad, terms, study.jobs, study.timeout_s, moved, said, tidy)
+    calibrate, requirements = functools.partial(calibrate_in_user_folder, cwd), _requirements(study, cwd)
+    return Cluster(
+        study.dask, calibrate, requirements, study.jobs, study.timeout_s, on_progress, notify, tidy
+    )
 
 
 def workers_of(study: Study, recordings: int) -> int:
@@ -50,14 +62,14 @@ def threads_of(study: Study, recordings: int = MANY) -> int:
     return 1 if study.dask is not None else system.threads(workers_of(study, recordings))
 
 
-def _terms(study: Study, cwd: Path) -> Terms:
+def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
     """The lock is the mark: it is there while the study runs, and no other run's is like it."""
     mark = cwd / study.lock
     folders = tuple(cwd / folder for folder in study.where.folders)
-    return Terms(__version__, code(), folders, mark, mark.read_text("utf-8"))
+    return WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
 
 
-def tidy(task: Doing, lost: str | None = None) -> None:
+def tidy(task: Task, lost: str | None = None) -> None:
     """Remove what killed processes of this machine left, and one of another that is known to be gone."""
     for path in (task.item.job.parquet, task.item.job.report, task.item.job.integers):
         with contextlib.suppress(OSError):
@@ -66,24 +78,24 @@ def tidy(task: Doing, lost: str | None = None) -> None:
                 sweep_of(path, lost)
 
 
-class Watch(Protocol):
-    """Who is told while a study runs."""
+class StudyObserver(Protocol):
+    """Who is informed while a study runs."""
 
     def begin(self, items: Sequence[Item]) -> None:
         """Before these recordings are worked on."""
 
-    def moved(self, bytes_done: float) -> None:
+    def advance(self, bytes_done: float) -> None:
         """So many more bytes are done."""
 
-    def ended(self, item: Item, answer: Answer) -> None:
+    def finished(self, item: Item, result: TaskResult) -> None:
         """A recording's last result is there: it is done, was done before, or failed."""
 
-    def said(self, text: str) -> None:
+    def note(self, text: str) -> None:
         """What a person should know meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class StudyState:
     """What is known when a round begins.
 
     Attributes:
@@ -91,11 +103,11 @@ class Known:
         pools: what became of each pool of recordings, by its own name.
     """
 
-    standing: dict[str, Standing] = field(default_factory=dict)
+    standing: dict[str, RecordingState] = field(default_factory=dict)
     pools: dict[str, Entry] = field(default_factory=dict)
 
 
-class Later(Doing, Protocol):
+class RoundTask(Task, Protocol):
     """A task of a round after the first."""
 
     @property
@@ -112,15 +124,15 @@ class Round:
 
     Attributes:
         name: by which its entries are known.
-        work: what a worker does with a task; returns an `Answer`.
+        work: what a worker does with a task; returns an `TaskResult`.
         tasks: one for each recording (or pool) that the round concerns, from what is known. On these
             alone, and on the recording's files, its result may depend.
         of_pools: whether its tasks are of pools, and no recording's result is replaced.
     """
 
     name: str
-    work: Work
-    tasks: Callable[[Study, Known], Sequence[Later]]
+    work: TaskFunction
+    tasks: Callable[[Study, StudyState], Sequence[RoundTask]]
     of_pools: bool = False
 
 
@@ -129,25 +141,27 @@ def common_of(study: Study) -> Common:
     return Common(study.out, replace(study.request, threads=threads_of(study)), study.asked())
 
 
-def answers(study: Study, work: Work, tasks: Sequence[Any], watch: Watch) -> Iterator[tuple[Item, Answer]]:
+def results(
+    study: Study, work: TaskFunction, tasks: Sequence[Any], observer: StudyObserver
+) -> Iterator[tuple[Item, TaskResult]]:
     """Have tasks done, the largest first, so that the last to end is a small one."""
     if not tasks:
         return
-    watch.begin([task.item for task in tasks])
+    observer.begin([task.item for task in tasks])
     ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
-    engine = engine_of(
-        study, work, len(tasks), lambda task, part: watch.moved(part * task.item.size), watch.said
+    executor = executor_for(
+        study, work, len(tasks), lambda task, part: observer.advance(part * task.item.size), observer.note
     )
-    with contextlib.closing(engine.run(ordered)) as ended:
+    with contextlib.closing(executor.run(ordered)) as ended:
         for one in ended:
-            yield one.task.item, _answer(one)
+            yield one.task.item, _result(one)
 
 
-def _answer(ended: Ended) -> Answer:
+def _result(ended: Finished) -> TaskResult:
     if ended.fault is None:
-        answer: Answer = ended.answer
-        return answer
-    task: Doing = ended.task
+        result: TaskResult = ended.result
+        return result
+    task: Task = ended.task
     tidy(task)
     message = f"{printable(task.item.source)}: {ended.fault}"
-    return Answer(task.failure(BUG, message, again=ended.again))
+    return TaskResult(task.failure(BUG, message, again=ended.retry))

@@ -1,8 +1,6 @@
-"""Which rounds a study has, and what is left to do in each.
+"""A study from beginning to end: lock, find out what is left to do in each round, do it, sum up.
 
-A study from beginning to end: locking, doing what is left to do, summing up.
-
-What a study would do.
+With `--dry-run` it only says what it would do.
 """
 
 from __future__ import annotations
@@ -17,22 +15,22 @@ from accelcal_cli.study.borrowing import BORROWING
 from accelcal_cli.study.discovery import check, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
-from accelcal_cli.study.pooling import POOLED_ONES, POOLING, remove_pools
-from accelcal_cli.study.records import OWN, Entry, Item, Standing
-from accelcal_cli.study.rounds import Known, Later, Round, Watch, answers, threads_of
+from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
+from accelcal_cli.study.records import OWN, Entry, Item, RecordingState
+from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, results, threads_of
 from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.task import Answer, Task, calibrated
+from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
 
 
 def rounds(study: Study) -> tuple[Round, ...]:
     """The rounds after that of the own results; a shard has none, since a device may have several shards."""
     if not study.shard.whole:
         return ()
-    return ((POOLING, POOLED_ONES) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
+    return ((POOLING, APPLY_POOLS) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
 
 
 @dataclass(slots=True)
-class Choice:
+class RoundPlanner:
     """What is done in a round, and what stands from an earlier run.
 
     Attributes:
@@ -44,7 +42,9 @@ class Choice:
     ledger: Ledger
     untouched: set[str] = field(default_factory=set)
 
-    def of(self, one: Round, tasks: Sequence[Later]) -> tuple[list[Later], list[tuple[Later, Entry]]]:
+    def of(
+        self, one: Round, tasks: Sequence[RoundTask]
+    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
         """Tasks to do, and those with an entry to take.
 
         What is not to be touched keeps what it has: it is never among the first.
@@ -61,10 +61,10 @@ class Choice:
                 todo.append(task)
         return todo, taken
 
-    def _latest(self, one: Round, task: Later) -> Entry | None:
+    def _latest(self, one: Round, task: RoundTask) -> Entry | None:
         return self.ledger.latest(task.item.name, self.study.asked(), one.name)
 
-    def _standing(self, one: Round, task: Later) -> Entry | None:
+    def _standing(self, one: Round, task: RoundTask) -> Entry | None:
         """What an earlier run made of a task, if that is what would come of it now."""
         study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
         if entry is None or entry.again or study.request.force or (study.retry_failed and entry.failed):
@@ -72,7 +72,7 @@ class Choice:
         return entry if task.stands(entry) else None
 
 
-def run(study: Study, watch: Watch) -> Summary:
+def run(study: Study, observer: StudyObserver) -> Summary:
     """Do a study.
 
     Raises:
@@ -89,13 +89,13 @@ def run(study: Study, watch: Watch) -> Summary:
     with lock.held(study.lock, lambda: _other_locks(study)), ledger_of(study) as ledger:
         found = plan(study, ledger)
         refuse_foreign(study.out, base, found.sources(), force=study.request.force)
-        course = Course(study, ledger, watch)
-        course.run(found)
-        result = _summary(study, found, course)
+        study_run = StudyRun(study, ledger, observer)
+        study_run.run(found)
+        result = _summary(study, found, study_run)
         summary.write(result, study.out, base)
-        ledger.tidy([*course.entries(), *found.left_out, *_of_waiting(study, found, ledger)])
+        ledger.tidy([*study_run.entries(), *found.left_out, *_of_waiting(study, found, ledger)])
         if study.shard.whole and not (found.waiting or study.where.include):
-            remove_pools(study.out, keep=course.known.pools)
+            remove_pools(study.out, keep=study_run.known.pools)
     return result
 
 
@@ -112,41 +112,41 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     return (study.out / "study.lock",)
 
 
-def _summary(study: Study, found: Plan, course: Course) -> Summary:
-    standing, pools = course.known.standing, course.known.pools
+def _summary(study: Study, found: Plan, study_run: StudyRun) -> Summary:
+    standing, pools = study_run.known.standing, study_run.known.pools
     last = [standing[name].last for name in sorted(standing)]
     return Summary(
         rows=[entry.row for entry in last if entry.row is not None],
         settings=study.all_settings(),
         waiting=len(found.waiting),
         left_out=len(found.left_out),
-        up_to_date=len(set(standing) - course.worked),
+        up_to_date=len(set(standing) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
     )
 
 
-class Course:
+class StudyRun:
     """A study under way.
 
     Attributes:
         worked: names of recordings that were given to a worker.
     """
 
-    def __init__(self, study: Study, ledger: Ledger, watch: Watch) -> None:
+    def __init__(self, study: Study, ledger: Ledger, observer: StudyObserver) -> None:
         self.study = study
-        self.known = Known()
+        self.known = StudyState()
         self.worked: set[str] = set()
         self._ledger = ledger
-        self._watch = watch
+        self._observer = observer
         self._rounds = rounds(study)
-        self._choice = Choice(study, ledger)
-        self._answers: dict[str, Answer] = {}
+        self._planner = RoundPlanner(study, ledger)
+        self._pending: dict[str, TaskResult] = {}
 
     def run(self, found: Plan) -> None:
         """All rounds."""
-        self._choice.untouched |= found.changing
+        self._planner.untouched |= found.changing
         for item, entry in found.done:
-            self._own(item, Answer(entry, up_to_date=True))
+            self._own(item, TaskResult(entry, up_to_date=True))
         self._calibrate(found.todo)
         for one in self._rounds:
             tasks = list(one.tasks(self.study, self.known))
@@ -155,8 +155,8 @@ class Course:
             self._later(one, tasks)
         if self._rounds:
             self._restore(frozenset())
-            for name in sorted(self._answers):
-                self._tell(self.known.standing[name].item, self._answers[name])
+            for name in sorted(self._pending):
+                self._report(self.known.standing[name].item, self._pending[name])
 
     def entries(self) -> list[Entry]:
         """What is to be remembered."""
@@ -167,25 +167,25 @@ class Course:
     def _calibrate(self, items: Sequence[Item]) -> None:
         study, asked = self.study, self.study.asked()
         request = replace(study.request, threads=threads_of(study, len(items)))
-        tasks = [Task(item, study.out, request, asked) for item in items]
-        for item, answer in answers(self.study, calibrated, tasks, self._watch):
+        tasks = [CalibrationTask(item, study.out, request, asked) for item in items]
+        for item, result in results(self.study, calibrated, tasks, self._observer):
             self.worked.add(item.name)
-            self._ledger.add(answer.entry)
-            self._own(item, answer)
+            self._ledger.add(result.entry)
+            self._own(item, result)
 
-    def _own(self, item: Item, answer: Answer) -> None:
+    def _own(self, item: Item, result: TaskResult) -> None:
         """An own result; it is told at once where no later round can replace it."""
-        self.known.standing[item.name] = Standing(item, answer.entry, answer.entry)
-        self._answers.pop(item.name, None)
-        if self._rounds and not answer.entry.failed:
-            self._answers[item.name] = answer
+        self.known.standing[item.name] = RecordingState(item, result.entry, result.entry)
+        self._pending.pop(item.name, None)
+        if self._rounds and not result.entry.failed:
+            self._pending[item.name] = result
         else:
-            self._tell(item, answer)
+            self._report(item, result)
 
-    def _tell(self, item: Item, answer: Answer) -> None:
+    def _report(self, item: Item, result: TaskResult) -> None:
         """Of a recording that was not asked for only what is new is told."""
-        if not (item.aside and answer.up_to_date):
-            self._watch.ended(item, answer)
+        if not (item.aside and result.up_to_date):
+            self._observer.finished(item, result)
 
     def _restore(self, concerned: Set[str]) -> None:
         """Put own results back in place where an earlier run replaced them and this one does not.
@@ -196,29 +196,29 @@ class Course:
             [
                 one.item
                 for name, one in sorted(self.known.standing.items())
-                if name not in concerned | self._choice.untouched
+                if name not in concerned | self._planner.untouched
                 and one.last is one.own
                 and not self._ledger.in_place(one.own)
             ]
         )
 
-    def _later(self, one: Round, tasks: Sequence[Later]) -> None:
+    def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
         """A later round: what stands from an earlier run, and what is to be done."""
-        todo, taken = self._choice.of(one, tasks)
+        todo, taken = self._planner.of(one, tasks)
         for task, entry in taken:
-            self._take(one, task.item, Answer(entry, up_to_date=True))
-        for item, answer in answers(self.study, one.work, todo, self._watch):
-            self._ledger.add(answer.entry)
-            self._take(one, item, answer)
+            self._take(one, task.item, TaskResult(entry, up_to_date=True))
+        for item, result in results(self.study, one.work, todo, self._observer):
+            self._ledger.add(result.entry)
+            self._take(one, item, result)
             self.worked |= set() if one.of_pools else {item.name}
 
-    def _take(self, one: Round, item: Item, answer: Answer) -> None:
+    def _take(self, one: Round, item: Item, result: TaskResult) -> None:
         """What came of a round for a recording, or for a pool."""
         if one.of_pools:
-            self.known.pools[item.name] = answer.entry
+            self.known.pools[item.name] = result.entry
             return
-        self.known.standing[item.name] = replace(self.known.standing[item.name], last=answer.entry)
-        self._answers[item.name] = answer
+        self.known.standing[item.name] = replace(self.known.standing[item.name], last=result.entry)
+        self._pending[item.name] = result
 
 
 def preview(study: Study) -> dict[Item, str]:
@@ -236,11 +236,11 @@ def preview(study: Study) -> dict[Item, str]:
         raise OutputError("cannot be made (there is a file)", path=there)
     ledger = ledger_of(study)
     found = plan(study, ledger)
-    known = Known({item.name: Standing(item, entry, entry) for item, entry in found.done})
+    known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in found.done})
     states = dict.fromkeys(found.todo, "todo") | dict.fromkeys(found.waiting, "waiting")
-    choice = Choice(study, ledger, found.changing)
+    planner = RoundPlanner(study, ledger, found.changing)
     for one in rounds(study):
-        todo, taken = choice.of(one, one.tasks(study, known))
+        todo, taken = planner.of(one, one.tasks(study, known))
         states |= {known.standing[name].item: "todo" for task in todo for name in task.names}
         for task, entry in taken:
             if one.of_pools:

@@ -1,6 +1,4 @@
-"""One recording's row in the summary: what a methods section needs.
-
-The study in one table, as Parquet and CSV, and its counts as JSON.
+"""The study in one table, a row for each recording, as Parquet and CSV, and its counts as JSON.
 
 Sorted and without times, so that a study that was interrupted ends with the same bytes as one that was not.
 """

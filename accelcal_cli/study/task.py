@@ -1,4 +1,4 @@
-"""What a worker does with one recording, and what it tells of it."""
+"""What a worker does with one recording, and the result that it returns."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from accelcal_cli.core.errors import AccelcalError, OutputError, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.jobs import Job, Progress, Request, Result
+from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
 from accelcal_cli.study import summary
-from accelcal_cli.study.records import Entry, Item, Stamp, Told, stamp
+from accelcal_cli.study.records import Entry, Item, ProgressCallback
 
 REFUSED = 4
 BUG = 70
-TELL_S = 0.2
+REPORT_S = 0.2
 STAGES = {"reading": 0.0, "writing": 0.5}
 """Where in the work a stage begins; each is half of it."""
 
@@ -38,7 +38,7 @@ class Common:
     asked: str
 
 
-class Doing(Protocol):
+class Task(Protocol):
     """Something to do for one recording in one round; it can be pickled."""
 
     @property
@@ -50,25 +50,25 @@ class Doing(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
+class CalibrationTask:
     """One recording to calibrate.
 
     Attributes:
         out: folder of the study's outputs.
         asked: see `Entry`.
-        said: how the user named the recording, if its path is another where the work is done.
+        named: how the user named the recording, if its path is another where the work is done.
     """
 
     item: Item
     out: Path
     request: Request
     asked: str
-    said: Path | None = None
+    named: Path | None = None
 
     @property
     def job(self) -> Job:
         """The item's job, with the name that its report gives the recording."""
-        return self.item.job if self.said is None else replace(self.item.job, source=self.said)
+        return self.item.job if self.named is None else replace(self.item.job, source=self.named)
 
     @property
     def common(self) -> Common:
@@ -76,13 +76,13 @@ class Task:
         return Common(self.out, self.request, self.asked)
 
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
-        """See `Doing`."""
+        """See `Task`."""
         item = self.item
         return Entry(item.name, item.stamps, self.asked, summary.failed(item, code, message), again=again)
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class TaskResult:
     """What a worker tells.
 
     Attributes:
@@ -97,32 +97,32 @@ class Answer:
     trace: str | None = None
 
 
-def calibrated(task: Task, told: Told) -> Answer:
+def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
     """Calibrate one recording; whatever happens is an answer."""
-    return guarded(task, lambda: _calibrated(task, told))
+    return guarded(task, lambda: _calibrated(task, report_progress))
 
 
-def guarded(task: Doing, work: Callable[[], Answer]) -> Answer:
+def guarded(task: Task, work: Callable[[], TaskResult]) -> TaskResult:
     """The work's answer, or what befell it."""
     keep_freed_memory()
     try:
         return work()
     except AccelcalError as error:
         again = isinstance(error, OutputError)
-        return Answer(task.failure(error.exit_code, str(error), again=again))
+        return TaskResult(task.failure(error.exit_code, str(error), again=again))
     except MemoryError:
         message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
-        return Answer(task.failure(BUG, message, again=True))
+        return TaskResult(task.failure(BUG, message, again=True))
     except Exception as error:
         message = " ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split())
-        return Answer(task.failure(BUG, message, again=False), trace=traceback.format_exc())
+        return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
 
-def _calibrated(task: Task, told: Told) -> Answer:
-    result = calibrate(task.job, task.request, Parts(told).stage, task.item.source)
+def _calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
+    result = calibrate(task.job, task.request, StageProgress(report_progress).stage, task.item.source)
     line, outputs = row_of(task.item, task.common, result), outputs_of(task.item, task.common, result)
     entry = Entry(task.item.name, task.item.stamps, task.asked, line, outputs)
-    return Answer(entry, result.up_to_date, problems_of(result))
+    return TaskResult(entry, result.up_to_date, problems_of(result))
 
 
 def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
@@ -136,13 +136,13 @@ def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
     return summary.of_report(item, code, result.report, shown)
 
 
-def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, Stamp], ...]:
+def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, FileStamp], ...]:
     """Name under OUT and stamp of each file of a result."""
     paths = [result.job.parquet] if result.has_parquet else []
     paths.append(result.job.report)
     if common.request.integers and item.job.integers.exists():
         paths.append(item.job.integers)
-    found = [(_under(common, path), stamp(path)) for path in paths]
+    found = [(_under(common, path), file_stamp(path)) for path in paths]
     return tuple((name, held) for name, held in found if held is not None)
 
 
@@ -152,15 +152,78 @@ def problems_of(result: Result) -> tuple[str, ...]:
     return tuple(f"{problem['code']}: {problem['message']}" for problem in found)
 
 
+@dataclass(frozen=True, slots=True)
+class ReplacementTask:
+    """One recording whose own result may give way to one with coefficients found elsewhere.
+
+    Attributes:
+        own: its own result.
+        inputs: identities of its own result and of all else that decides, in the order in which it is used.
+        round: by which its entries are known.
+        refusal: what the message of a row says before the reason why the own result stays.
+    """
+
+    item: Item
+    common: Common
+    own: Entry
+    inputs: tuple[str, ...]
+    round: ClassVar[str]
+    refusal: ClassVar[str]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """See `RoundTask`."""
+        return (self.item.name,)
+
+    @property
+    def own_row(self) -> dict[str, Any]:
+        """The row of the own result."""
+        assert self.own.row is not None
+        return self.own.row
+
+    def stands(self, entry: Entry) -> bool:
+        """See `RoundTask`."""
+        return entry.inputs == self.inputs
+
+    def failure(self, code: int, message: str, *, again: bool) -> Entry:
+        """See `Task`: the own result stays, if it is still there."""
+        if all(file_stamp(self.common.out / name) == before for name, before in self.own.outputs):
+            return self.entry(self.kept(message), self.own.outputs, again=again)
+        return self.entry(summary.failed(self.item, code, message), (), again=True)
+
+    def entry(
+        self,
+        row: dict[str, Any],
+        outputs: tuple[tuple[str, FileStamp], ...],
+        inputs: tuple[str, ...] | None = None,
+        *,
+        again: bool = False,
+    ) -> Entry:
+        """What is remembered of the round; `inputs` if not all were needed."""
+        item, used = self.item, self.inputs if inputs is None else inputs
+        return Entry(item.name, item.stamps, self.common.asked, row, outputs, again, self.round, used)
+
+    def kept(self, why: str) -> dict[str, Any]:
+        """The own result's row, and why it stays."""
+        return {**self.own_row, "message": f"{self.own_row['message']}; {self.refusal}: {why}"}
+
+    def result(
+        self, result: Result, row: dict[str, Any], inputs: tuple[str, ...] | None = None
+    ) -> TaskResult:
+        """What the worker returns."""
+        entry = self.entry(row, outputs_of(self.item, self.common, result), inputs)
+        return TaskResult(entry, result.up_to_date, problems_of(result))
+
+
 def _under(common: Common, path: Path) -> str:
     return path.relative_to(common.out).as_posix()
 
 
-class Parts:
+class StageProgress:
     """Turns the bytes of each stage into the part of the work that is done."""
 
-    def __init__(self, told: Told) -> None:
-        self._told = told
+    def __init__(self, report_progress: ProgressCallback) -> None:
+        self._report_progress = report_progress
         self._next: Any = 0.0
         self._part = 0.0
 
@@ -171,7 +234,7 @@ class Parts:
         def moved(done: int) -> None:
             part = start + 0.5 * min(1.0, done / max(total, 1))
             if part > self._part and time.monotonic() >= self._next:
-                self._next, self._part = time.monotonic() + TELL_S, part
-                self._told(part)
+                self._next, self._part = time.monotonic() + REPORT_S, part
+                self._report_progress(part)
 
         return moved

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import io
 import json
 from pathlib import Path
 
 import pytest
 
+from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.main import cli
 from tests.cli.run import Ran, run
 from tests.recordings import directions, still_counts, write_raw
 
@@ -43,6 +47,27 @@ def results(out: Path) -> dict[str, object]:
 def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: object) -> Ran:
     """Run on a folder, with the outputs in `out` beside it."""
     return run(capsys, "study", folder, "-d", folder.parent / "out", "-j", 2, *words)
+
+
+def run_in(folder: Path, *words: object) -> Ran:
+    """Run in this process with a current folder; its workers are forked from the server of earlier runs."""
+    out, err = io.StringIO(), io.StringIO()
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(err),
+    ):
+        patch.setattr(exit_codes, "_watch_signals", lambda: None)
+        code = exit_codes.run_safely(
+            lambda: cli.main([str(word) for word in words], "accelcal", standalone_mode=False)
+        )
+    return Ran(code, out.getvalue(), err.getvalue())
+
+
+def study_in(here: Path, *words: object, folder: str = "in", out: str = "out", jobs: int = 2) -> Ran:
+    """A study of a folder below `here`, whose outputs lie there, too; named from there."""
+    return run_in(here, "study", folder, "-d", out, "-j", jobs, *words)
 
 
 def rows(out: Path, name: str = "study") -> list[dict[str, str]]:

@@ -15,13 +15,14 @@ from hypothesis import strategies as st
 
 from accelcal_cli.study.summary import COLUMNS, PARAMETERS, TEXT, WHOLE
 from tests.cli.run import assert_one_line, run
-from tests.devices.made import drifting, fitted, fleet, refused, start, write
+from tests.devices.made import drifting, fitted, good_devices, refused, start, write
 
 Capture = pytest.CaptureFixture[str]
 WARM = {f"slope_{axis}_g_per_c": 0.001 for axis in "xyz"}
 COOL = WARM | {f"offset_{axis}_g": -0.003 for axis in "xyz"}
 MIXED = [
-    *fleet(3, 4), *drifting("17440", 0.005), refused("17440", 500), fitted("warm", 0, WARM, model="9T"),
+    *good_devices(3, 4),
+    *drifting("17440", 0.005), refused("17440", 500), fitted("warm", 0, WARM, model="9T"),
     fitted("warm", 30, COOL, model="6T", reference_c=27.0), fitted("warm", 60), fitted(None, 0),
     *(refused("dead", 30.0 * number) for number in range(3)), fitted("lost", None),
     {"path": "x.cwa", "outcome": "failed", "exit_code": 3, "message": "unreadable"},

@@ -32,14 +32,14 @@ def test_the_first_run_and_later_ones_find_the_same(tmp_path: Path, capsys: Capt
 def test_recordings_below_the_outputs_are_left_out_and_that_is_said(tmp_path: Path, capsys: Capture) -> None:
     folder = study_folder(tmp_path / "in")
     (folder / "south/notes.txt").write_text("none of them\n")
-    said = f"accelcal: left out, since below {folder / 'south'}: 1 recording"
+    said = f"accelcal: ignored, because below {folder / 'south'}: 1 recording"
     for words in (["--dry-run"], [], []):
         ran = run(capsys, "study", folder, "-d", folder / "south", *words)
         assert (ran.code, ran.err.splitlines()[0]) == (0, said)
         assert sorted(line.split("\t")[0] for line in ran.lines) == [str(folder / name) for name in NAMES[:2]]
     for words in (["-q"], ["--exclude", "south/*"], ["--include", "a.raw"]):
-        assert "left out" not in run(capsys, "study", folder, "-d", folder / "south", *words).err
-    assert "left out" not in run(capsys, "study", folder, "-d", folder).err
+        assert "ignored" not in run(capsys, "study", folder, "-d", folder / "south", *words).err
+    assert "ignored" not in run(capsys, "study", folder, "-d", folder).err
 
 
 @pytest.mark.parametrize("force", [(), ("--force",)])
@@ -52,7 +52,7 @@ def test_a_recording_of_the_summarys_name_is_not_overwritten(
     (folder / "study.csv").write_text(text)
     ran = run(capsys, "study", folder, "-d", folder, "--rate", 25, "--unit", "g", *force)
     assert (ran.code, ran.out) == (5, "")
-    assert f"{folder / 'study.csv'}: is in the way of the study's summary" in ran.err
+    assert f"{folder / 'study.csv'}: would be overwritten by the study's summary" in ran.err
     assert (folder / "study.csv").read_text() == text
     assert not list(folder.rglob("*.calibrated.parquet"))
     assert study(capsys, folder, "--rate", 25, "--unit", "g").code == 0

@@ -72,7 +72,7 @@ def write(out: Path, rows: list[dict[str, Any]]) -> Path:
     return out
 
 
-def fleet(devices: int = 6, recordings: int = 8, seed: int = 1) -> list[dict[str, Any]]:
+def good_devices(devices: int = 6, recordings: int = 8, seed: int = 1) -> list[dict[str, Any]]:
     """Devices with random levels and no drift, a recording every 30 days; errors as stated."""
     random = np.random.RandomState(seed)
     rows = []

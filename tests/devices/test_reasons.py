@@ -8,28 +8,28 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from accelcal_cli.devices.review import Unit, review
+from accelcal_cli.devices.review import DeviceReview, review
 from accelcal_cli.devices.trends import Rules
-from tests.devices.made import NOW_S, drifting, fitted, fleet, refused, write
+from tests.devices.made import NOW_S, drifting, fitted, good_devices, refused, write
 
 
-def units(tmp_path: Path, rows: list[dict], **rules: float) -> dict[str, Unit]:
+def units(tmp_path: Path, rows: list[dict], **rules: float) -> dict[str, DeviceReview]:
     found = review(write(tmp_path, rows), Rules(**rules), NOW_S)
-    return {unit.device.serial: unit for unit in found.units}
+    return {unit.key.serial: unit for unit in found.devices}
 
 
-def told(unit: Unit) -> list[tuple[str, bool]]:
+def told(unit: DeviceReview) -> list[tuple[str, bool]]:
     return [(one.rule, one.certain) for one in unit.reasons]
 
 
 def test_a_good_fleet_is_good(tmp_path: Path) -> None:
-    found = units(tmp_path, fleet(12))
+    found = units(tmp_path, good_devices(12))
     assert [str(unit.verdict) for unit in found.values()] == ["good"] * 12
     assert list(found) == sorted(found)
 
 
 def test_a_known_drift_is_found(tmp_path: Path) -> None:
-    found = units(tmp_path, [*fleet(), *drifting("D", 0.005), *drifting("slow", 0.001)])
+    found = units(tmp_path, [*good_devices(), *drifting("D", 0.005), *drifting("slow", 0.001)])
     (x,) = [one for one in found["D"].trends if one.parameter.name == "offset_x"]
     assert x.drift is not None
     assert abs(x.drift.per_month - 5.0) < 3 * x.drift.error
@@ -97,12 +97,12 @@ def test_levels_beyond_the_limits(tmp_path: Path) -> None:
 def test_an_outlying_held_out_error(tmp_path: Path) -> None:
     bad = [fitted("bad", 30.0 * number, after_mg=6.0) for number in range(2)]
     once = [fitted("once", 0, after_mg=6.0)]
-    found = units(tmp_path, [*fleet(8), *bad, *once])
+    found = units(tmp_path, [*good_devices(8), *bad, *once])
     assert told(found["bad"]) == [("held out", True)]
     assert told(found["once"]) == [("held out", False)]
     assert found["bad"].reasons[0].text == "held-out error 6.0 mg, of devices of its kind 2.1 mg"
-    assert told(units(tmp_path, [*fleet(3), *bad])["bad"]) == []
-    assert told(units(tmp_path, [*fleet(8), *(row | {"format": "csv"} for row in bad)])["bad"]) == []
+    assert told(units(tmp_path, [*good_devices(3), *bad])["bad"]) == []
+    assert told(units(tmp_path, [*good_devices(8), *(row | {"format": "csv"} for row in bad)])["bad"]) == []
 
 
 @pytest.mark.parametrize(
@@ -136,13 +136,13 @@ def test_slopes_have_limits_of_level_and_drift(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("lost", "reasons"), [(0.09, []), (0.1, [("damaged", True)])])
 def test_a_little_damage_is_none(tmp_path: Path, lost: float, reasons: list[tuple[str, bool]]) -> None:
-    rows = [*fleet(2), *(fitted("x", 30.0 * number, lost_percent=lost) for number in range(2))]
+    rows = [*good_devices(2), *(fitted("x", 30.0 * number, lost_percent=lost) for number in range(2))]
     assert told(units(tmp_path, rows)["x"]) == reasons
 
 
 def test_repeated_refusals_and_damage(tmp_path: Path) -> None:
     short = [refused("short", 30.0 * number) for number in range(3)]
-    rows = [*fleet(4), *short, fitted("short", 99), refused("once", 0)]
+    rows = [*good_devices(4), *short, fitted("short", 99), refused("once", 0)]
     rows += [fitted("wet", 30.0 * number, lost_percent=3.0 * number) for number in range(4)]
     found = units(tmp_path, rows)
     assert told(found["short"]) == [("refused", True)]

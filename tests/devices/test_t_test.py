@@ -7,19 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from accelcal_cli.devices.trends import normal, two_sided
+from accelcal_cli.devices.trends import normal, t_test
 
 
 @given(st.floats(-60, 60), st.integers(1, 400))
 def test_student_is_scipys(t: float, freedom: int) -> None:
-    assert two_sided(t, freedom) == pytest.approx(2 * stats.t.sf(abs(t), freedom), rel=1e-6, abs=1e-13)
+    assert t_test(t, freedom) == pytest.approx(2 * stats.t.sf(abs(t), freedom), rel=1e-6, abs=1e-13)
 
 
 def test_the_tables_of_books() -> None:
     """97.5 % quantiles, as in every table of Student's t."""
     for t, freedom in ((12.706, 1), (4.303, 2), (3.182, 3), (2.776, 4), (2.228, 10), (2.042, 30)):
-        assert two_sided(t, freedom) == pytest.approx(0.05, rel=1e-3)
-    assert (two_sided(0, 1), two_sided(0, 2)) == (1, 1)
+        assert t_test(t, freedom) == pytest.approx(0.05, rel=1e-3)
+    assert (t_test(0, 1), t_test(0, 2)) == (1, 1)
 
 
 def test_normal() -> None:

@@ -76,7 +76,7 @@ def test_a_start_two_days_ahead_is_another_zone_and_later_a_wrong_clock(tmp_path
 
 
 def test_no_table(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="does not exist; name the folder"):
+    with pytest.raises(UsageError, match="does not exist; give the folder"):
         read(tmp_path, NOW_S)
     (tmp_path / "study.2-of-8.parquet").write_bytes(b"x")
     with pytest.raises(UsageError, match="run the study with --collect"):
@@ -90,11 +90,11 @@ def test_a_table_that_is_none(tmp_path: Path) -> None:
         with pytest.raises(UnreadableError, match="cannot be read"):
             read(tmp_path, NOW_S)
     pq.write_table(pa.table({"path": ["a"]}), path)
-    with pytest.raises(UnreadableError, match="no table of a study: it has no column outcome"):
+    with pytest.raises(UnreadableError, match="is not the table of a study: it has no column outcome"):
         read(tmp_path, NOW_S)
     whole = pq.read_table(write(tmp_path, [fitted("A", 0)]) / "study.parquet")
     pq.write_table(whole.drop_columns([name for name in COLUMNS if name.startswith("se_")]), path)
-    with pytest.raises(UnreadableError, match="of an earlier version, without standard errors; run"):
+    with pytest.raises(UnreadableError, match="by an earlier version, without standard errors; run"):
         read(tmp_path, NOW_S)
     for name in ("k_xx", "path"):
         wrong = pa.array([5 if name in TEXT else "five"])

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from accelcal_cli.devices.table import Use, read, uses
+from accelcal_cli.devices.table import Usage, read, usages
 from tests.devices.made import FITTED, NOW_S, fitted, refused, write
 
 
 def found(tmp_path: Path, rows: list[dict]) -> dict[str, str]:
-    """Use by path."""
+    """Usage by path."""
     held = read(write(tmp_path, rows), NOW_S)
-    return dict(zip(held.text["path"], map(str, uses(held)), strict=True))
+    return dict(zip(held.text["path"], map(str, usages(held)), strict=True))
 
 
 def test_each_use(tmp_path: Path) -> None:
@@ -59,7 +59,7 @@ def test_coefficients_found_once_count_as_one_fit(tmp_path: Path) -> None:
 
 def test_offsets_with_and_without_scale_are_not_mixed(tmp_path: Path) -> None:
     three = [fitted("A", day, model="3") for day in (0, 30, 60)]
-    assert set(found(tmp_path, three).values()) == {Use.USED}
+    assert set(found(tmp_path, three).values()) == {Usage.USED}
     mixed = [*three, fitted("A", 90), fitted("A", 120, model="6")]
     assert list(found(tmp_path, mixed).values()) == ["used"] * 3 + ["other model"] * 2
     even = [*three[:2], fitted("A", 90), fitted("A", 120, model="9T")]

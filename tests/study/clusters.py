@@ -7,10 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+
+from tests.study.processes import soon
 
 ROOT = Path(__file__).resolve().parents[2]
 QUICK = {
@@ -21,25 +22,72 @@ QUICK = {
 }
 """A task that has killed two workers is not tried again."""
 
-Found = TypeVar("Found")
+
+ENDLESS = """
+import os, pathlib, time
+from accelcal_cli.study import task
+
+def stage(self, name, total, plain=task.StageProgress.stage):
+    moved = plain(self, name, total)
+
+    def endless(done):
+        moved(done)
+        while name == "writing" and pathlib.Path("endless").exists():
+            pathlib.Path(f"{os.getpid()}.begun").touch()
+            time.sleep(0.01)
+            self._report_progress(0.5)
+
+    return endless
+
+task.StageProgress.stage = stage
+"""
+"""Imported by each worker: while a file is there, no recording ends but by being cancelled."""
 
 
 @contextlib.contextmanager
-def cluster(folder: Path, workers: int = 2, *words: str) -> Iterator[Path]:
+def cluster(folder: Path, workers: int = 2) -> Iterator[Path]:
     """A scheduler file; the processes end with the block. Nannies start killed workers again."""
     file = folder / "scheduler.json"
+    (folder / "endless.py").write_text(ENDLESS)
     with contextlib.ExitStack() as stack:
         start(stack, folder, "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file),
-              "--idle-timeout", "120")  # fmt: skip
-        for _ in range(workers):
-            start_worker(stack, file, *words)
+              "--idle-timeout", "600")  # fmt: skip
+        if workers:
+            start_workers(stack, file, workers)
         soon(file.exists)
         yield file
 
 
-def start_worker(stack: contextlib.ExitStack, file: Path, *words: str) -> None:
-    """One more worker of one thread."""
-    start(stack, file.parent, "worker", "--scheduler-file", str(file), "--nthreads", "1", *words)
+def start_workers(stack: contextlib.ExitStack, file: Path, number: int) -> None:
+    """So many workers of one thread."""
+    start(stack, file.parent, "worker", "--scheduler-file", str(file), "--nthreads", "1",
+          "--nworkers", str(number), "--preload", "endless.py")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Endless:
+    """Recordings of a cluster do not end until they may, or are cancelled."""
+
+    folder: Path
+
+    def worker(self) -> int:
+        """A process that is writing one."""
+        return int(soon(lambda: next(self.folder.glob("*.begun"), None)).stem)
+
+    def end(self) -> None:
+        """From now on recordings end."""
+        (self.folder / "endless").unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def endless(scheduler: Path) -> Iterator[Endless]:
+    """Until the block ends nothing ends on a cluster."""
+    (scheduler.parent / "endless").touch()
+    for path in scheduler.parent.glob("*.begun"):
+        path.unlink()
+    work = Endless(scheduler.parent)
+    yield work
+    work.end()
 
 
 def start(stack: contextlib.ExitStack, folder: Path, *words: str) -> subprocess.Popen[bytes]:
@@ -61,13 +109,3 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-
-
-def soon(look: Callable[[], Found], within_s: float = 30.0) -> Found:
-    """What there is to see before long."""
-    end = time.monotonic() + within_s
-    while time.monotonic() < end:
-        if found := look():
-            return found
-        time.sleep(0.005)
-    raise AssertionError("nothing came")

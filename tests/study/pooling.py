@@ -6,12 +6,13 @@ import json
 from pathlib import Path
 from typing import Any
 
-from tests.cli.run import Ran, run_process
+from tests.cli.run import Ran
+from tests.cli.studies import study_in
 
 
 def study(here: Path, *words: object, out: str = "out", pool: bool = True, jobs: int = 2) -> Ran:
     more = ["--pool", "device"] if pool else []
-    return run_process("study", "in", "-d", out, "-j", jobs, *more, *words, cwd=here)
+    return study_in(here, *more, *words, out=out, jobs=jobs)
 
 
 def pool_of(out: Path) -> dict[str, Any]:

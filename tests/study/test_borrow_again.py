@@ -1,19 +1,17 @@
-"""Borrowing again: what is done anew when a device's recordings change, and after a kill."""
+"""BorrowTask again: what is done anew when a device's recordings change, and after a kill."""
 
 from __future__ import annotations
 
-import random
 import shutil
-import time
 from pathlib import Path
 
 import pytest
 
-from tests.cli.run import Ran, run_process
-from tests.cli.studies import results, rows
+from tests.cli.run import Ran
+from tests.cli.studies import results, rows, study_in
 from tests.device_recordings import week
 from tests.study.borrowing import report
-from tests.study.processes import begun, lines, session, soon
+from tests.study.processes import begun, kill, lines, soon
 
 LONG = {"a/far.raw": "2024-01-01", "a/near.raw": "2024-03-01", "b/late.raw": "2024-06-01"}
 SHORT = ("a/short1.raw", "a/short2.raw", "b/short3.raw")
@@ -44,7 +42,7 @@ def here(base: Path, tmp_path: Path) -> Path:
 
 
 def study(here: Path, *words: object, out: str = "out", borrow: bool = True) -> Ran:
-    return run_process("study", "in", "-d", out, "-j", 2, *(["--borrow"] if borrow else []), *words, cwd=here)
+    return study_in(here, *(["--borrow"] if borrow else []), *words, out=out)
 
 
 def write(path: Path, day: str, **more: object) -> Path:
@@ -136,10 +134,7 @@ def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(base: Path, he
     shutil.rmtree(here / "out")
     process = begun(Path("in"), Path("out"), "--borrow", cwd=here)
     soon(lambda: lines(here / "out") >= after)
-    time.sleep(random.Random(after).uniform(0, 0.05))
-    process.kill()
-    process.communicate()
-    soon(lambda: not session(process.pid))
+    kill(process)
     assert study(here).code == 1
     assert results(here / "out") == results(base / "out")
 

@@ -11,9 +11,9 @@ from accelcal_cli.study.discovery import Where
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import Study, plan
 from accelcal_cli.study.pooling import make_pool, pool_tasks, pooled, pooled_tasks
-from accelcal_cli.study.records import Standing
-from accelcal_cli.study.rounds import Known
-from accelcal_cli.study.task import Task, calibrated
+from accelcal_cli.study.records import RecordingState
+from accelcal_cli.study.rounds import StudyState
+from accelcal_cli.study.task import CalibrationTask, calibrated
 from tests.device_recordings import week
 
 SAID = "changed while it was read"
@@ -23,14 +23,14 @@ def told(_part: float) -> None:
     pass
 
 
-def known(folder: Path) -> tuple[Study, Known]:
+def known(folder: Path) -> tuple[Study, StudyState]:
     """The own results of a study, found in this process."""
     study = Study(Where((folder,), folder.parent / "out"), Request(), pool=True, borrow=True)
     found = plan(study, Ledger(study.out / "study.ledger"))
-    held = Known()
+    held = StudyState()
     for item in found.todo:
-        entry = calibrated(Task(item, study.out, study.request, study.asked()), told).entry
-        held.standing[item.name] = Standing(item, entry, entry)
+        entry = calibrated(CalibrationTask(item, study.out, study.request, study.asked()), told).entry
+        held.standing[item.name] = RecordingState(item, entry, entry)
     return study, held
 
 

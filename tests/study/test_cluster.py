@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import subprocess
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,34 +13,24 @@ import pytest
 from tests.cli.run import Ran, assert_one_line, command
 from tests.cli.studies import results, study_folder
 from tests.recordings import directions, still_counts, write_raw
-from tests.study.clusters import QUICK, cluster, soon, start_worker
+from tests.study.clusters import QUICK, cluster, endless, start_workers
+from tests.study.processes import soon
 
 pytest.importorskip("distributed")
-pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
+pytestmark = [
+    pytest.mark.xdist_group("cluster"),
+    pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc"),
+]
 NAMES = ("a/p0.raw", "b/p1.raw")
 LONG = "long.raw"
-
-
-@pytest.fixture(scope="module")
-def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    with cluster(tmp_path_factory.mktemp("cluster")) as file:
-        yield file
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Good recordings, a long one, and a damaged one."""
     found = study_folder(tmp_path_factory.mktemp("study") / "in", NAMES)
-    write_raw(found / LONG, still_counts(directions(1200)))
+    write_raw(found / LONG, still_counts(directions(480)))
     (found / "zeros.cwa").write_bytes(bytes(4096))
-    return found
-
-
-@pytest.fixture(scope="module")
-def endless(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """One recording that is not done before it is interrupted."""
-    found = tmp_path_factory.mktemp("endless")
-    write_raw(found / LONG, still_counts(directions(6000)))
     return found
 
 
@@ -62,18 +51,12 @@ def begun(here: Path, *words: object, **environment: str) -> subprocess.Popen[by
 
 
 def ended(process: subprocess.Popen[bytes]) -> Ran:
-    out, said = process.communicate(timeout=60)
+    out, said = process.communicate()
     return Ran(process.returncode, out.decode(), said.decode())
 
 
 def ran(here: Path, *words: object, **environment: str) -> Ran:
     return ended(begun(here, *words, **environment))
-
-
-def at_work(out: Path) -> int:
-    """The process that is writing the long recording."""
-    name = ".long.calibrated.parquet."
-    return int(soon(lambda: next(out.glob(f"{name}*.tmp"), None)).name.split(".")[-3])
 
 
 def test_the_bytes_are_those_of_one_process(
@@ -94,10 +77,12 @@ def test_a_worker_that_is_killed_is_made_good_elsewhere(
     scheduler: Path, folder: Path, undisturbed: dict[str, object], tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    process = begun(folder.parent, "in", "-d", out, "--dask", scheduler)
-    worker = at_work(out)
-    assert worker != process.pid
-    os.kill(worker, signal.SIGKILL)
+    with endless(scheduler) as work:
+        process = begun(folder.parent, "in", "-d", out, "--dask", scheduler)
+        worker = work.worker()
+        assert worker != process.pid
+        work.end()
+        os.kill(worker, signal.SIGKILL)
     assert ended(process).code == 1
     assert results(out) == undisturbed
     assert not list(out.rglob("*.tmp"))
@@ -105,35 +90,40 @@ def test_a_worker_that_is_killed_is_made_good_elsewhere(
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
 def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
-    scheduler: Path, endless: Path, tmp_path: Path, number: int
+    scheduler: Path, folder: Path, tmp_path: Path, number: int
 ) -> None:
     out = tmp_path / "out"
-    process = begun(endless.parent, endless, "-d", out, "--dask", scheduler)
-    at_work(out)
-    process.send_signal(number)
-    left = ended(process)
+    with endless(scheduler) as work:
+        process = begun(folder, "a", "-d", out, "--dask", scheduler)
+        work.worker()
+        assert list(out.glob(".p0.calibrated.parquet.*.tmp"))
+        process.send_signal(number)
+        left = ended(process)
     assert (left.code, left.err) == (130, "accelcal: interrupted; nothing half-written was left\n")
     assert not list(out.iterdir())
 
 
 @pytest.mark.nightly
-def test_a_killed_study_leaves_nothing_running(scheduler: Path, endless: Path, tmp_path: Path) -> None:
+def test_a_killed_study_leaves_nothing_running(scheduler: Path, folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    process = begun(endless.parent, endless, "-d", out, "--dask", scheduler)
-    at_work(out)
-    process.kill()
-    process.communicate()
-    soon(lambda: not list(out.rglob("*.tmp")))
+    with endless(scheduler) as work:
+        process = begun(folder, "a", "-d", out, "--dask", scheduler)
+        work.worker()
+        assert list(out.glob(".p0.calibrated.parquet.*.tmp"))
+        process.kill()
+        process.communicate()
+        soon(lambda: not list(out.rglob("*.tmp")))
     assert [path.name for path in out.iterdir()] == ["study.lock"]
 
 
 @pytest.mark.nightly
 def test_what_takes_too_long_is_ended(scheduler: Path, folder: Path, tmp_path: Path) -> None:
     words = ("in", "-d", tmp_path / "out", "--include", LONG, "--timeout", 0.001)
-    late = ran(folder.parent, *words, "--dask", scheduler)
-    assert late.code == 70
-    assert f"in/{LONG}: took more than 0.001 minutes and was ended" in late.err
-    soon(lambda: not list(tmp_path.rglob("*.tmp")))
+    with endless(scheduler):
+        late = ran(folder.parent, *words, "--dask", scheduler)
+        assert late.code == 70
+        assert f"in/{LONG}: took more than 0.001 minutes and was ended" in late.err
+        soon(lambda: not list(tmp_path.rglob("*.tmp")))
 
 
 def test_no_scheduler_is_said(folder: Path, tmp_path: Path) -> None:
@@ -157,8 +147,8 @@ def test_a_worker_may_come_later(folder: Path, tmp_path: Path) -> None:
     with cluster(tmp_path, 0) as file, contextlib.ExitStack() as stack:
         words = ("in", "-d", tmp_path / "out", "--include", NAMES[0], "--dask", file)
         process = begun(folder.parent, *words)
-        assert waiting(process) == f"accelcal: {file} has no workers; waiting for one\n"
-        start_worker(stack, file)
+        assert waiting(process) == f"accelcal: {file} has no workers yet; waiting\n"
+        start_workers(stack, file, 1)
         assert ended(process).code == 0
 
 
@@ -166,11 +156,11 @@ def test_it_waits_for_workers_until_the_scheduler_is_lost(folder: Path, tmp_path
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(cluster(tmp_path, 0))
         process = begun(folder.parent, "in", "-d", tmp_path / "out", "--dask", file)
-        assert waiting(process) == f"accelcal: {file} has no workers; waiting for one\n"
+        assert waiting(process) == f"accelcal: {file} has no workers yet; waiting\n"
         stack.close()
         lost = ended(process)
         assert lost.code == 69
-        assert_one_line(lost, "was lost", "run this again")
+        assert_one_line(lost, "was lost", "run the command again")
 
 
 def waiting(process: subprocess.Popen[bytes]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelcal_cli.study.borrowing import identity, lenders, pools
+from accelcal_cli.study.borrowing import donors, identity, pools
 
 
 def row(outcome: str = "calibrated", after_mg: float | None = 1.0, **more: Any) -> dict[str, Any]:
@@ -27,7 +27,7 @@ def at(day: int, hour: int = 0, zone: str = "", **more: Any) -> dict[str, Any]:
 
 
 def asked(rows: dict[str, dict[str, Any]], *, compare: bool = True) -> dict[str, list[str]]:
-    return lenders(rows, 50.0, compare=compare)
+    return donors(rows, 50.0, compare=compare)
 
 
 def test_the_nearest_lends_first_by_the_time_between_end_and_start() -> None:
@@ -96,7 +96,7 @@ def test_at_most_three_are_asked() -> None:
 def test_pooled_recordings_stay_as_they_are_but_lend() -> None:
     rows = {"x": row("refused"), "a": row(after_mg=4.0), "b": row(after_mg=1.0)}
     assert asked(rows) == {"x": ["b"], "a": ["b"]}
-    assert lenders(rows, 50.0, compare=True, settled=["a"]) == {"x": ["a", "b"]}
+    assert donors(rows, 50.0, compare=True, settled=["a"]) == {"x": ["a", "b"]}
 
 
 def test_a_pool_agrees_in_device_counts_per_g_and_range() -> None:

@@ -1,4 +1,4 @@
-"""Which engine is taken, and what is tidied up after a process of another machine."""
+"""Which executor is taken, and what is tidied up after a process of another machine."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.study.dask_client import Cluster
 from accelcal_cli.study.discovery import Where, files
 from accelcal_cli.study.plan import Shard, Study
-from accelcal_cli.study.process_pool import Crew
-from accelcal_cli.study.rounds import engine_of, tidy
-from accelcal_cli.study.task import Task, calibrated
+from accelcal_cli.study.process_pool import ProcessPool
+from accelcal_cli.study.rounds import executor_for, tidy
+from accelcal_cli.study.task import CalibrationTask, calibrated
 from tests.cli.studies import study_folder
 
 
-def engine(study: Study) -> Crew | Cluster:
-    found = engine_of(study, calibrated, 3, lambda _task, _part: None, lambda _text: None)
-    assert isinstance(found, Crew | Cluster)
+def executor(study: Study) -> ProcessPool | Cluster:
+    found = executor_for(study, calibrated, 3, lambda _task, _part: None, lambda _text: None)
+    assert isinstance(found, ProcessPool | Cluster)
     return found
 
 
@@ -32,12 +32,15 @@ def test_a_cluster_is_given_absolute_names_and_the_lock(
     Path("out").mkdir()
     Path("out/study.2-of-3.lock").write_text("held")
     study = Study(Where((Path("in"), Path("/other")), Path("out")), Request(), jobs=2, shard=Shard(2, 3))
-    assert isinstance(engine(study), Crew)
-    found = engine(replace(study, dask="tcp://host:8786"))
+    assert isinstance(executor(study), ProcessPool)
+    found = executor(replace(study, dask="tcp://host:8786"))
     assert isinstance(found, Cluster)
-    assert (found.limit, found.told) == (2, "tcp://host:8786")
-    assert found.terms.folders == (tmp_path / "in", Path("/other"))
-    assert (found.terms.mark, found.terms.content) == (tmp_path / "out/study.2-of-3.lock", "held")
+    assert (found.limit, found.address) == (2, "tcp://host:8786")
+    assert found.requirements.folders == (tmp_path / "in", Path("/other"))
+    assert (found.requirements.mark, found.requirements.content) == (
+        tmp_path / "out/study.2-of-3.lock",
+        "held",
+    )
 
 
 def test_what_a_lost_process_left_is_removed_and_no_more(tmp_path: Path) -> None:
@@ -53,7 +56,7 @@ def test_what_a_lost_process_left_is_removed_and_no_more(tmp_path: Path) -> None
     ]
     for name in (*lost, *kept):
         (out / name).touch()
-    tidy(Task(item, out, Request(), ""))
+    tidy(CalibrationTask(item, out, Request(), ""))
     assert {path.name for path in out.iterdir()} == {*lost, *kept}
-    tidy(Task(item, out, Request(), ""), "there.12")
+    tidy(CalibrationTask(item, out, Request(), ""), "there.12")
     assert {path.name for path in out.iterdir()} == set(kept)

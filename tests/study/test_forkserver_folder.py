@@ -14,6 +14,7 @@ import pytest
 
 from tests.cli.run import run_process
 from tests.cli.studies import study_folder
+from tests.study.processes import soon
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are forked there")
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,8 +34,8 @@ def fatal(*words):
 killed, plain = [], process_pool._process
 process_pool._process = fatal
 if __name__ == "__main__":
-    for ended in process_pool.Crew(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
-        print(ended.answer)
+    for ended in process_pool.ProcessPool(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
+        print(ended.result)
     print(len(killed))
 """
 
@@ -59,14 +60,15 @@ def test_a_long_path_of_temporary_files_is_no_hindrance(
 
 
 def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path) -> None:
-    script = "from accelcal_cli.study.process_pool import short_lived\nwith short_lived(): input()"
+    script = (
+        "from accelcal_cli.study.process_pool import forkserver_folder\nwith forkserver_folder(): input()"
+    )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     killed, living = (
         subprocess.Popen([sys.executable, "-c", script], stdin=subprocess.PIPE, env=environment)
         for _ in range(2)
     )
-    while len(list(short.iterdir())) < 2:
-        pass
+    soon(lambda: len(list(short.iterdir())) == 2)
     killed.send_signal(signal.SIGKILL)
     killed.communicate()
     assert run_process("study", study_folder(tmp_path / "in", ("a.raw",)), "-d", tmp_path / "out").code == 0
@@ -76,14 +78,13 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path
 
 
 def test_another_server_is_started_where_it_was_killed(tmp_path: Path) -> None:
-    script = tmp_path / "crew.py"
+    script = tmp_path / "pool.py"
     script.write_text(SERVER_KILLED)
     done = subprocess.run(
         [sys.executable, script],
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=60,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.run import run, run_process
-from tests.cli.studies import NAMES, results, rows, study, study_folder
+from tests.cli.run import run
+from tests.cli.studies import NAMES, results, rows, run_in, study, study_folder
 from tests.device_recordings import week
 from tests.recordings import directions, still_counts, write_raw
 
@@ -22,7 +22,7 @@ def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("include")
     folder = study_folder(base / "in", NAMES)
     (folder / "zeros.cwa").write_bytes(bytes(4096))
-    assert run_process("study", folder, "-d", base / "out").code == 1
+    assert run_in(base, "study", folder, "-d", base / "out").code == 1
     return base
 
 

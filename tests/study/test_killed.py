@@ -16,11 +16,17 @@ from pathlib import Path
 import pytest
 
 from tests.cli.run import run_process
-from tests.cli.studies import results, study_folder
-from tests.study.processes import begun, session, soon
+from tests.cli.studies import results, run_in, study_folder
+from tests.study.processes import begun, held, session, soon
 
 pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
 NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(3))
+ENDS = ("calibrated.parquet", "calibration.json")
+MOMENTS = (
+    "accelcal_cli.study.run", "accelcal_cli.study.preload", "study.parquet", "study.csv", "study.ledger",
+    *(f"{name.removesuffix('raw')}{end}" for name in NAMES for end in ENDS),
+)  # fmt: skip
+"""What is about to be imported, or to be given its name, when a study is struck."""
 TIMES = [pytest.param(5, 1, id="5"), pytest.param(50, None, id="50", marks=pytest.mark.nightly)]
 
 
@@ -44,17 +50,13 @@ def test_killed_again_and_again_it_ends_as_if_nothing_had_been(
     seed = int(os.environ.get("ACCELCAL_KILLS_SEED", seed or time.time_ns() % 1_000_000))
     print(f"ACCELCAL_KILLS_SEED={seed}")
     chance, out = random.Random(seed), tmp_path / "out"
-    began = time.monotonic()
-    assert run_process("study", folder, "-d", tmp_path / "undisturbed").code == 0
-    longest_s, undisturbed = time.monotonic() - began, results(tmp_path / "undisturbed")
-    for _ in range(times):
-        process = begun(folder, out)
-        time.sleep(chance.uniform(0, 1.1 * longest_s))
-        strike(process, chance)
-        _, said = process.communicate(timeout=60)
-        assert process.returncode in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, 0, 1, 130), said
-        assert b"Traceback" not in said or process.returncode in (-signal.SIGTERM, -signal.SIGINT), said
-        soon(lambda pid=process.pid: not session(pid))
+    assert run_in(folder, "study", folder, "-d", tmp_path / "undisturbed").code == 0
+    undisturbed = results(tmp_path / "undisturbed")
+    for number in range(times):
+        (tmp_path / str(number)).mkdir()
+        said, code = struck(folder, out, tmp_path / str(number), chance)
+        assert code in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGINT, 0, 1, 130), said
+        assert b"Traceback" not in said or code in (-signal.SIGTERM, -signal.SIGINT), said
         whole = {name: content for name, content in results(out).items() if is_output(name)}
         assert whole == {name: undisturbed[name] for name in whole}
         if chance.random() < 0.3:
@@ -63,6 +65,17 @@ def test_killed_again_and_again_it_ends_as_if_nothing_had_been(
     assert last.code == 0, last.err
     assert results(out) == undisturbed
     assert list(temporaries.iterdir()) == []
+
+
+def struck(folder: Path, out: Path, here: Path, chance: random.Random) -> tuple[bytes, int]:
+    """What a study says that is held somewhere, if it comes there, and then struck; and how it ends."""
+    with held(here, chance.choice(MOMENTS)) as hold:
+        process = begun(folder, out, environment=hold.environment)
+        soon(lambda: process.poll() is not None or any(hold.folder.glob("[0-9]*")))
+        strike(process, chance)
+    _, said = process.communicate()
+    soon(lambda: not session(process.pid))
+    return said, process.returncode
 
 
 def is_output(name: str) -> bool:

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.study.ledger import Ledger
-from tests.cli.run import run, run_process
-from tests.cli.studies import results, study_folder
+from tests.cli.run import run
+from tests.cli.studies import results, run_in, study_folder
 
 Capture = pytest.CaptureFixture[str]
 NAMES = ("a.raw", "b.raw", "c.raw")
@@ -22,7 +22,7 @@ NAMES = ("a.raw", "b.raw", "c.raw")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
     base = tmp_path_factory.mktemp("ledger")
     study_folder(base / "in", NAMES)
-    assert run_process("study", base / "in", "-d", base / "out").code == 0
+    assert run_in(base, "study", base / "in", "-d", base / "out").code == 0
     return base
 
 

@@ -60,7 +60,9 @@ def test_a_number_that_was_given_again_is_not_taken_for_its_owner(tmp_path: Path
 def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
     path = write(tmp_path / "study.lock", host="elsewhere", pid=dead)
     with (
-        pytest.raises(LockedError, match=r"on elsewhere.*; if it no longer runs there, remove study\.lock"),
+        pytest.raises(
+            LockedError, match=r"on elsewhere.*; if it is no longer running there, remove study\.lock"
+        ),
         held(path),
     ):
         pass

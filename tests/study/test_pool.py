@@ -9,14 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.cli.run import run_process
-from tests.cli.studies import results, rows
+from tests.cli.studies import results, rows, run_in
 from tests.device_recordings import rest, write_device
 from tests.recordings import directions
 from tests.study.borrowing import report
-from tests.study.clusters import cluster
 from tests.study.pooling import pool_of, study
-from tests.study.processes import begun, lines, session, soon
+from tests.study.processes import begun, kill, lines, soon
 
 PARTS = {"a/one": 0, "a/two": 7, "b/three": 13, "b/four": 19}
 """Recordings of device A1, and the first pose of each; 26 poses in all."""
@@ -66,7 +64,7 @@ def here(base: Path, tmp_path: Path) -> Path:
 
 def test_a_pool_is_what_one_long_recording_would_be(base: Path) -> None:
     """Windows end where poses do, so that the long recording has the very windows of its four parts."""
-    assert run_process("calibrate", base / "whole.raw", "-d", base / "alone").code == 0
+    assert run_in(base, "calibrate", base / "whole.raw", "-d", base / "alone").code == 0
     whole, made = report(base / "alone", "whole"), pool_of(base / "out")
     for name in ("outcome", "message", "calibration", "holdout", "coverage", "models_tried"):
         assert made[name] == whole[name]
@@ -152,9 +150,7 @@ def test_with_borrowing_what_is_left_borrows_from_the_pool(here: Path) -> None:
     assert report(here / "out", "coarse")["calibration"] == pool_of(here / "out")["calibration"]
     assert "10 unchanged" in study(here, "--borrow").err
     for name in ("coarse", "a/one"):
-        ran = run_process(
-            "verify", "--values", here / f"out/{name}.calibration.json", f"in/{name}.raw", cwd=here
-        )
+        ran = run_in(here, "verify", "--values", here / f"out/{name}.calibration.json", f"in/{name}.raw")
         assert (ran.code, ran.lines[0].split("\t")[1]) == (0, "identical")
 
 
@@ -167,9 +163,7 @@ def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(base: Path, he
     shutil.rmtree(here / "out")
     process = begun(Path("in"), Path("out"), "--pool", "device", cwd=here)
     soon(lambda: lines(here / "out") >= after)
-    process.kill()
-    process.communicate()
-    soon(lambda: not session(process.pid))
+    kill(process)
     study(here)
     assert results(here / "out") == results(base / "out")
 
@@ -180,12 +174,10 @@ def test_profile_paper_has_no_cells(here: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-def test_with_a_cluster_the_bytes_are_the_same(here: Path) -> None:
+def test_with_a_cluster_the_bytes_are_the_same(here: Path, scheduler: Path) -> None:
     pytest.importorskip("distributed")
-    (here / "cluster").mkdir()
-    with cluster(here / "cluster") as file:
-        for _ in range(2):
-            ran = study(here, "--borrow", "--dask", str(file), out="there")
+    for _ in range(2):
+        ran = study(here, "--borrow", "--dask", scheduler, out="there")
     assert "10 unchanged" in ran.err
     study(here, "--borrow", out="local")
     assert results(here / "there") == results(here / "local")

@@ -78,12 +78,12 @@ def test_a_members_report_is_not_taken_for_a_pools(tmp_path: Path) -> None:
     """It has a section `pool`, too, and here the name of one; pools that are gone are removed."""
     (tmp_path / "in").mkdir()
     values, _ = rest(directions(24), seed=5)
-    write_device(tmp_path / "in/study.pool.one.raw", values[: 12 * 750])
-    write_device(tmp_path / "in/two.raw", values[12 * 750 :])
+    for number, name in enumerate(("study.pool.one", "two", "three")):
+        write_device(tmp_path / f"in/{name}.raw", values[number * 8 * 750 : (number + 1) * 8 * 750])
     (tmp_path / "out").mkdir()
     gone = tmp_path / "out/study.pool.B2-00000000.calibration.json"
     assert study(tmp_path).code == 0
     gone.write_bytes(next((tmp_path / "out").glob("study.pool.A1-*")).read_bytes())
-    assert "2 unchanged" in study(tmp_path).err
+    assert "3 unchanged" in study(tmp_path).err
     assert not gone.exists()
     assert report(tmp_path / "out", "study.pool.one")["pool"]["serial"] == "A1"

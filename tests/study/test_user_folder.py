@@ -13,25 +13,31 @@ import accelcal_cli
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.study.dask_worker import Terms, calibrated_from, code, seen_from, unfit
+from accelcal_cli.study.dask_worker import (
+    WorkerRequirements,
+    calibrate_in_user_folder,
+    code,
+    in_user_folder,
+    unsuitable,
+)
 from accelcal_cli.study.discovery import Where, files
-from accelcal_cli.study.task import Answer, Task, calibrated
+from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
 from tests.cli.studies import results, study_folder
 from tests.conftest import ROOT
 
 NAMES = ("a.raw", "b.raw")
 
 
-def tasks(folder: Path, out: Path, request: Request | None = None) -> list[Task]:
+def tasks(folder: Path, out: Path, request: Request | None = None) -> list[CalibrationTask]:
     found = files(Where((folder,), out, exclude=("*.txt", "*.json")))
-    return [Task(item, out, request or Request(), "asked") for item in found]
+    return [CalibrationTask(item, out, request or Request(), "asked") for item in found]
 
 
 def not_told(_part: float) -> None:
     pass
 
 
-def both(here: Path, folder: Path, patch: pytest.MonkeyPatch, request: Request) -> list[list[Answer]]:
+def both(here: Path, folder: Path, patch: pytest.MonkeyPatch, request: Request) -> list[list[TaskResult]]:
     """The answers of a process in `here`, and of one elsewhere with other outputs of the same name."""
     patch.chdir(here)
     one = [calibrated(task, not_told) for task in tasks(folder, Path("out"), request)]
@@ -40,7 +46,7 @@ def both(here: Path, folder: Path, patch: pytest.MonkeyPatch, request: Request) 
     given = tasks(folder, Path("out"), request)
     (here / "elsewhere").mkdir()
     patch.chdir(here / "elsewhere")
-    two = [calibrated_from(here, task, not_told) for task in given]
+    two = [calibrate_in_user_folder(here, task, not_told) for task in given]
     assert results(here / "out") == made
     assert not list((here / "elsewhere").iterdir())
     return [one, two]
@@ -73,12 +79,12 @@ def test_a_layout_and_an_output_in_the_way_are_named_so_too(
     request = Request(options=ReadOptions(layout=Path("all.toml")))
     given = tasks(Path("in"), Path("out"), request)
     monkeypatch.chdir(folder)
-    fine, wrong = (calibrated_from(tmp_path, task, not_told) for task in given)
+    fine, wrong = (calibrate_in_user_folder(tmp_path, task, not_told) for task in given)
     assert fine.entry.row is not None and fine.entry.row["outcome"] == "calibrated"
     assert wrong.entry.row is not None and wrong.entry.again
     assert wrong.entry.row["message"].startswith("out/b.calibration.json: exists and was not written")
-    absolute = seen_from(tmp_path, given[0])
-    assert seen_from(Path("/nowhere"), absolute).item == absolute.item
+    absolute = in_user_folder(tmp_path, given[0])
+    assert in_user_folder(Path("/nowhere"), absolute).item == absolute.item
 
 
 def test_several_at_once_in_one_process_do_not_disturb_each_other(tmp_path: Path) -> None:
@@ -98,17 +104,21 @@ def test_several_at_once_in_one_process_do_not_disturb_each_other(tmp_path: Path
 def test_a_worker_must_be_able_to_write(tmp_path: Path) -> None:
     mark = tmp_path / "study.lock"
     mark.write_text("x")
-    terms = Terms(accelcal_cli.__version__, code(), (tmp_path,), mark, "x", patience_s=0)
-    assert unfit(terms) is None
+    requirements = WorkerRequirements(accelcal_cli.__version__, code(), (tmp_path,), mark, "x", patience_s=0)
+    assert unsuitable(requirements) is None
     assert list(tmp_path.iterdir()) == [mark]
     system = Path("/proc/version")
     if not system.exists():
         pytest.skip("needs /proc")
-    error = unfit(replace(terms, mark=system, content=system.read_text()))
+    error = unsuitable(replace(requirements, mark=system, content=system.read_text()))
     assert isinstance(error, OutputError)
     assert str(error).startswith("/proc: the worker on ")
 
 
 def test_the_same_version_with_other_code_is_refused(tmp_path: Path) -> None:
-    terms = Terms(accelcal_cli.__version__, "other", (tmp_path,), tmp_path / "x", "x", patience_s=0)
-    assert f"another accelcal that is also called {accelcal_cli.__version__}" in str(unfit(terms))
+    requirements = WorkerRequirements(
+        accelcal_cli.__version__, "other", (tmp_path,), tmp_path / "x", "x", patience_s=0
+    )
+    assert f"has accelcal {accelcal_cli.__version__}, too, but its code differs" in str(
+        unsuitable(requirements)
+    )
