@@ -10,9 +10,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from accelcal_cli.core.system import hold_to_one_thread
+
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("searching", deadline=None)
 settings.load_profile(os.environ.get("ACCELCAL_HYPOTHESIS", "steady"))
+
+hold_to_one_thread()
 
 ROOT = Path(__file__).resolve().parent.parent
 
