@@ -10,6 +10,7 @@ import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.formats.csv import table as _csv_blocks
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_csv import make, read, stamp, written
 
 HEADER = "time,x,y,z\n"
@@ -24,11 +25,12 @@ def rows(count: int, start: int = 0) -> str:
     return "".join(row(number) for number in range(start, start + count))
 
 
-def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Path) -> None:
+@every_byte
+def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Path, step: int) -> None:
     truth = make(tmp_path, COUNTS[:12], 100.0, 256.0)
     data = truth.path.read_bytes()
     whole = read(truth.path)
-    for size in range(len(data)):
+    for size in cuts(data, step):
         path = written(tmp_path, data[:size], "cut.csv")
         try:
             found = read(path)
@@ -43,11 +45,12 @@ def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Pa
         assert found.codes == ([] if kept else ["truncated"])
 
 
-def test_gzip_truncated_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Path) -> None:
+@every_byte
+def test_gzip_truncated_at_every_byte_gives_a_prefix_or_one_clear_error(tmp_path: Path, step: int) -> None:
     truth = make(tmp_path, COUNTS[:20], 100.0, 256.0)
     data = gzip.compress(truth.path.read_bytes(), mtime=0)
     whole = read(truth.path)
-    for size in range(2, len(data)):
+    for size in cuts(data, step, 2):
         path = written(tmp_path, data[:size], "cut.csv.gz")
         try:
             found = read(path)
