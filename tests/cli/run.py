@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -44,9 +47,7 @@ def command(*words: object) -> list[str]:
     return [sys.executable, "-m", "accelcal_cli", *map(str, words)]
 
 
-def run_process(
-    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float = 120
-) -> Ran:
+def run_process(*words: object, stdin: bytes | None = None, cwd: Path | None = None) -> Ran:
     """Run in a process of its own."""
     done = subprocess.run(
         command(*words),
@@ -54,10 +55,20 @@ def run_process(
         capture_output=True,
         cwd=cwd,
         env=os.environ,
-        timeout=timeout,
         check=False,
     )
     return Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
+
+
+@contextmanager
+def little_room(file_bytes: int) -> Iterator[None]:
+    """No file may grow beyond a number of bytes, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def assert_one_line(ran: Ran, *parts: str) -> None:

@@ -89,7 +89,7 @@ def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(
 
 
 @each_vendor
-@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_head_gives_rows_or_an_error_of_ours(
     vendor: Vendor, tmp_path: Path, data: st.DataObject
