@@ -32,7 +32,7 @@ demo: $(PLAIN)
 	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
 
 test: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m 'not nightly'
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not nightly'
 
 nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly

@@ -21,6 +21,19 @@ hold_to_one_thread()
 ROOT = Path(__file__).resolve().parent.parent
 
 
+LONGEST = {
+    "test_generator.py": 0,
+    "test_killed.py": 1,
+    "test_interrupted.py": 1,
+    "test_real_recordings.py": 2,
+}
+"""What begins first, so that no worker is left with it at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: LONGEST.get(item.path.name, len(LONGEST)))
+
+
 def shared_folder() -> Path | None:
     """The folder of real recordings and tools, or None where it is absent."""
     named = os.environ.get("ACCELCAL_REAL_DATA")

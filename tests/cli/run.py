@@ -47,7 +47,9 @@ def command(*words: object) -> list[str]:
     return [sys.executable, "-m", "accelcal_cli", *map(str, words)]
 
 
-def run_process(*words: object, stdin: bytes | None = None, cwd: Path | None = None) -> Ran:
+def run_process(
+    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float | None = None
+) -> Ran:
     """Run in a process of its own."""
     done = subprocess.run(
         command(*words),
@@ -55,6 +57,7 @@ def run_process(*words: object, stdin: bytes | None = None, cwd: Path | None = N
         capture_output=True,
         cwd=cwd,
         env=os.environ,
+        timeout=timeout,
         check=False,
     )
     return Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
