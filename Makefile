@@ -7,6 +7,8 @@ PLAIN  := $(VENV)/.installed
 READY  := $(VENV)/.ready
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 DEMO   := demo
+# else each process that a test starts compiles the package, and each worker all tests, once more
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup demo test nightly fuzz lint bench bench-peers snakemake sample-data figure clean
 
