@@ -1,31 +1,40 @@
-# make demo   set everything up and calibrate sample_data/recording.bin
-# make test   set everything up and run the test suite
+# make demo   set up what the program needs and calibrate sample_data/recording.bin
+# make test   set up the developers' tools as well and run the test suite
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+PLAIN  := $(VENV)/.installed
 READY  := $(VENV)/.ready
+PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 DEMO   := demo
+# else each process that a test starts compiles the package, and each worker all tests, once more
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup demo test nightly fuzz lint bench bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
-$(READY): pyproject.toml
+# --no-compile: Python compiles the few modules that are used when they are first imported
+$(PLAIN): pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 	  || { echo "accelcal needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[oracles]' \
-	  || echo "The other readers that some tests compare with do not install here; those tests are skipped."
-	touch $(READY)
+	$(PIP) --no-compile --editable .
+	touch $@
 
-demo: $(READY)
+$(READY): $(PLAIN)
+	$(PIP) --editable '.[dev]'
+	$(PIP) --editable '.[oracles]' \
+	  || echo "The other readers that some tests compare with do not install here; those tests are skipped."
+	touch $@
+
+demo: $(PLAIN)
 	$(BIN)/accelcal inspect sample_data/recording.bin
 	$(BIN)/accelcal calibrate sample_data/recording.bin --output-dir $(DEMO) --force
 	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
 
 test: $(READY)
-	$(BIN)/python -m pytest -n auto -m 'not nightly'
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not nightly'
 
 nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly

@@ -10,11 +10,28 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-settings.register_profile("steady", derandomize=True, deadline=None)
-settings.register_profile("searching", deadline=None)
+from accelcal_cli.core.system import hold_to_one_thread
+
+settings.register_profile("steady", derandomize=True, deadline=None, max_examples=30)
+settings.register_profile("searching", deadline=None, max_examples=200)
 settings.load_profile(os.environ.get("ACCELCAL_HYPOTHESIS", "steady"))
 
+hold_to_one_thread()
+
 ROOT = Path(__file__).resolve().parent.parent
+
+
+LONGEST = {
+    "test_generator.py": 0,
+    "test_killed.py": 1,
+    "test_interrupted.py": 1,
+    "test_real_recordings.py": 2,
+}
+"""What begins first, so that no worker is left with it at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: LONGEST.get(item.path.name, len(LONGEST)))
 
 
 def shared_folder() -> Path | None:

@@ -1,4 +1,4 @@
-"""Against an independent generator with known errors: one day at 100 Hz in six formats."""
+"""Against an independent generator with known errors: six hours, and nightly whole days, in six formats."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def calibrated(folder: Path, suffix: str, *words: str) -> dict:
     return report
 
 
-def whole_day(real_data: Path, folder: Path, truth: int) -> Day:
-    make(real_data, folder, truth, ("--days", "1", "--raw", "--hdf5", "--csv", "--bin", "--gt3x"))
+def in_all_formats(real_data: Path, folder: Path, truth: int, days: str) -> Day:
+    make(real_data, folder, truth, ("--days", days, "--raw", "--hdf5", "--csv", "--bin", "--gt3x"))
     reports = {suffix: calibrated(folder, suffix, "--no-temperature") for suffix in SUFFIXES}
     known = json.loads((folder / "day.truth.json").read_text())
     return Day(folder, known, np.load(folder / "day.i16.npy"), np.load(folder / "day.still.npy"), reports)
@@ -74,13 +74,16 @@ def whole_day(real_data: Path, folder: Path, truth: int) -> Day:
 
 @pytest.fixture(
     scope="module",
-    params=[3, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in (5, 8, 21))],
+    params=[
+        pytest.param((3, "0.25"), id="6h"),
+        *(pytest.param((seed, "1"), id=f"day-{seed}", marks=pytest.mark.nightly) for seed in (3, 5, 8, 21)),
+    ],
 )
 def day(request: pytest.FixtureRequest, real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Day:
     if not (real_data.parent / "tools" / "make_recording.py").exists():
         pytest.skip("the independent generator is absent")
     pytest.importorskip("polars")
-    return whole_day(real_data, tmp_path_factory.mktemp("day"), request.param)
+    return in_all_formats(real_data, tmp_path_factory.mktemp("day"), *request.param)
 
 
 def gain_and_offset(report: dict) -> tuple[np.ndarray, np.ndarray]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,7 +48,7 @@ def command(*words: object) -> list[str]:
 
 
 def run_process(
-    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float = 120
+    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float | None = None
 ) -> Ran:
     """Run in a process of its own."""
     done = subprocess.run(
@@ -58,6 +61,17 @@ def run_process(
         check=False,
     )
     return Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
+
+
+@contextmanager
+def little_room(file_bytes: int) -> Iterator[None]:
+    """No file may grow beyond a number of bytes, as on a full disk."""
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
 def assert_one_line(ran: Ran, *parts: str) -> None:

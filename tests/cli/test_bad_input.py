@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import gzip
 import os
-import resource
 import shlex
 import signal
 import subprocess
+import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from tests.cli.run import Ran, assert_one_line, command, run, run_process
+from tests.cli.run import Ran, assert_one_line, command, little_room, run, run_process
 from tests.recordings import RATE_HZ, directions, good_csv, still_counts, write_csv
 
 Capture = pytest.CaptureFixture[str]
+Begun = Callable[[Path, Path], subprocess.Popen[bytes]]
 
 
 def files(folder: Path) -> list[str]:
@@ -142,10 +144,13 @@ def test_impossible_numbers_and_zones(tmp_path: Path, capsys: Capture, words: tu
     assert files(tmp_path) == ["good.csv"]
 
 
-def test_one_flipped_bit_in_a_gzip_file_is_never_taken_for_data(tmp_path: Path, capsys: Capture) -> None:
+@pytest.mark.parametrize("step", [8, pytest.param(1, marks=pytest.mark.nightly)])
+def test_one_flipped_bit_in_a_gzip_file_is_never_taken_for_data(
+    tmp_path: Path, capsys: Capture, step: int
+) -> None:
     packed = bytearray(gzip.compress(good_csv(tmp_path).read_bytes()))
     path = tmp_path / "flipped.csv.gz"
-    for at in range(len(packed) // 3, len(packed) // 3 + 40):
+    for at in range(len(packed) // 3, len(packed) // 3 + 40, step):
         path.write_bytes(packed[:at] + bytes([packed[at] ^ 4]) + packed[at + 1 :])
         refuse(capsys, path, 3)
 
@@ -197,32 +202,71 @@ def test_another_recordings_result_is_kept(tmp_path: Path, capsys: Capture) -> N
     assert run(capsys, "calibrate", two, "-d", out, "--force").code == 0
 
 
-def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path) -> None:
+def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path, capsys: Capture) -> None:
     path, out = good_csv(tmp_path), tmp_path / "out"
-    assert run_process("calibrate", path, "-d", out).code == 0
+    assert run(capsys, "calibrate", path, "-d", out).code == 0
     before = {name: (out / name).read_bytes() for name in files(out)}
-
-    def little_room() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-
-    words = command("calibrate", path, "-d", out, "--force")
-    done = subprocess.run(words, capture_output=True, preexec_fn=little_room, timeout=60, check=False)
-    assert done.returncode == 5
+    with little_room(100_000):
+        assert run(capsys, "calibrate", path, "-d", out, "--force").code == 5
     assert {name: (out / name).read_bytes() for name in files(out)} == before
 
 
-def test_temporaries_of_a_killed_run_are_cleared_by_the_next(tmp_path: Path) -> None:
-    path, out = write_csv(tmp_path / "long.csv", still_counts(directions(300))), tmp_path / "out"
+def running(path: Path, out: Path) -> subprocess.Popen[bytes]:
+    """A process that is writing the calibrated rows of a long recording, at any point of it."""
     process = subprocess.Popen(
         command("calibrate", path, "-d", out, "--chunk-samples", 50),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     while not (out.is_dir() and any(name.endswith(".tmp") for name in files(out))):
-        assert process.poll() is None
+        assert process.poll() is None, process.communicate()
         time.sleep(0.001)
+    return process
+
+
+def paused(path: Path, out: Path) -> subprocess.Popen[bytes]:
+    """A process that has written the first of its calibrated rows and writes no more."""
+    told, tell = os.pipe()
+    process = subprocess.Popen(
+        [sys.executable, "-c", PAUSING, str(tell), "calibrate", str(path), "-d", str(out)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        pass_fds=[tell],
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    os.close(tell)
+    with os.fdopen(told, "rb") as pipe:
+        assert pipe.read(1), process.communicate()
+    return process
+
+
+PAUSING = """
+import os, sys, time
+from accelcal_cli.cli.main import main
+from accelcal_cli.output.parquet import ParquetSink
+tell, write = int(sys.argv.pop(1)), ParquetSink.write
+def write_and_pause(sink, arrays):
+    write(sink, arrays)
+    os.write(tell, b"w")
+    while True:
+        time.sleep(0.01)
+ParquetSink.write = write_and_pause
+main()
+"""
+in_the_middle = pytest.mark.parametrize(
+    ("begun", "poses"), [(paused, 60), pytest.param(running, 600, marks=pytest.mark.nightly)]
+)
+
+
+@in_the_middle
+def test_temporaries_of_a_killed_run_are_cleared_by_the_next(
+    tmp_path: Path, begun: Begun, poses: int
+) -> None:
+    path, out = write_csv(tmp_path / "long.csv", still_counts(directions(poses))), tmp_path / "out"
+    process = begun(path, out)
     process.kill()
-    process.wait()
+    process.communicate()
     assert any(name.endswith(".tmp") for name in files(out))
     assert run_process("calibrate", path, "-d", out).code == 0
     assert files(out) == ["long.calibrated.parquet", "long.calibration.json"]
@@ -232,48 +276,28 @@ def test_closed_streams_do_not_stop_the_work(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     for redirect, code in (("2>&-", 0), (">&-", 5)):
         shell = " ".join(shlex.quote(word) for word in command("calibrate", path, "--force"))
-        done = subprocess.run(f"{shell} {redirect}", shell=True, capture_output=True, timeout=60, check=False)
+        done = subprocess.run(f"{shell} {redirect}", shell=True, capture_output=True, check=False)
         assert done.returncode == code, (redirect, done)
         assert (tmp_path / "good.calibration.json").exists()
 
 
-def test_a_full_disk(tmp_path: Path) -> None:
+def test_a_full_disk(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
     out = tmp_path / "out"
-
-    def little_room() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-
-    done = subprocess.run(
-        command("calibrate", path, "-d", out),
-        capture_output=True,
-        preexec_fn=little_room,
-        timeout=60,
-        check=False,
-    )
-    ran = Ran(done.returncode, done.stdout.decode(), done.stderr.decode())
+    with little_room(100_000):
+        ran = run(capsys, "calibrate", path, "-d", out)
     assert ran.code == 5
     assert_one_line(ran, "good.calibrated.parquet", "cannot be written")
     assert files(out) == []
 
 
+@in_the_middle
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interruption_leaves_nothing_behind(tmp_path: Path, number: int) -> None:
-    path = write_csv(tmp_path / "long.csv", still_counts(directions(600)))
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        command("calibrate", path, "-d", out, "--chunk-samples", 50),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
-    deadline = time.monotonic() + 60
-    while not (out.is_dir() and any(name.endswith(".tmp") for name in files(out))):
-        assert time.monotonic() < deadline, "never began to write"
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.001)
+def test_interruption_leaves_nothing_behind(tmp_path: Path, number: int, begun: Begun, poses: int) -> None:
+    path, out = write_csv(tmp_path / "long.csv", still_counts(directions(poses))), tmp_path / "out"
+    process = begun(path, out)
     process.send_signal(number)
-    out_text, err = process.communicate(timeout=60)
+    out_text, err = process.communicate()
     assert process.returncode == 130, err
     assert out_text == b""
     assert err.count(b"\n") == 1
@@ -287,6 +311,6 @@ def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
     process.stdout.close()
     err = process.stderr.read()
     process.stderr.close()
-    process.wait(60)
+    process.wait()
     assert b"Traceback" not in err
     assert b"Exception" not in err

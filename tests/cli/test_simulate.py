@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import resource
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +10,7 @@ import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import all_encoders, open_recording
-from tests.cli.run import assert_one_line, command, run
+from tests.cli.run import assert_one_line, little_room, run
 
 Capture = pytest.CaptureFixture[str]
 FORMATS = [encoder.name for encoder in all_encoders()]
@@ -115,14 +113,11 @@ def test_a_recording_ends_with_a_whole_page_or_second(
 
 
 @pytest.mark.parametrize("name", FORMATS)
-def test_a_full_disk_leaves_nothing(tmp_path: Path, name: str) -> None:
-    def little_room() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
-
-    words = command("simulate", tmp_path / "a", "--format", name, "--days", 0.05, "-q")
-    done = subprocess.run(words, capture_output=True, preexec_fn=little_room, timeout=60, check=False)
-    assert done.returncode == 5, done
-    assert done.stderr.count(b"\n") == 1
+def test_a_full_disk_leaves_nothing(tmp_path: Path, capsys: Capture, name: str) -> None:
+    with little_room(20_000):
+        ran = run(capsys, "simulate", tmp_path / "a", "--format", name, "--days", 0.05, "-q")
+    assert ran.code == 5, ran
+    assert ran.err.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 

@@ -6,7 +6,6 @@ import os
 import platform
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -24,10 +23,7 @@ def test_one_that_ended_does_not_live_even_before_it_is_asked_about() -> None:
     process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
     assert lives(process.pid)
     process.kill()
-    for _ in range(1000):
-        if not lives(process.pid):
-            break
-        time.sleep(0.01)
+    os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
     assert "\nState:\tZ" in Path(f"/proc/{process.pid}/status").read_text()
     assert not lives(process.pid)
     process.communicate()

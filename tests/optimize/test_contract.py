@@ -26,6 +26,8 @@ DEGENERATE = {
     "at the centre": np.zeros((12, 3)),
     "nonsense": np.random.default_rng(1).uniform(-1.8, 1.8, (30, 3)),
 }
+SLOW = {("one point", "differential-evolution"), ("one posture", "differential-evolution")}
+"""Some seconds each; nightly alone. Differential evolution meets the other cases in every run."""
 WARM = np.array([0.0] * 9 + [0.004, -0.003, 0.002])
 
 
@@ -142,8 +144,16 @@ def test_a_point_of_half_the_weight_counts_half(optimizer: Optimizer) -> None:
     assert np.abs(found[0] - found[2]).max() > 0.1
 
 
-@EVERY
-@pytest.mark.parametrize("v", DEGENERATE.values(), ids=DEGENERATE)
+@pytest.mark.parametrize(
+    ("optimizer", "v"),
+    [
+        pytest.param(
+            item, v, id=f"{name}-{item.name}", marks=[pytest.mark.nightly] * ((name, item.name) in SLOW)
+        )
+        for name, v in DEGENERATE.items()
+        for item in all_optimizers()
+    ],
+)
 def test_points_that_determine_nothing_give_an_error_or_numbers_in_range(
     optimizer: Optimizer, v: np.ndarray
 ) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
@@ -51,7 +51,6 @@ def any_points(draw: st.DrawFn) -> PointSet:
     return PointSet(xyz, np.array(weights, np.int64), np.ones(number, np.int64), scaled)
 
 
-@settings(max_examples=200)
 @given(any_points(), st.sampled_from(["3", "6", "9", "9T"]), st.sampled_from([SHORT, PAPER]))
 def test_a_fit_is_an_error_or_what_unlimited_integers_give(
     held: PointSet, model: str, numbers: fixed32.Settings

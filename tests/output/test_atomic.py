@@ -6,9 +6,9 @@ import os
 import stat
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -97,14 +97,16 @@ def test_what_a_killed_process_left_is_removed_with_the_next_writing(tmp_path: P
 
 def test_a_large_folder_is_not_listed_for_each_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed: list[object] = []
+    clock = [0.0]
 
     def slow(folder: Path) -> Iterator[os.DirEntry[str]]:
         listed.append(folder)
-        time.sleep(0.05)
+        clock.append(clock[-1] + 0.05)
         return plain(folder)
 
     plain = os.scandir
     monkeypatch.setattr("accelcal_cli.output.files.os.scandir", slow)
+    monkeypatch.setattr("accelcal_cli.output.files.time", SimpleNamespace(monotonic=lambda: clock[-1]))
     for number in range(20):
         write_text(tmp_path / f"{number}.txt", "x")
     assert listed == [tmp_path]

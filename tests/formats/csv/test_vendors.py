@@ -17,6 +17,7 @@ from accelcal_cli.core.recording import Problem
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.csv import FORMAT, vendors
 from accelcal_cli.formats.csv.vendors import Vendor, all_vendors, export_description
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_csv import read, written
 
 HERE = Path(__file__).parent
@@ -65,11 +66,14 @@ def test_chunks_do_not_depend_on_their_size(vendor: Vendor, tmp_path: Path) -> N
         assert read(path, chunk_samples).same_as(whole)
 
 
+@every_byte
 @each_vendor
-def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(vendor: Vendor, tmp_path: Path) -> None:
+def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(
+    vendor: Vendor, tmp_path: Path, step: int
+) -> None:
     data = sample(vendor)
     whole = read(written(tmp_path, data))
-    for size in range(len(data)):
+    for size in cuts(data, step):
         path = written(tmp_path, data[:size], "cut.csv")
         try:
             found = read(path)
@@ -85,7 +89,7 @@ def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(vendor: Vend
 
 
 @each_vendor
-@settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_head_gives_rows_or_an_error_of_ours(
     vendor: Vendor, tmp_path: Path, data: st.DataObject

@@ -11,6 +11,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Device
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.cwa.test_cwa import everything, joined, opened, random_counts, times_of
 from tests.formats.make_cwa import START_US, Sector, header, make, sectors, with_checksum, written
 
@@ -226,10 +227,11 @@ def test_the_oldest_format_has_no_checksum_and_its_rate_in_hertz(tmp_path: Path)
     assert times_of(chunks).tolist() == (START_US + 12_500 * np.arange(800)).tolist()
 
 
-def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Path) -> None:
+@every_byte
+def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Path, step: int) -> None:
     whole = written(tmp_path / "whole.cwa", pages()[:3]).read_bytes()
     path = tmp_path / "cut.cwa"
-    for size in range(1, len(whole) + 1):
+    for size in [*cuts(whole, step, 1), len(whole)]:
         path.write_bytes(whole[:size])
         sectors_left, rest = divmod(size - 1024, 512)
         if sectors_left < 1:

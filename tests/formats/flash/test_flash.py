@@ -12,6 +12,7 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.formats.flash import FORMAT
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_flash import START_US, header, make, page, pages
 
 PAGE_US = 800_000
@@ -261,9 +262,10 @@ def test_a_rate_that_contradicts_the_header_is_refused(tmp_path: Path) -> None:
         opened(tmp_path, header() + five_pages()[0], ReadOptions(rate_hz=50))
 
 
-def test_cut_at_every_byte_it_is_shorter_or_unreadable(tmp_path: Path) -> None:
+@every_byte
+def test_cut_at_every_byte_it_is_shorter_or_unreadable(tmp_path: Path, step: int) -> None:
     data = header(flags=1) + b"".join(five_pages()[:3])
-    for size in range(1, len(data)):
+    for size in cuts(data, step, 1):
         try:
             counts, _, _, chunks = all_of(opened(tmp_path, data[:size]))
         except UnreadableError:

@@ -9,6 +9,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Validity
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.gt3x.reading import Whole, opened, random_counts, whole
 from tests.formats.make_gt3x import (
     ACTIVITY,
@@ -169,9 +170,10 @@ def test_repeated_and_exchanged_blocks_step_back_in_time(tmp_path: Path) -> None
     assert found.breaks == [5 * RATE, 15 * RATE]
 
 
-def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Path) -> None:
+@every_byte
+def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Path, step: int) -> None:
     data = b"".join(log()[:3])
-    for size in range(len(data) + 1):
+    for size in [*cuts(data, step), len(data)]:
         left, rest = divmod(max(0, size - HEAD), LENGTH)
         if not left:
             with pytest.raises(UnreadableError, match=r"a\.gt3x: holds no acceleration.*copy it again"):

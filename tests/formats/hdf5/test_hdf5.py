@@ -17,6 +17,7 @@ from accelcal_cli.formats import find_format
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
 from accelcal_cli.formats.hdf5.file import heaps_are_sound
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_hdf5 import START, START_US, about, even_times, joined, read, write
 
 ROWS = 500
@@ -575,15 +576,16 @@ def tiny(path: Path, rows: int, **layout: Any) -> bytes:
     return path.read_bytes()
 
 
+@every_byte
 @pytest.mark.parametrize("layout", [{}, {"chunks": (16, 3), "compression": "gzip"}], ids=["plain", "packed"])
 def test_cut_at_every_byte_it_gives_true_rows_or_our_error(
-    path: Path, layout: dict[str, Any], capfd: pytest.CaptureFixture[str]
+    path: Path, layout: dict[str, Any], capfd: pytest.CaptureFixture[str], step: int
 ) -> None:
     data = tiny(path, 40, **layout)
     whole = dict(zip(even_times(40, 100.0).tolist(), counts(40).tolist(), strict=True))
     short = path.with_name("short.h5")
     fates = set()
-    for size in range(1, len(data)):
+    for size in cuts(data, step, 1):
         short.write_bytes(data[:size])
         try:
             got = read(short)
@@ -599,14 +601,15 @@ def test_cut_at_every_byte_it_gives_true_rows_or_our_error(
     assert capfd.readouterr() == ("", "")
 
 
+@every_byte
 def test_a_changed_byte_never_gives_anything_but_rows_or_our_error(
-    path: Path, capfd: pytest.CaptureFixture[str]
+    path: Path, capfd: pytest.CaptureFixture[str], step: int
 ) -> None:
     extras = {"time": START_US + 10_000 * np.arange(40), "temperature": np.full(40, 20.0)}
     numbers = about(units=None, start_time=START_US)
     write(path, {"accel": counts(40), **extras}, numbers, chunks=(8, 3), compression="gzip")
     data = path.read_bytes()
-    for place in range(0, len(data), 23):
+    for place in range(0, len(data), min(101, 23 * step)):
         mutant = bytearray(data)
         mutant[place] ^= 0xFF
         path.write_bytes(mutant)

@@ -13,6 +13,7 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.hdf5 import OPAL
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_hdf5 import START_US, Read, about, even_times, write
 from tests.formats.make_hdf5 import read as read_any
 from tests.formats.make_opal import GRAVITY, GRID, make, make_old
@@ -139,10 +140,13 @@ def test_what_is_not_needed_may_be_absent(path: Path, gone: str) -> None:
     assert got.recording.rate_hz == RATE_HZ
 
 
-def test_cut_anywhere_it_gives_true_rows_or_our_error(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+@every_byte
+def test_cut_anywhere_it_gives_true_rows_or_our_error(
+    path: Path, capfd: pytest.CaptureFixture[str], step: int
+) -> None:
     data = path.read_bytes()
     whole = dict(zip(even_times(ROWS, RATE_HZ).tolist(), (counts() / 256).tolist(), strict=True))
-    for size in (*range(1, 2048), *range(2048, len(data), 97)):
+    for size in (*cuts(data[:2048], step, 1), *range(2048, len(data), 97 * step)):
         path.write_bytes(data[:size])
         try:
             got = read(path, sensor="XI-000002")

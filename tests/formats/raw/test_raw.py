@@ -15,6 +15,7 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Reader
 from accelcal_cli.formats.raw import FORMAT
+from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_raw import START_US, frames, make
 
 RNG = np.random.default_rng(9)
@@ -362,11 +363,12 @@ def test_rows_times_breaks_and_problems_do_not_depend_on_the_chunk_size(
     assert len(problems(first[3])) == 3
 
 
+@every_byte
 @pytest.mark.parametrize("layout", [None, paged()])
-def test_cut_at_every_byte_it_is_shorter_or_unreadable(tmp_path: Path, layout: str | None) -> None:
+def test_cut_at_every_byte_it_is_shorter_or_unreadable(tmp_path: Path, layout: str | None, step: int) -> None:
     data = frames(COUNTS[:120]) if layout is None else numbered([0, 1, 2, 3])
     head, unit, rows = (0, 6, 1) if layout is None else (3, 128, 19)
-    for size in range(1, len(data)):
+    for size in cuts(data, step, 1):
         whole, rest = divmod(max(0, size - head), unit)
         try:
             counts, _, _, chunks = all_of(opened(tmp_path, data[:size], layout))
