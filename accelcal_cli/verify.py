@@ -19,37 +19,17 @@ from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
+from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import Column, ParquetSource, schema_of, values_of
 from accelcal_cli.output.report import ReportInput, build, significant
-from accelcal_cli.output.report_reading import (
-    Coefficients,
-    Document,
-    calibration_of,
-    check_sections,
-    read_coefficients,
-    read_document,
-)
+from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
+from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
-from accelcal_cli.pipeline.calibrate import (
-    Judge,
-    OwnCalibration,
-    RecordingRun,
-    open_run,
-    writes_parquet,
-)
+from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
 from accelcal_cli.pipeline.fit import fit_points
-from accelcal_cli.pipeline.jobs import (
-    DEFAULT_CHUNK_SAMPLES,
-    PARQUET_SUFFIX,
-    REPORT_SUFFIX,
-    Job,
-    ProgressMaker,
-    Request,
-    no_progress,
-    sha256,
-)
+from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress, sha256
 from accelcal_cli.pipeline.outputs import json_round_trip
 from accelcal_cli.pipeline.pool import PoolCoefficients
 from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, ReportSettings, settings_from_report
@@ -76,7 +56,7 @@ class VerifyOptions:
     poses: Path | None = None
     coefficients: Path | None = None
     values: bool = False
-    chunk_samples: int = DEFAULT_CHUNK_SAMPLES
+    chunk_samples: int = jobs.DEFAULT_CHUNK_SAMPLES
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,7 +169,7 @@ def reproduced(
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:
         data = run.count_beyond(run.result(judge_of(run, document))[0])
-        written = (run, data) if writes_parquet(data) else None
+        written = (run, data) if calibrate.writes_parquet(data) else None
         return build(data), check_parquet(written, document, values=options.values)
 
 
@@ -245,7 +225,7 @@ def _compared(report: dict[str, Any]) -> dict[str, Any]:
 def _difference(then: Any, now: Any) -> tuple[float | None, float | None]:
     """Largest and mean difference [mg] of two `calibration` sections, where both hold one."""
     try:
-        one, other = calibration_of(then), calibration_of(now)
+        one, other = map(report_reading.calibration_of, (then, now))
     except (ValueError, TypeError):
         return None, None
     largest, mean = difference_mg(one, other, directions())
@@ -294,8 +274,8 @@ def check_parquet(
 
 
 def _parquet_beside(report: Path) -> Path | None:
-    stem = report.name.removesuffix(REPORT_SUFFIX)
-    names = (stem + PARQUET_SUFFIX, stem + ".parquet", stem)
+    stem = report.name.removesuffix(jobs.REPORT_SUFFIX)
+    names = (stem + jobs.PARQUET_SUFFIX, stem + ".parquet", stem)
     paths = (report.with_name(name) for name in names if name != report.name)
     return next((path for path in paths if path.is_file()), None)
 
@@ -373,7 +353,7 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
     existing = [path for path in places if path.is_file()]
     unchanged = [path for path in existing if _known_by(path, by_content=by_content) == used["sha256"]]
     for path in unchanged or [path for path in existing if path is not beside]:
-        return read_coefficients(path, by_content=by_content)
+        return report_reading.read_coefficients(path, by_content=by_content)
     raise UsageError(
         f"was made with the coefficients of {named or then}, which is not there",
         path=document.path,

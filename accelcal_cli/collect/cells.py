@@ -1,8 +1,4 @@
-"""Integer sums to fixed-point means.
-
-Which still windows can be rest under gravity at all.
-
-The default collector: running integer means in orientation cells.
+"""The default collector: running integer means of plausible still windows in orientation cells.
 
 A wrist rests for hours in a few postures; one mean per cell of the raw acceleration space keeps
 all orientations and bounds the memory. Cells are cubes of about 0.05 g (the mean of a wider cell
@@ -29,6 +25,13 @@ from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale, Windows
 from accelcal_cli.core.settings import Settings
 
+MAX_POINTS = 4096
+SPREAD_BITS = 8
+NEARLY_CONSTANT_SHARE = 10
+"""Constant windows are believed where nearly constant ones are at least a tenth as many."""
+
+_CONSTANT = 4
+
 
 @dataclass(frozen=True, slots=True)
 class Sums:
@@ -53,10 +56,10 @@ def to_points(
         for item in sums
     ]
     windows = np.array([item.windows for item in sums], np.int64)
-    held = np.array(weights, np.int64)
+    shares = np.array(weights, np.int64)
     places = np.array(xyz, np.int64).reshape(-1, 3)
     if not temperature or not sums:
-        return PointSet(places, held, windows)
+        return PointSet(places, shares, windows)
     means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
     reference = rounded_quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
     span = _span_c(max(abs(mean - reference) for mean in means))
@@ -64,7 +67,9 @@ def to_points(
         rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
         for item in sums
     ]
-    return PointSet(places, held, windows, np.array(tau, np.int64), TemperatureScale(reference, float(span)))
+    return PointSet(
+        places, shares, windows, np.array(tau, np.int64), TemperatureScale(reference, float(span))
+    )
 
 
 def _span_c(largest_mc: int) -> int:
@@ -85,14 +90,6 @@ def plausible(windows: Windows, lsb_per_g: float, settings: Settings) -> NDArray
     """Windows whose mean has a length near 1 g, (m,); zeros written by a device have not."""
     norms = norms_g(windows, lsb_per_g)
     return np.asarray((norms > settings.norm_low_g) & (norms < settings.norm_high_g))
-
-
-MAX_POINTS = 4096
-SPREAD_BITS = 8
-NEARLY_CONSTANT_SHARE = 10
-"""Constant windows are believed where nearly constant ones are at least a tenth as many."""
-
-_CONSTANT = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,8 +213,8 @@ def _step(spreads: dict[int, int]) -> int:
 
 
 def _add(cells: dict[tuple[int, ...], list[int]], key: tuple[int, ...], value: list[int]) -> None:
-    held = cells.get(key)
-    cells[key] = list(value) if held is None else [a + b for a, b in zip(held, value, strict=True)]
+    total = cells.get(key)
+    cells[key] = list(value) if total is None else [a + b for a, b in zip(total, value, strict=True)]
 
 
 def _group(key: tuple[int, ...]) -> tuple[int, ...]:

@@ -49,13 +49,13 @@ class SubsetCollector:
         """Names of subsets that are not full, such as `xn` (x negative) or `z0`."""
         return [
             AXES[axis] + LEVELS[level]
-            for (axis, level), held in sorted(self._held.items())
-            if len(held) < self.per_subset
+            for (axis, level), subset in sorted(self._held.items())
+            if len(subset) < self.per_subset
         ]
 
     def points(self) -> PointSet:
         """The collected points, subset by subset."""
-        sums = [item for _, held in sorted(self._held.items()) for item in held]
+        sums = [item for _, subset in sorted(self._held.items()) for item in subset]
         return to_points(sums, [WEIGHT_ONE] * len(sums), self.lsb_per_g, temperature=False)
 
 
@@ -80,7 +80,9 @@ class PaperCollector:
         """Take still windows in, in the order of time."""
         usable = plausible(windows, self.lsb_per_g, self.settings)
         self.implausible += int(len(windows) - usable.sum())
-        held = windows.select(usable)
-        for samples, (x, y, z) in zip(held.samples.tolist(), held.sums.tolist(), strict=True):
+        usable_windows = windows.select(usable)
+        for samples, (x, y, z) in zip(
+            usable_windows.samples.tolist(), usable_windows.sums.tolist(), strict=True
+        ):
             if not self.fit.offer(samples, (x, y, z)):
                 self.control.offer(samples, (x, y, z))

@@ -1,6 +1,4 @@
-"""Still-window means that another tool found, from a CSV table.
-
-Calibration points from given still-window means.
+"""Still-window means that another tool found, read from a CSV table and made into calibration points.
 
 Without weights and postures of their own, the means are collected like a recording's windows, in
 orientation cells. Otherwise the same cells are kept apart by posture, and what the table says of
@@ -40,6 +38,14 @@ ALIASES = {
 }
 """Column names, in lower case; GGIR calls its means meanx, meany, meanz."""
 
+WIDEST_SPREAD = 1 << 20
+"""The spread within a given window is not known: none is taken for a constant one."""
+
+_HINT = "give a CSV file with a header line and columns x, y, z in g"
+_CORRECT = "correct or remove this line"
+
+Key = tuple[int, ...]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table:
@@ -62,10 +68,10 @@ class Table:
 
     def select(self, which: NDArray[np.bool_]) -> Table:
         """The rows of a mask."""
-        warm = None if self.temperature_mc is None else self.temperature_mc[which]
+        temperature_mc = None if self.temperature_mc is None else self.temperature_mc[which]
         weight = None if self.weight is None else self.weight[which]
         posture = None if self.posture is None else self.posture[which]
-        return Table(self.counts[which], warm, weight, posture)
+        return Table(self.counts[which], temperature_mc, weight, posture)
 
 
 def read_table(path: Path) -> Table:
@@ -77,16 +83,16 @@ def read_table(path: Path) -> Table:
     frame = _frame(path)
     names = _names(path, list(frame.columns))
     g = np.stack([_numbers(path, frame, names[axis], LARGEST_G) for axis in "xyz"], axis=1)
-    warm, weight, posture = None, None, None
+    temperature_mc, weight, posture = None, None, None
     if "temperature_c" in names:
         celsius = _numbers(path, frame, names["temperature_c"], LARGEST_C)
-        warm = np.rint(celsius * 1000).astype(np.int64)
+        temperature_mc = np.rint(celsius * 1000).astype(np.int64)
     if "weight" in names:
         weight = _weights(path, frame, names["weight"])
     if "posture" in names:
         _refuse_empty(path, frame[names["posture"]].to_numpy(str) == "", names["posture"])
         posture = np.unique(frame[names["posture"]].to_numpy(str), return_inverse=True)[1].astype(np.int64)
-    return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), warm, weight, posture)
+    return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
 
 
 def _frame(path: Path) -> pd.DataFrame:
@@ -100,9 +106,6 @@ def _frame(path: Path) -> pd.DataFrame:
         raise UnreadableError(f"is no table of points ({error})", path=path, hint=_HINT) from error
 
 
-_HINT = "give a CSV file with a header line and columns x, y, z in g"
-
-
 def _delimiter(path: Path) -> str:
     """The first of semicolon and tab that the header line holds; else a comma."""
     head = probe_file(path, ReadOptions()).head.split(b"\n", 1)[0]
@@ -112,18 +115,18 @@ def _delimiter(path: Path) -> str:
 def _names(path: Path, columns: list[str]) -> dict[str, str]:
     """What the table calls each column that is known."""
     lower = {str(name).strip().lower(): name for name in columns}
-    found = {
+    named = {
         key: next(lower[name] for name in names if name in lower)
         for key, names in ALIASES.items()
         if any(name in lower for name in names)
     }
-    twice = [name for name in found.values() if f"{name}.1" in columns]
+    twice = [name for name in named.values() if f"{name}.1" in columns]
     if twice:
         raise UnreadableError(f"has two columns {twice[0]}", path=path, line=1, hint=_HINT)
-    missing = [axis for axis in "xyz" if axis not in found]
+    missing = [axis for axis in "xyz" if axis not in named]
     if missing:
         raise UnreadableError(f"has no column {', '.join(missing)}", path=path, line=1, hint=_HINT)
-    return found
+    return named
 
 
 def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDArray[np.float64]:
@@ -136,7 +139,7 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDAr
             f"{name} is {shown!r}, not a number within +-{largest:g}",
             path=path,
             line=row + 2,
-            hint="mend or remove this line",
+            hint=_CORRECT,
         )
     return np.asarray(values)
 
@@ -150,13 +153,7 @@ def _weights(path: Path, frame: pd.DataFrame, name: str) -> NDArray[np.float64]:
 def _refuse_empty(path: Path, bad: NDArray[np.bool_], what: str) -> None:
     if bad.any():
         line = int(bad.argmax()) + 2
-        raise UnreadableError(f"has no {what}", path=path, line=line, hint="mend or remove this line")
-
-
-WIDEST_SPREAD = 1 << 20
-"""The spread within a given window is not known: none is taken for a constant one."""
-
-Key = tuple[int, ...]
+        raise UnreadableError(f"has no {what}", path=path, line=line, hint=_CORRECT)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,13 +178,13 @@ def given_points(table: Table, settings: Settings) -> Given:
     lsb_per_g = FLOAT_LSB_PER_G * float(settings.gravity.local_g())
     near = plausible(_windows(table), lsb_per_g, settings)
     kept = table.select(near)
-    warm = settings.temperature and table.temperature_mc is not None
+    temperature = settings.temperature and table.temperature_mc is not None
     if table.weight is None and table.posture is None:
-        collector = CellCollector(lsb_per_g, settings, temperature=warm)
+        collector = CellCollector(lsb_per_g, settings, temperature=temperature)
         collector.add(_windows(kept))
         points, label = collector.points(), None
     else:
-        points, label = _kept_apart(kept, lsb_per_g, settings, warm=warm)
+        points, label = _kept_apart(kept, lsb_per_g, settings, temperature=temperature)
     return Given(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()))
 
 
@@ -198,16 +195,20 @@ def _windows(table: Table) -> Windows:
 
 
 def _kept_apart(
-    table: Table, lsb_per_g: float, settings: Settings, *, warm: bool
+    table: Table, lsb_per_g: float, settings: Settings, *, temperature: bool
 ) -> tuple[PointSet, NDArray[np.int64] | None]:
     """Cells within postures; wider ones where there would be too many."""
     width: float = settings.cells_per_g
     shares = _shares(table)
-    while len(cells := _cells(table, shares, _keys(table, lsb_per_g, width, warm=warm))) > MAX_POINTS:
+    while True:
+        keys = _keys(table, lsb_per_g, width, temperature=temperature)
+        cells = _cells(table, shares, keys)
+        if len(cells) <= MAX_POINTS:
+            break
         width = width / 2
     ordered = sorted(cells.items())
     weights = _own_weights(ordered) if table.weight is not None else _group_weights(ordered)
-    points = to_points([sums for _, sums in ordered], weights, lsb_per_g, temperature=warm)
+    points = to_points([sums for _, sums in ordered], weights, lsb_per_g, temperature=temperature)
     label = None if table.posture is None else np.array([key[0] for key, _ in ordered], np.int64)
     return points, label
 
@@ -222,14 +223,14 @@ def _shares(table: Table) -> NDArray[np.int64]:
     return np.asarray(np.maximum(1, relative))
 
 
-def _keys(table: Table, lsb_per_g: float, cells_per_g: float, *, warm: bool) -> NDArray[np.int64]:
+def _keys(table: Table, lsb_per_g: float, cells_per_g: float, *, temperature: bool) -> NDArray[np.int64]:
     """(n, 5): posture, cell, degree C."""
     keys = np.zeros((len(table), 5), np.int64)
     scale = Fraction(lsb_per_g).limit_denominator(1000) / Fraction(cells_per_g)
     if table.posture is not None:
         keys[:, 0] = table.posture
     keys[:, 1:4] = table.counts * scale.denominator // scale.numerator
-    if warm and table.temperature_mc is not None:
+    if temperature and table.temperature_mc is not None:
         keys[:, 4] = table.temperature_mc // 1000
     return keys
 
@@ -268,12 +269,12 @@ def _group(key: Key) -> Key:
 
 def _rows(table: Table, lsb_per_g: float, points: PointSet) -> PointSet:
     """One point a row, its temperature on the scale of the points that were fitted."""
-    warm = points.temperature
+    scale = points.temperature
     milli = [0] * len(table) if table.temperature_mc is None else table.temperature_mc.tolist()
     sums = [Sums(1, 1, (x, y, z), heat) for (x, y, z), heat in zip(table.counts.tolist(), milli, strict=True)]
     rows = to_points(sums, [WEIGHT_ONE] * len(sums), lsb_per_g, temperature=False)
-    if warm is None:
+    if scale is None:
         return rows
-    span = 1000 * round(warm.span_c)
-    tau = [rounded_quotient((heat - warm.reference_mc) * ONE, span) for heat in milli]
-    return replace(rows, tau=np.array(tau, np.int64), temperature=warm)
+    span = 1000 * round(scale.span_c)
+    tau = [rounded_quotient((heat - scale.reference_mc) * ONE, span) for heat in milli]
+    return replace(rows, tau=np.array(tau, np.int64), temperature=scale)

@@ -1,7 +1,4 @@
-"""What the judge says of a calibration: errors in mg, coverage, verdict.
-
-What one pass over a recording finds out: length, gaps, problems, measured rate.
-"""
+"""Facts that one pass over a recording finds out, and what the judge says of its calibration."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Coverage, standard errors and conditioning of a fit.
+"""How good a fit is: errors of calibrated points in mg, coverage, standard errors and conditioning.
 
-Errors in mg of calibrated points. Elementwise arithmetic and exact sums only, so that the
-figures are the same bits on every machine.
+The errors in mg are made by elementwise arithmetic and exact sums only, so that the figures are the same
+bits on every machine.
 """
 
 from __future__ import annotations
@@ -19,6 +19,12 @@ from accelcal_cli.core.results import Coverage, ErrorSummary
 
 INTERVALS_G = ((-1.25, -0.75), (-0.25, 0.25), (0.75, 1.25))
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
+
+STUDENT_T_975 = (
+    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
+    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
+)  # fmt: skip
+"""97.5 % quantile of Student's t for 1 to 30 degrees of freedom; 1.96 + 2.4 / df beyond."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,14 +59,21 @@ def jacobian(
     g: NDArray[np.float64], tau: NDArray[np.float64] | None, parameters: tuple[int, ...]
 ) -> NDArray[np.float64]:
     """d(|a|^2 - 1)/dp for raw points g (n, 3) and scaled temperatures (n,): (n, 12)."""
-    p = np.array(parameters) / ONE
-    k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
-    warm = np.zeros(len(g)) if tau is None else tau
-    u = g + p[6:9] + warm[:, None] * p[9:12]
+    tau = np.zeros(len(g)) if tau is None else tau
+    k, u = _gain_and_shifted(g, tau, parameters)
     a = u @ k.T
     back = a @ k
-    columns = [a[:, i] * u[:, j] for i, j in _PAIRS] + list(back.T) + list((back * warm[:, None]).T)
+    columns = [a[:, i] * u[:, j] for i, j in _PAIRS] + list(back.T) + list((back * tau[:, None]).T)
     return np.asarray(2 * np.stack(columns, axis=1))
+
+
+def _gain_and_shifted(
+    g: NDArray[np.float64], tau: NDArray[np.float64], parameters: tuple[int, ...]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """K, and v + o + s (T - Tref)."""
+    p = np.array(parameters) / ONE
+    k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
+    return k, g + p[6:9] + tau[:, None] * p[9:12]
 
 
 def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> Uncertainty | None:
@@ -79,23 +92,14 @@ def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> 
     singular = np.linalg.svd(weighted / lengths, compute_uv=False)
     if singular[-1] < 1e-6 * singular[0]:
         return None
-    residual = _residual(points, tau, parameters)
+    k, u = _gain_and_shifted(points.xyz_g(), np.zeros(len(points)) if tau is None else tau, parameters)
+    residual = ((u @ k.T) ** 2).sum(axis=1) - 1
     variance = float((weights * residual**2).sum()) / surplus
     covariance = np.asarray(variance * np.linalg.inv(weighted.T @ weighted), np.float64)
     errors = np.zeros(12)
     errors[free] = np.sqrt(np.diag(covariance))
     worst = _worst_direction(parameters, free, covariance)
     return Uncertainty(tuple(errors.tolist()), float(singular[0] / singular[-1]), worst)
-
-
-def _residual(
-    points: PointSet, tau: NDArray[np.float64] | None, parameters: tuple[int, ...]
-) -> NDArray[np.float64]:
-    p = np.array(parameters) / ONE
-    k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
-    warm = np.zeros(len(points)) if tau is None else tau
-    a = (points.xyz_g() + p[6:9] + warm[:, None] * p[9:12]) @ k.T
-    return np.asarray((a**2).sum(axis=1) - 1)
 
 
 def _worst_direction(parameters: tuple[int, ...], free: list[int], covariance: NDArray[np.float64]) -> float:
@@ -113,13 +117,6 @@ def directions() -> NDArray[np.float64]:
     turn = np.pi * (1 + 5**0.5) * index
     ring = np.sqrt(1 - z * z)
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
-
-
-STUDENT_T_975 = (
-    12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228, 2.201, 2.179, 2.160, 2.145, 2.131,
-    2.120, 2.110, 2.101, 2.093, 2.086, 2.080, 2.074, 2.069, 2.064, 2.060, 2.056, 2.052, 2.048, 2.045, 2.042,
-)  # fmt: skip
-"""97.5 % quantile of Student's t for 1 to 30 degrees of freedom; 1.96 + 2.4 / df beyond."""
 
 
 def deviations_mg(points: PointSet, parameters: tuple[int, ...]) -> NDArray[np.float64]:
@@ -140,9 +137,10 @@ def per_posture(
     """Weighted mean error of each posture."""
     means = {}
     for posture in sorted(set(label.tolist())):
-        at = label == posture
-        held = [float(w) for w in weights[at]]
-        means[posture] = fsum(w * float(e) for w, e in zip(held, errors[at], strict=True)) / fsum(held)
+        inside = label == posture
+        shares = [float(w) for w in weights[inside]]
+        total = fsum(w * float(e) for w, e in zip(shares, errors[inside], strict=True))
+        means[posture] = total / fsum(shares)
     return means
 
 
@@ -184,10 +182,10 @@ def clustered_error(values: list[float], clusters: list[int]) -> float:
     if number < 2:
         return 0.0
     centre = mean(values)
-    held: dict[int, list[float]] = {}
+    deviations: dict[int, list[float]] = {}
     for value, cluster in zip(values, clusters, strict=True):
-        held.setdefault(cluster, []).append(value - centre)
-    spread = fsum(fsum(part) ** 2 for part in held.values())
+        deviations.setdefault(cluster, []).append(value - centre)
+    spread = fsum(fsum(part) ** 2 for part in deviations.values())
     return sqrt(spread * number / (number - 1)) / len(values)
 
 

@@ -1,8 +1,7 @@
-"""Grouping points into postures, and postures into folds, exact in integers.
+"""The model ladder: which model do postures support that its fit has not seen?
 
-Held-out error: what the calibration does to postures that it has not seen.
-
-The model ladder: which model do the held-out postures support?
+Points are grouped into postures, and postures into folds, exactly in integers; the held-out error is what a
+calibration does to the postures of the fold that it has not seen.
 """
 
 from __future__ import annotations
@@ -28,6 +27,14 @@ from accelcal_cli.judge.errors import (
     summary,
     uncertainty,
 )
+
+FitFunction = Callable[[PointSet, Model], Fit]
+
+LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
+"""By number of parameters; the simpler model comes first."""
+
+KINDS = ("scale", "misalignment", "offset", "temperature slopes")
+"""The twelve parameters, by threes."""
 
 _COARSE_BITS = 12
 
@@ -83,9 +90,6 @@ def folds(label: NDArray[np.int64], number: int) -> NDArray[np.int64]:
     return label % number
 
 
-FitFunction = Callable[[PointSet, Model], Fit]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """Points that belong together.
@@ -110,12 +114,12 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Hold
     blocks: dict[int, float] = {}
     before: dict[int, float] = {}
     after: dict[int, float] = {}
-    for held in sorted(set(fold.tolist())):
-        seen, unseen = points.select(fold != held), points.select(fold == held)
-        where, weights, block = label[fold == held], unseen.weights, sample.block[fold == held]
-        found = fit(seen, model).parameters
+    for left_out in sorted(set(fold.tolist())):
+        fitted, unseen = points.select(fold != left_out), points.select(fold == left_out)
+        where, weights, block = label[fold == left_out], unseen.weights, sample.block[fold == left_out]
+        parameters = fit(fitted, model).parameters
         before |= per_posture(deviations_mg(unseen, IDENTITY), weights, where)
-        left = deviations_mg(unseen, found)
+        left = deviations_mg(unseen, parameters)
         after |= per_posture(left, weights, where)
         blocks |= per_posture(left, weights, block)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
@@ -145,13 +149,6 @@ def of_postures(
     return Holdout(method, number, len(pairs), *errors, pairs, blocks)
 
 
-LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
-"""By number of parameters; the simpler model comes first."""
-
-KINDS = ("scale", "misalignment", "offset", "temperature slopes")
-"""The twelve parameters, by threes."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """What the ladder has to go by.
@@ -169,15 +166,15 @@ class Evidence:
 
 def try_models(evidence: Evidence, settings: Settings, fit: FitFunction) -> tuple[Trial, ...]:
     """Held-out error of every model that the points can hold, and why the others cannot."""
-    names = _wanted(settings, warm=evidence.sample.points.tau is not None)
+    names = _wanted(settings, temperature=evidence.sample.points.tau is not None)
     return tuple(_trial(evidence, settings, fit, MODELS[name]) for name in names)
 
 
-def _wanted(settings: Settings, *, warm: bool) -> list[str]:
+def _wanted(settings: Settings, *, temperature: bool) -> list[str]:
     """Identity, and the models that the user allows; slopes only where there is temperature."""
     names = [name for name in LADDER if settings.model in ("auto", name.removesuffix("T"))]
     names = names if "0" in names else ["0", *names]
-    return names if warm else [name for name in names if not name.endswith("T")]
+    return names if temperature else [name for name in names if not name.endswith("T")]
 
 
 def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Model) -> Trial:
@@ -185,11 +182,11 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
     if reason is not None:
         return Trial(model.name, None, reason)
     try:
-        held = blocked(evidence.sample, model, fit, settings.folds)
+        holdout = blocked(evidence.sample, model, fit, settings.folds)
         doubt = _doubt(evidence.sample.points, model, fit, settings)
     except DivergedError:
         return Trial(model.name, None, "the fit diverges: the points do not determine it")
-    return Trial(model.name, held if doubt is None else None, doubt)
+    return Trial(model.name, holdout if doubt is None else None, doubt)
 
 
 def _doubt(points: PointSet, model: Model, fit: FitFunction, settings: Settings) -> str | None:

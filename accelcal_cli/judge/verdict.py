@@ -1,17 +1,13 @@
-"""From a fit to all that is said of it: calibration, standard errors, errors on the fitted points.
+"""The verdict on a recording: outcome, reason, and the calibration where there is one.
 
-The verdict: outcome, reason, and the calibration where there is one.
-
-Refusing a recording of which damage has left too little, and what to do about it.
-
-Judging coefficients that were not found from the points at hand.
-
-Whether a recording is one of those that it is calibrated with.
+`judge` is that of the default, `judge_paper` that of profile `paper`; `damage_verdict` refuses a recording
+of which damage has left too little. Coefficients that were not found from the points at hand are judged by
+`held_out`, and compared by `better` and `worse`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import fsum
 
 import numpy as np
@@ -23,73 +19,28 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet, in_standard_g
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.errors import deviations_mg, interval95, mean, per_posture, uncertainty
-from accelcal_cli.judge.model_ladder import (
-    LADDER,
-    Evidence,
-    FitFunction,
-    Sample,
-    choose,
-    control,
-    of_postures,
-    one_sided_axes,
-    postures,
-    temperature_blocks,
-    try_models,
-)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """A model fitted to points.
-
-    Attributes:
-        label: (n,) posture numbers of the points.
-    """
-
-    model: str
-    points: PointSet
-    label: NDArray[np.int64]
-    found: Fit
-
-
-def complete(verdict: Judgement, fitted: Fitted, gravity: Gravity) -> Judgement:
-    """A verdict with its calibration, in standard g, and what is known of it."""
-    model, parameters = MODELS[fitted.model], fitted.found.parameters
-    scale = fitted.points.temperature if model.has_temperature else None
-    local_g = gravity.local_g()
-    found = replace(
-        verdict,
-        calibration=Calibration(fitted.model, in_standard_g(parameters, local_g), scale, gravity),
-        fit=fitted.found,
-        fit_errors=_errors(fitted),
-    )
-    known = uncertainty(fitted.points, parameters, model)
-    if known is None:
-        return found
-    seen = replace(
-        verdict.coverage,
-        condition_number=known.condition_number,
-        worst_direction_mg=known.worst_direction_mg,
-    )
-    errors = [*known.standard_errors[:6], *(value * float(local_g) for value in known.standard_errors[6:])]
-    return replace(found, coverage=seen, standard_errors=tuple(errors))
-
-
-def _errors(fitted: Fitted) -> FitErrors:
-    before, after = (
-        mean(list(per_posture(deviations_mg(fitted.points, p), fitted.points.weights, fitted.label).values()))
-        for p in (IDENTITY, fitted.found.parameters)
-    )
-    return FitErrors(len(fitted.points), len(set(fitted.label.tolist())), before, after)
-
+from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sample, postures
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
 FEWEST_CONTROL_POINTS = 2
 LONGER = "record longer, with more turns of the wrist"
 NO_STILLNESS = f"no still window was found; {LONGER}"
+
+CUT_SHORT = "truncated"
+"""Code of the problem that all readers report for a file that breaks off."""
+
+COPY_AGAIN = "the file is cut short: copy it again from the device"
+FEWEST_POSTURES = 2
+
+ODD_TIMES, ODD_MG = 3.0, 1.0
+"""Errors on a recording's own windows that speak against it are larger than before, and larger than so many
+times the pool's median and so many mg more."""
+
+SEEN = "own points, which are among those that were fitted"
 
 
 def judge(
@@ -109,26 +60,26 @@ def judge(
         why_none: the reason, where there are no points.
         label: (n,) posture numbers, where they are known; else found by direction.
     """
-    seen = coverage_of(points)
+    coverage = coverage_of(points)
     if not len(points):
-        return Judgement(Outcome.REFUSED, why_none, seen, ())
+        return Judgement(Outcome.REFUSED, why_none, coverage, ())
     label = postures(points, settings.posture_degrees) if label is None else label
     number = len(set(label.tolist()))
     if number < settings.min_postures:
         text = f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
-        return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", seen, ())
-    sample = Sample(points, label, temperature_blocks(points, label, settings.temperature_block_c))
-    trials = try_models(Evidence(sample, seen, models), settings, fit)
+        return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
+    blocks = model_ladder.temperature_blocks(points, label, settings.temperature_block_c)
+    trials = model_ladder.try_models(Evidence(Sample(points, label, blocks), coverage, models), settings, fit)
     chosen = _chosen(trials, settings)
-    outcome, message = _outcome(chosen, trials, seen, settings)
+    outcome, message = _outcome(chosen, trials, coverage, settings)
     if outcome is Outcome.REFUSED or chosen.holdout is None:
-        return Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
+        return Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
     try:
-        found = fit(points, MODELS[chosen.model])
+        fitted = fit(points, MODELS[chosen.model])
     except DivergedError:
-        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, trials)
-    verdict = Judgement(outcome, message, seen, trials, holdout=chosen.holdout)
-    return complete(verdict, Fitted(chosen.model, points, label, found), settings.gravity)
+        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
+    verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
+    return _complete(verdict, chosen.model, fitted, points, label, settings.gravity)
 
 
 def judge_paper(
@@ -143,72 +94,107 @@ def judge_paper(
 
     An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does.
     """
-    seen = coverage_of(fit_points)
+    coverage = coverage_of(fit_points)
     if missing:
         text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
-        return Judgement(Outcome.REFUSED, f"{text}, profile default does not", seen, ())
+        return Judgement(Outcome.REFUSED, f"{text}, profile default does not", coverage, ())
     if len(control_points) < FEWEST_CONTROL_POINTS:
         left = counted(len(control_points), "control point")
-        return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", seen, ())
+        return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", coverage, ())
     name = "9" if "9" in models else "6"
     try:
-        found = fit(fit_points, MODELS[name])
+        fitted = fit(fit_points, MODELS[name])
     except DivergedError:
-        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", seen, ())
-    trial = Trial(name, control(control_points, found.parameters), None)
+        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
+    trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None)
     others = (
         () if name == "9" else (Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment"),)
     )
-    outcome, text = _outcome(trial, (trial, *others), seen, settings)
-    verdict = Judgement(outcome, text, seen, (trial, *others), holdout=trial.holdout)
+    outcome, text = _outcome(trial, (trial, *others), coverage, settings)
+    verdict = Judgement(outcome, text, coverage, (trial, *others), holdout=trial.holdout)
     if outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
-    return complete(verdict, Fitted(name, fit_points, label, found), settings.gravity)
+    return _complete(verdict, name, fitted, fit_points, label, settings.gravity)
+
+
+def _complete(
+    verdict: Judgement, model: str, fit: Fit, points: PointSet, label: NDArray[np.int64], gravity: Gravity
+) -> Judgement:
+    """A verdict with its calibration, in standard g, and what is known of it.
+
+    Args:
+        fit: of the model to the points, whose posture numbers are `label`.
+    """
+    scale = points.temperature if MODELS[model].has_temperature else None
+    local_g = gravity.local_g()
+    before, after = (
+        mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
+        for p in (IDENTITY, fit.parameters)
+    )
+    completed = replace(
+        verdict,
+        calibration=Calibration(model, in_standard_g(fit.parameters, local_g), scale, gravity),
+        fit=fit,
+        fit_errors=FitErrors(len(points), len(set(label.tolist())), before, after),
+    )
+    precision = uncertainty(points, fit.parameters, MODELS[model])
+    if precision is None:
+        return completed
+    with_uncertainty = replace(
+        verdict.coverage,
+        condition_number=precision.condition_number,
+        worst_direction_mg=precision.worst_direction_mg,
+    )
+    errors = precision.standard_errors
+    scaled = (*errors[:6], *(value * float(local_g) for value in errors[6:]))
+    return replace(completed, coverage=with_uncertainty, standard_errors=scaled)
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
     """The ladder's choice; of the models the user insists on where there is one."""
     if settings.model == "auto":
-        return choose(trials)
+        return model_ladder.choose(trials)
     named = tuple(trial for trial in trials if trial.model != "0")
     able = tuple(trial for trial in named if trial.holdout is not None)
-    return choose(able) if able else named[0]
+    return model_ladder.choose(able) if able else named[0]
 
 
 def _outcome(
-    chosen: Trial, trials: tuple[Trial, ...], seen: Coverage, settings: Settings
+    chosen: Trial, trials: tuple[Trial, ...], coverage: Coverage, settings: Settings
 ) -> tuple[Outcome, str]:
-    held = chosen.holdout
-    if held is None:
+    holdout = chosen.holdout
+    if holdout is None:
         return Outcome.REFUSED, f"model {chosen.model} cannot be fitted: {chosen.reason}"
     if chosen.model == "0":
-        return _no_model(held, trials, seen, settings)
-    if held.after.mean >= settings.max_error_mg:
-        text = f"the best model ({chosen.model}) leaves {held.after.mean:.1f} mg on {_unseen(held)}"
+        return _no_model(holdout, trials, coverage, settings)
+    if holdout.after.mean >= settings.max_error_mg:
+        text = f"the best model ({chosen.model}) leaves {holdout.after.mean:.1f} mg on {_unseen(holdout)}"
         return (
             Outcome.REFUSED,
-            f"{text}, {settings.max_error_mg:g} mg is the limit; {_advice(seen, settings)}",
+            f"{text}, {settings.max_error_mg:g} mg is the limit; {_advice(coverage, settings)}",
         )
     insisted = settings.model != "auto"
-    if insisted and held.after.mean >= held.before.mean:
-        return Outcome.REFUSED, f"model {chosen.model} as asked for does not improve: {_change(held)}"
-    text = f"model {chosen.model}{' as asked for' if insisted else ''}: {_change(held)} on {_unseen(held)}"
+    if insisted and holdout.after.mean >= holdout.before.mean:
+        return Outcome.REFUSED, f"model {chosen.model} as asked for does not improve: {_change(holdout)}"
+    text = (
+        f"model {chosen.model}{' as asked for' if insisted else ''}: {_change(holdout)} on {_unseen(holdout)}"
+    )
     if chosen.model in FULL_MODELS:
         return Outcome.CALIBRATED, text
     return Outcome.REDUCED_MODEL, text if insisted else text + _why_reduced(chosen, trials)
 
 
 def _no_model(
-    held: Holdout, trials: tuple[Trial, ...], seen: Coverage, settings: Settings
+    holdout: Holdout, trials: tuple[Trial, ...], coverage: Coverage, settings: Settings
 ) -> tuple[Outcome, str]:
     if all(trial.holdout is None for trial in trials if trial.model != "0"):
         why = trials[1].reason if len(trials) > 1 else None
-        return Outcome.REFUSED, f"no model could be tried: {why}; {_advice(seen, settings)}"
-    text = f"no model improves on the {held.before.mean:.1f} mg of the raw data on postures it did not see"
-    if held.before.mean < settings.max_error_mg:
+        return Outcome.REFUSED, f"no model could be tried: {why}; {_advice(coverage, settings)}"
+    text = f"no model improves on the {holdout.before.mean:.1f} mg of the raw data on postures it did not see"
+    if holdout.before.mean < settings.max_error_mg:
         return Outcome.ALREADY_GOOD, text
-    return Outcome.REFUSED, f"{text}; {_advice(seen, settings)}"
+    return Outcome.REFUSED, f"{text}; {_advice(coverage, settings)}"
 
 
 def _why_reduced(chosen: Trial, trials: tuple[Trial, ...]) -> str:
@@ -217,23 +203,17 @@ def _why_reduced(chosen: Trial, trials: tuple[Trial, ...]) -> str:
     return f"; {omitted} left out: {reason or 'the held-out error is no lower with it'}"
 
 
-def _unseen(held: Holdout) -> str:
-    return "control points" if held.method.startswith("control") else "postures it did not see"
+def _unseen(holdout: Holdout) -> str:
+    return "control points" if holdout.method.startswith("control") else "postures it did not see"
 
 
-def _advice(seen: Coverage, settings: Settings) -> str:
-    missing = one_sided_axes(seen, settings.coverage_g)
+def _advice(coverage: Coverage, settings: Settings) -> str:
+    missing = model_ladder.one_sided_axes(coverage, settings.coverage_g)
     return f"there is no stillness with {', '.join(missing)}" if missing else LONGER
 
 
-def _change(held: Holdout) -> str:
-    return f"{held.before.mean:.1f} mg before, {held.after.mean:.2f} mg after"
-
-
-CUT_SHORT = "truncated"
-"""Code of the problem that all readers tell of a file that breaks off."""
-
-COPY_AGAIN = "the file is cut short: copy it again from the device"
+def _change(holdout: Holdout) -> str:
+    return f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after"
 
 
 def too_damaged(facts: Facts, max_percent: float) -> str | None:
@@ -254,13 +234,10 @@ def advised(verdict: Judgement, facts: Facts) -> Judgement:
     return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))
 
 
-def damage_verdict(facts: Facts, max_percent: float, seen: Coverage) -> Judgement | None:
+def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:
     """The refusal of a recording that is too damaged; None for any other."""
     text = too_damaged(facts, max_percent)
-    return None if text is None else Judgement(Outcome.REFUSED, text, seen, ())
-
-
-FEWEST_POSTURES = 2
+    return None if text is None else Judgement(Outcome.REFUSED, text, coverage, ())
 
 
 def held_out(
@@ -284,16 +261,16 @@ def held_out(
     before = per_posture(_deviations_mg(raw), points.weights, label)
     after = per_posture(_deviations_mg(applied(points, calibration, rest)), points.weights, label)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
-    return of_postures(method, len(points), pairs)
+    return model_ladder.of_postures(method, len(points), pairs)
 
 
-def better(lent: Holdout, own: Holdout) -> bool:
+def better(borrowed: Holdout, own: Holdout) -> bool:
     """Whether held-out errors are lower than others on the same postures, by more than the uncertainty.
 
     The 95 % confidence interval of the mean difference, posture by posture, lies above 0.
     """
-    pairs = zip(lent.per_posture, own.per_posture, strict=True)
-    return interval95([found - less for (_, less), (_, found) in pairs])[0] > 0
+    pairs = zip(borrowed.per_posture, own.per_posture, strict=True)
+    return interval95([own_after - borrowed_after for (_, borrowed_after), (_, own_after) in pairs])[0] > 0
 
 
 def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[NDArray[np.float64]]:
@@ -328,8 +305,8 @@ def difference_mg(one: Calibration, other: Calibration, raw_g: NDArray[np.float6
         raw_g: raw vectors, (n, 3), at the first one's reference temperature (the other's where it has none).
     """
     at_c = (one if one.temperature is not None else other).reference_c()
-    apart = _at(one, raw_g, at_c) - _at(other, raw_g, at_c)
-    lengths = (1000 * np.sqrt((apart * apart).sum(axis=1))).tolist()
+    difference = _at(one, raw_g, at_c) - _at(other, raw_g, at_c)
+    lengths = (1000 * np.sqrt((difference * difference).sum(axis=1))).tolist()
     return max(lengths), fsum(lengths) / len(lengths)
 
 
@@ -340,14 +317,7 @@ def _at(calibration: Calibration, raw_g: NDArray[np.float64], at_c: float) -> ND
     return np.asarray((raw_g + shift) @ calibration.gain().T)
 
 
-ODD_TIMES, ODD_MG = 3.0, 1.0
-"""Errors on a recording's own windows that speak against it are larger than before, and larger than so many
-times the pool's median and so many mg more."""
-
-SEEN = "own points, which are among those that were fitted"
-
-
-def worse(held: Holdout, usual_mg: float, limit_mg: float) -> str | None:
+def worse(holdout: Holdout, usual_mg: float, limit_mg: float) -> str | None:
     """Why a pool's coefficients are not for a recording, or None.
 
     Args:
@@ -355,8 +325,8 @@ def worse(held: Holdout, usual_mg: float, limit_mg: float) -> str | None:
         usual_mg: median of the pool's held-out errors; some recordings' postures are worse than others,
             and where a raw error happens to be small none can be smaller.
     """
-    before, after = held.before.mean, held.after.mean
-    changed = f"{before:.1f} mg become {after:.2f} mg on {held.postures} postures of its own"
+    before, after = holdout.before.mean, holdout.after.mean
+    changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures of its own"
     if after > before and after > ODD_TIMES * usual_mg + ODD_MG:
         return f"{changed}, {usual_mg:.2f} mg are usual in the pool"
     return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None

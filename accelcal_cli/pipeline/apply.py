@@ -21,14 +21,8 @@ from accelcal_cli.core.settings import DEFAULT, SIX_POSE, Settings
 from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
 from accelcal_cli.output.report import ReportInput, coefficients_json
 from accelcal_cli.output.report_reading import COPIED, Coefficients, check_sections, read_coefficients
-from accelcal_cli.pipeline.calibrate import (
-    Judge,
-    OwnCalibration,
-    RecordingRun,
-    Survey,
-    Verdict,
-    open_run,
-)
+from accelcal_cli.pipeline import jobs
+from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import (
     FileStamp,
     Job,
@@ -37,8 +31,6 @@ from accelcal_cli.pipeline.jobs import (
     Result,
     input_settings,
     no_progress,
-    real,
-    sha256,
 )
 from accelcal_cli.pipeline.method import Method, make_method
 from accelcal_cli.pipeline.outputs import prepare
@@ -163,7 +155,7 @@ def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, reque
     report = donor.document.report
     if report["recording"]["bytes"] != bytes_at.stat().st_size and "coefficients" not in report:
         return Relation.OTHER
-    if sha256(bytes_at) != donor.origin.sha256:
+    if jobs.sha256(bytes_at) != donor.origin.sha256:
         return Relation.OTHER
     own = report["recording"]["sha256"] == donor.origin.sha256
     return Relation.OWN if own and not _read_otherwise(report, recording, request) else Relation.REREAD
@@ -271,10 +263,10 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
         )
 
 
-def keep_coefficients(path: Path, jobs: list[Job]) -> None:
+def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
     """Raise UsageError where a job would write over the very file that its coefficients come from."""
-    for job in jobs:
-        if real(path) in {real(target) for target in (job.report, job.parquet, job.integers)}:
+    for job in planned:
+        if jobs.real(path) in {jobs.real(target) for target in (job.report, job.parquet, job.integers)}:
             raise UsageError(
                 "holds the coefficients and would be overwritten",
                 path=path,
@@ -380,14 +372,6 @@ class Borrowed:
     reasons: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Own:
-    """What a recording's own calibration does to its own points."""
-
-    points: PointSet
-    holdout: Holdout | None
-
-
 def borrow(
     job: Job,
     request: Request,
@@ -413,7 +397,7 @@ def borrow(
     """
     with open_run(job, request, progress, before=before) as run:
         prepare(job, force=request.force)
-        own = _own_result(run) if must_be_better else None
+        own = run.result(OwnCalibration(request.recording_settings)) if must_be_better else None
         reasons: list[str] = []
         for path in reports:
             donor = read_coefficients(path, by_content=True)
@@ -429,11 +413,6 @@ def borrow(
                 return Borrowed(recipient.write(_relocatable(data, job)), tuple(reasons))
             reasons.append(printable(f"with the coefficients of {donor.origin.path}, {why}"))
         return Borrowed(None, tuple(reasons))
-
-
-def _own_result(run: RecordingRun) -> _Own:
-    data, points = run.result(OwnCalibration(run.request.recording_settings))
-    return _Own(points, data.judgement.holdout)
 
 
 def _other(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCoefficients]:
@@ -460,15 +439,15 @@ def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
     return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
 
 
-def _why_own(own: _Own | None, judge: GivenCoefficients) -> str | None:
-    """Why the recording's own calibration is preferred, or None."""
-    if own is None or own.holdout is None:
+def _why_own(own: tuple[ReportInput, PointSet] | None, judge: GivenCoefficients) -> str | None:
+    """Why the recording's own calibration, which its points come with, is preferred; or None."""
+    if own is None or (holdout := own[0].judgement.holdout) is None:
         return None
     settings = judge.settings
-    borrowed = held_out(own.points, judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
-    if borrowed is None or not better(borrowed, own.holdout):
+    borrowed = held_out(own[1], judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
+    if borrowed is None or not better(borrowed, holdout):
         shown = "no" if borrowed is None else f"{borrowed.after.mean:.2f} mg"
-        return f"{shown} instead of its own {own.holdout.after.mean:.2f} mg is no less beyond the uncertainty"
+        return f"{shown} instead of its own {holdout.after.mean:.2f} mg is no less beyond the uncertainty"
     return None
 
 

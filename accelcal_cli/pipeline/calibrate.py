@@ -24,33 +24,9 @@ from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.report import ReportInput, integers_json
-from accelcal_cli.pipeline.export import (
-    beyond,
-    calibrated,
-    columns_of,
-    transform_of,
-    write_calibrated,
-)
-from accelcal_cli.pipeline.jobs import (
-    FileStamp,
-    Job,
-    ProgressMaker,
-    Request,
-    Result,
-    check_unchanged,
-    file_stamp,
-    hashing,
-    no_progress,
-)
+from accelcal_cli.pipeline import export, jobs, outputs
+from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.method import Method, fitting, make_method, optimizer_json
-from accelcal_cli.pipeline.outputs import (
-    prepare,
-    remove,
-    remove_stale_parquet,
-    save_report,
-    up_to_date,
-    with_provenance,
-)
 from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
 
 SURVEYED_AT_ONCE = 4
@@ -156,7 +132,7 @@ def open_run(
         AccelcalError: it cannot be read.
     """
     path = source or job.source
-    before = before or file_stamp(path)
+    before = before or jobs.file_stamp(path)
     with open_marked(path, request.options, request.threads) as reader:
         yield RecordingRun(job, request, progress, reader, path, before)
 
@@ -183,9 +159,9 @@ class RecordingRun:
         Raises:
             AccelcalError: see `result` and `write`; or the outputs are those of another recording.
         """
-        prepare(self.job, force=self.request.force)
+        outputs.prepare(self.job, force=self.request.force)
         if not self.request.force:
-            existing = up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
+            existing = outputs.up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
             if existing is not None:
                 return existing
         data, points = self.result(judge)
@@ -202,12 +178,12 @@ class RecordingRun:
         """
         recording, optimizer = self.reader.recording, judge.optimizer()
         method = judge.method(recording)
-        with hashing(self.bytes_at) as digest:
+        with jobs.hashing(self.bytes_at) as digest:
             facts = self.survey(method)
             points = method.procedure.result()
-            seen = coverage(points)
-            damage = damage_verdict(facts, self.request.settings.max_damage_percent, seen)
-            verdict = judge.verdict(self, Survey(recording, facts, method, points, seen, damage))
+            where = coverage(points)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, where)
+            verdict = judge.verdict(self, Survey(recording, facts, method, points, where, damage))
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows
@@ -244,17 +220,17 @@ class RecordingRun:
             UnreadableError: the recording changed between the passes or within one.
             OutputError: a file cannot be written.
         """
-        check_unchanged(self.bytes_at, self.before)
+        jobs.check_unchanged(self.bytes_at, self.before)
         if writes_parquet(data):
             data = replace(data, clipped_after=self._write_parquet(data))
         else:
-            remove_stale_parquet(self.job.parquet, reports.parquet_metadata(data))
+            outputs.remove_stale_parquet(self.job.parquet, reports.parquet_metadata(data))
         if integers is None:
-            remove(self.job.integers)
+            outputs.remove(self.job.integers)
         else:
             write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
-        report = with_provenance(reports.build(data), self.request.command)
-        save_report(self.job.report, report)
+        report = outputs.with_provenance(reports.build(data), self.request.command)
+        outputs.save_report(self.job.report, report)
         return Result(self.job, report)
 
     def _write_parquet(self, data: ReportInput) -> int:
@@ -262,29 +238,30 @@ class RecordingRun:
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.parquet import ParquetSink
 
-        columns, threads = columns_of(data), self.request.threads
+        columns, threads = export.columns_of(data), self.request.threads
         shown, metadata = self.progress("writing", data.recording.total_bytes), reports.parquet_metadata(data)
         chunks = self.reader.chunks(self.request.chunk_samples)
         with (
             replacing(self.job.parquet) as temporary,
             ParquetSink(temporary, self.job.parquet, columns, metadata, threads) as sink,
         ):
-            over = write_calibrated(data, chunks, sink, threads, shown)
+            over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()
-            check_unchanged(self.bytes_at, self.before)
-            remove(self.job.report)
+            jobs.check_unchanged(self.bytes_at, self.before)
+            outputs.remove(self.job.report)
             return over
 
     def count_beyond(self, data: ReportInput) -> ReportInput:
         """Second pass without writing: what writing would have counted."""
         if not writes_parquet(data):
             return data
-        if data.recording.range_g is None:
+        range_g = data.recording.range_g
+        if range_g is None:
             return replace(data, clipped_after=0)
         shown = self.progress("applying", data.recording.total_bytes)
         chunks = self.reader.chunks(self.request.chunk_samples)
-        parts = calibrated(chunks, transform_of(data), shown)
-        return replace(data, clipped_after=sum(beyond(xyz, data.recording.range_g) for _, xyz in parts))
+        parts = export.calibrated(chunks, export.transform_of(data), shown)
+        return replace(data, clipped_after=sum(export.beyond(xyz, range_g) for _, xyz in parts))
 
 
 def writes_parquet(data: ReportInput) -> bool:

@@ -34,7 +34,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
     how = fitting(settings)
     why_none = NOT_NEAR if given.implausible else NO_POINTS
     verdict = judge(given.points, settings, how.fit, how.models, why_none, given.label)
-    found = None if verdict.fit is None else verdict.fit.parameters
+    parameters = None if verdict.fit is None else verdict.fit.parameters
     data = PointsInput(
         path=path,
         sha256=digest,
@@ -42,7 +42,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
         rows=len(table),
         implausible=given.implausible,
         raw_error_mg=_error_mg(given.rows, IDENTITY),
-        after_error_mg=None if found is None else _error_mg(given.rows, found),
+        after_error_mg=None if parameters is None else _error_mg(given.rows, parameters),
         settings=EffectiveSettings(settings, True, {"format": "points"}),
         judgement=verdict,
         optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),

@@ -79,9 +79,9 @@ def _pieces(reader: Reader) -> Iterator[Chunk]:
         yield replace(chunk, breaks=breaks)
 
 
-def as_json(seen: Inspection) -> dict[str, Any]:
+def as_json(inspection: Inspection) -> dict[str, Any]:
     """The inspection as a JSON object."""
-    recording, facts, guess = seen.recording, seen.facts, seen.prediction
+    recording, facts, prediction = inspection.recording, inspection.facts, inspection.prediction
     return {
         "accelcal_version": __version__,
         "recording": {
@@ -94,11 +94,11 @@ def as_json(seen: Inspection) -> dict[str, Any]:
             "range_g": recording.range_g,
             "start_time": iso_time(recording.start_us, facts.utc_offset_s),
             "timezone": recording.timezone,
-            "samples": facts.samples if seen.whole else recording.samples,
-            "duration_s": duration_s(seen),
+            "samples": facts.samples if inspection.whole else recording.samples,
+            "duration_s": duration_s(inspection),
             "temperature": recording.has_temperature,
             "gyroscope": recording.gyro_dps_per_lsb is not None,
-            "gaps": len(facts.gaps) + facts.gaps_omitted if seen.whole else None,
+            "gaps": len(facts.gaps) + facts.gaps_omitted if inspection.whole else None,
             "notes": notes_json(recording, facts),
         },
         "file_health": {
@@ -107,25 +107,25 @@ def as_json(seen: Inspection) -> dict[str, Any]:
             "clipped_samples": facts.clipped,
             "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
             **damage_json(facts),
-            "clock": clock_json(recording, facts, whole=seen.whole),
+            "clock": clock_json(recording, facts, whole=inspection.whole),
         },
         "read": {
-            "whole": seen.whole,
+            "whole": inspection.whole,
             "samples": facts.samples,
-            "windows": seen.windows.complete,
-            "still_windows": seen.windows.still + seen.windows.joined,
+            "windows": inspection.windows.complete,
+            "still_windows": inspection.windows.still + inspection.windows.joined,
         },
         "prediction": {
-            "outcome": str(guess.outcome),
-            "message": guess.message,
-            "holdout": None if guess.holdout is None else holdout_json(guess.holdout),
+            "outcome": str(prediction.outcome),
+            "message": prediction.message,
+            "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
         },
     }
 
 
-def duration_s(seen: Inspection) -> float | None:
+def duration_s(inspection: Inspection) -> float | None:
     """Length in seconds, None where only reading everything would tell."""
-    facts = seen.facts
-    if seen.whole and facts.first_us is not None and facts.last_us is not None:
-        return round((facts.last_us - facts.first_us) / 1e6 + 1 / seen.recording.rate_hz, 6)
-    return seen.recording.duration_s
+    facts = inspection.facts
+    if inspection.whole and facts.first_us is not None and facts.last_us is not None:
+        return round((facts.last_us - facts.first_us) / 1e6 + 1 / inspection.recording.rate_hz, 6)
+    return inspection.recording.duration_s

@@ -150,10 +150,10 @@ def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
         return _Part(member, recording, facts.samples, method.procedure.collector, method.segmenter.counts)
 
 
-def _refuse_other(one: Recording, other: Recording) -> None:
+def _refuse_other(first: Recording, other: Recording) -> None:
     for name in ("lsb_per_g", "range_g"):
-        if getattr(one, name) != getattr(other, name):
-            raise UsageError(f"cannot be pooled with {one.path}: its {name} is another", path=other.path)
+        if getattr(first, name) != getattr(other, name):
+            raise UsageError(f"cannot be pooled with {first.path}: its {name} is another", path=other.path)
 
 
 def apply_pool(
@@ -219,8 +219,8 @@ def _why_not(data: ReportInput, document: Document) -> str | None:
     judgement = data.judgement
     if judgement.outcome is Outcome.REFUSED:
         return judgement.message
-    for one in document.report["pool"]["left_out"]:
-        if one["sha256"] == data.sha256:
-            return f"left out of the pool: {one['reason']}"
+    for member in document.report["pool"]["left_out"]:
+        if member["sha256"] == data.sha256:
+            return f"left out of the pool: {member['reason']}"
     usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings.method.max_error_mg
     return None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)

@@ -60,25 +60,18 @@ def survey(
     Raises:
         UnreadableError: the recording cannot be read on.
     """
-    for windows in _batched(_still(chunks, segmenter, observers, progress, threads)):
+
+    def still() -> Iterator[Windows]:
+        for chunk in ahead(iter(chunks), threads):
+            for observer in observers:
+                observer.see(chunk)
+            yield from segmenter.feed(chunk)
+            progress(chunk.end_byte)
+        yield from segmenter.finish()
+
+    for windows in _batched(still()):
         for observer in observers:
             observer.see_still(windows)
-
-
-def _still(
-    chunks: Iterable[Chunk],
-    segmenter: Segmenter,
-    observers: Sequence[Observer],
-    progress: Progress,
-    threads: int,
-) -> Iterator[Windows]:
-    """Still windows, after the observers have seen the chunks that they were decided in."""
-    for chunk in ahead(iter(chunks), threads):
-        for observer in observers:
-            observer.see(chunk)
-        yield from segmenter.feed(chunk)
-        progress(chunk.end_byte)
-    yield from segmenter.finish()
 
 
 def _batched(still: Iterable[Windows]) -> Iterator[Windows]:

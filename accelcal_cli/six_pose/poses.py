@@ -98,8 +98,8 @@ class Session:
     @property
     def missing(self) -> tuple[str, ...]:
         """Faces without a state; none are missed where other orientations are listed."""
-        seen = {pose.face for pose in self.poses}
-        return () if seen - set(FACES) else tuple(face for face in FACES if face not in seen)
+        faces = {pose.face for pose in self.poses}
+        return () if faces - set(FACES) else tuple(face for face in FACES if face not in faces)
 
     @property
     def orientations(self) -> int:

@@ -12,11 +12,12 @@ every machine. Standard errors are those of a linear least-squares fit.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import product
 from math import acos, degrees, fsum, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,7 +70,7 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
     precision = uncertainty(session.poses, solution)
     return SixPoseFit(
         calibration=solution.calibration,
-        k=_floats(solution),
+        k=_matrix3(solution.k),
         o=_offset(solution),
         k_errors=precision.k,
         o_errors=precision.o,
@@ -120,11 +121,6 @@ def _which(session: Session) -> str:
 def _missing(session: Session) -> str:
     """A missing face is tolerable while the others determine all and can be left out in turn."""
     return f"missing: {', '.join(session.missing)}; " if session.missing else ""
-
-
-def _floats(solution: Solution) -> Matrix3:
-    first, second, third = ((float(x), float(y), float(z)) for x, y, z in solution.k)
-    return first, second, third
 
 
 def _offset(solution: Solution) -> Floats3:
@@ -367,8 +363,8 @@ def _parameters(solution: Solution) -> Real:
     return np.array([*columns, [float(value) for value in solution.o]])
 
 
-def _matrix3(values: Real) -> Matrix3:
-    first, second, third = ((float(row[0]), float(row[1]), float(row[2])) for row in values)
+def _matrix3(rows: Iterable[Any]) -> Matrix3:
+    first, second, third = ((float(x), float(y), float(z)) for x, y, z in rows)
     return first, second, third
 
 

@@ -1,0 +1,238 @@
+"""Known coefficients onto a recording: whose they are, what is applied, what is refused, what is borrowed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.points import TemperatureScale
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.results import ErrorSummary, Holdout
+from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings
+from accelcal_cli.formats import open_recording
+from accelcal_cli.output.report_reading import Coefficients, read_coefficients
+from accelcal_cli.pipeline.apply import (
+    Relation,
+    applied,
+    apply,
+    borrow,
+    checked_relation,
+    keep_coefficients,
+    need_temperature,
+    relation_of,
+    sentence,
+    settings_for,
+    warning,
+)
+from accelcal_cli.pipeline.calibrate import calibrate
+from accelcal_cli.pipeline.jobs import Job, Request, plan
+from accelcal_cli.pipeline.outputs import json_round_trip
+from tests.device_recordings import donor, edit, set_coefficients, week
+from tests.recordings import GAIN, OFFSET_G
+
+
+def coefficients(folder: Path, *, warm: bool = False) -> tuple[Coefficients, Path]:
+    """The coefficients of a device's recording, and that recording."""
+    return read_coefficients(donor(folder, warm=warm)), folder / "donor.raw"
+
+
+def described(path: Path) -> Recording:
+    with open_recording(path, ReadOptions()) as reader:
+        return reader.recording
+
+
+def job_of(path: Path, folder: Path) -> Job:
+    (job,) = plan([path], folder, None)
+    return job
+
+
+def holdout(before: float, after: float) -> Holdout:
+    summary = ErrorSummary(before, before, before), ErrorSummary(after, after, after)
+    return Holdout("m", 20, 7, *summary, (0.0, after), ((before, after),) * 7)
+
+
+def test_a_recording_and_its_own_coefficients(tmp_path: Path) -> None:
+    mine, path = coefficients(tmp_path)
+    recording = described(path)
+    assert relation_of(mine, recording, path, Request()) is Relation.OWN
+    in_mg = Request(options=ReadOptions(unit="mg"))
+    assert relation_of(mine, recording, path, in_mg) is Relation.REREAD
+    assert relation_of(mine, replace(recording, lsb_per_g=100.0), path, Request()) is Relation.REREAD
+    other = week(tmp_path / "other.raw", seed=2)
+    assert relation_of(mine, described(other), other, Request()) is Relation.OTHER
+
+
+@pytest.mark.parametrize(
+    ("serial", "message"),
+    [
+        ("A1", None),
+        ("B2", "was recorded by device B2, the coefficients are those of device A1"),
+        (None, "does not say which device recorded it, the coefficients are those of device A1"),
+    ],
+)
+def test_another_device_is_refused_unless_any_will_do(
+    tmp_path: Path, serial: str | None, message: str | None
+) -> None:
+    theirs, _ = coefficients(tmp_path)
+    path = week(tmp_path / "other.raw", seed=2, poses=20, serial=serial)
+    recording = described(path)
+    assert checked_relation(theirs, recording, path, Request(any_device=True)) is Relation.OTHER
+    if message is None:
+        assert checked_relation(theirs, recording, path, Request()) is Relation.OTHER
+    else:
+        with pytest.raises(UsageError) as refusal:
+            checked_relation(theirs, recording, path, Request())
+        assert (refusal.value.message, refusal.value.path) == (message, path)
+
+
+@pytest.mark.parametrize(
+    ("change", "option"),
+    [({"temperature": False}, "--no-temperature"), ({"latitude": 10.0}, "--latitude")],
+)
+def test_its_own_coefficients_hold_only_as_they_were_found(tmp_path: Path, change: dict, option: str) -> None:
+    mine, path = coefficients(tmp_path, warm=True)
+    request = Request(settings=replace(DEFAULT, **change), any_device=True)
+    with pytest.raises(UsageError) as refusal:
+        checked_relation(mine, described(path), path, request)
+    assert (
+        refusal.value.message == f"the coefficients are this recording's own, and were found without {option}"
+    )
+    assert refusal.value.hint == f"leave {option} out, or calibrate it again with it"
+
+
+def test_stillness_is_found_as_in_the_donor_but_judged_by_the_default(tmp_path: Path) -> None:
+    theirs, _ = coefficients(tmp_path)
+    used = replace(DEFAULT, segment_seconds=7.0, optimizer="float64", model="6", latitude=50.0)
+    wanted = replace(DEFAULT, precision_mg=0.5, max_damage_percent=20.0)
+    edit(theirs.document.path, lambda report: report["settings"].update(used.as_json()))
+    theirs = read_coefficients(theirs.document.path)
+    own = settings_for(theirs, Relation.OWN, wanted)
+    assert own == replace(used, precision_mg=0.5, max_damage_percent=20.0)
+    other = settings_for(theirs, Relation.OTHER, wanted)
+    place = theirs.calibration.gravity
+    assert other == replace(
+        wanted, segment_seconds=7.0, temperature=False, latitude=place.latitude, altitude_m=place.altitude_m
+    )
+    here = settings_for(theirs, Relation.OTHER, replace(wanted, latitude=-30.0))
+    assert (here.latitude, here.altitude_m) == (-30.0, None)
+
+
+def test_settings_of_a_session_or_of_the_papers_are_not_those_of_another_recording(tmp_path: Path) -> None:
+    theirs, _ = coefficients(tmp_path)
+    for used in (PAPER, PoseSettings()):
+        edit(theirs.document.path, lambda report, used=used: report["settings"].update(used.as_json()))
+        read = read_coefficients(theirs.document.path)
+        assert settings_for(read, Relation.OTHER, DEFAULT) == replace(DEFAULT, temperature=False)
+
+
+def test_slopes_are_dropped_where_temperature_is_not_wanted(tmp_path: Path) -> None:
+    warm, path = coefficients(tmp_path, warm=True)
+    scale = warm.calibration.temperature
+    assert isinstance(scale, TemperatureScale)
+    assert applied(warm, DEFAULT) is warm.calibration
+    cold = applied(warm, replace(DEFAULT, temperature=False))
+    assert (cold.model, cold.temperature) == (warm.calibration.model.removesuffix("T"), None)
+    assert cold.parameters == (*warm.calibration.parameters[:9], 0, 0, 0)
+    need_temperature(cold, described(path), has=False)
+    need_temperature(warm.calibration, described(path), has=True)
+    with pytest.raises(UsageError) as refusal:
+        need_temperature(warm.calibration, described(path), has=False)
+    assert refusal.value.message == "has no temperature, but the coefficients have slopes"
+    at_c = f"{scale.reference_mc / 1000:.1f} C"
+    assert refusal.value.hint == f"--no-temperature uses them as at {at_c}"
+
+
+def test_the_sentence_says_whose_they_are_what_they_did_and_what_differs(tmp_path: Path) -> None:
+    warm, path = coefficients(tmp_path, warm=True)
+    recording = described(path)
+    named = f"coefficients of {warm.origin.path} (sha256 {warm.origin.sha256[:12]}, device A1)"
+    assert sentence(warm, warm.calibration, recording, holdout(30.0, 1.25), 10.0) == (
+        f"{named}: 30.0 mg before, 1.25 mg after on 7 postures, none of which they were found from"
+    )
+    other = replace(recording, lsb_per_g=100.0, device=replace(recording.device, serial="B2"))
+    cold = applied(warm, replace(DEFAULT, temperature=False))
+    assert sentence(warm, cold, other, None, 10.0) == (
+        f"{named}: no two postures of stillness to judge them by; this recording's device is B2; "
+        f"100 counts per g here, {recording.lsb_per_g:g} there; used as at "
+        f"{warm.calibration.reference_c():.1f} C, their temperature slopes are left out"
+    )
+    poor = sentence(warm, warm.calibration, recording, holdout(11.0, 12.0), 10.0)
+    assert poor.endswith("; the error is larger with them than without; 10 mg or more are left")
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "warned"), [(30.0, 1.0, False), (5.0, 6.0, True), (30.0, 10.0, True)]
+)
+def test_a_warning_where_the_coefficients_do_not_help(before: float, after: float, warned: bool) -> None:
+    errors = {"before_mg": {"mean": before}, "after_mg": {"mean": after}}
+    report = {"outcome": "borrowed", "message": "m", "holdout": errors, "settings": {"max_error_mg": 10.0}}
+    assert warning(report) == ("warning: m" if warned else None)
+    assert warning({**report, "outcome": "calibrated"}) is None
+    assert warning({**report, "holdout": None}) is None
+
+
+def test_the_file_of_the_coefficients_is_not_written_over(tmp_path: Path) -> None:
+    job = job_of(tmp_path / "a.raw", tmp_path)
+    keep_coefficients(tmp_path / "b.calibration.json", [job])
+    for path in (job.report, job.parquet, job.integers):
+        with pytest.raises(UsageError, match="holds the coefficients and would be overwritten"):
+            keep_coefficients(path, [job])
+
+
+def test_apply_again_is_up_to_date_until_the_coefficients_change(tmp_path: Path) -> None:
+    theirs, _ = coefficients(tmp_path)
+    job = job_of(week(tmp_path / "other.raw", seed=2, poses=20), tmp_path / "out")
+    first = apply(job, Request(coefficients=theirs))
+    assert (str(first.outcome), first.up_to_date) == ("borrowed", False)
+    again = apply(job, Request(coefficients=theirs))
+    assert (again.report, again.up_to_date) == (json_round_trip(first.report), True)
+    edit(theirs.document.path, lambda report: report.update(message="another"))
+    changed = read_coefficients(theirs.document.path)
+    assert not apply(job, Request(coefficients=changed)).up_to_date
+
+
+def test_the_first_donor_that_proves_itself_lends(tmp_path: Path) -> None:
+    good = donor(tmp_path)
+    bad = tmp_path / "bad.calibration.json"
+    bad.write_bytes(good.read_bytes())
+    edit(bad, lambda report: set_coefficients(report, GAIN @ GAIN @ GAIN, -3 * OFFSET_G, "9"))
+    poor = week(tmp_path / "poor.raw", seed=2, poses=12)
+    job = job_of(poor, tmp_path / "out")
+    found = borrow(job, Request(), [bad, good], must_be_better=False)
+    assert found.result is not None
+    assert str(found.result.outcome) == "borrowed"
+    (reason,) = found.reasons
+    assert reason.startswith(f"with the coefficients of {read_coefficients(good).origin.path}, ")
+    assert reason.endswith(("which is no less", "10 mg is the limit"))
+    assert found.result.report["coefficients"]["path"] == "../donor.calibration.json"
+    assert found.result.report["coefficients"]["without_provenance"] is True
+
+
+def test_a_recordings_own_coefficients_are_not_borrowed(tmp_path: Path) -> None:
+    report = donor(tmp_path)
+    job = job_of(tmp_path / "donor.raw", tmp_path / "out")
+    found = borrow(job, Request(), [report], must_be_better=False)
+    origin = read_coefficients(report).origin.path
+    assert found.result is None
+    assert found.reasons == (f"with the coefficients of {origin}, it is the same recording",)
+    assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_good_calibration_of_its_own_is_preferred(tmp_path: Path) -> None:
+    report = donor(tmp_path)
+    other = week(tmp_path / "other.raw", seed=2)
+    assert str(calibrate(job_of(other, tmp_path), Request()).outcome) == "calibrated"
+    found = borrow(job_of(other, tmp_path / "out"), Request(), [report], must_be_better=True)
+    assert found.result is None
+    assert "is no less beyond the uncertainty" in found.reasons[0]
+
+
+def test_without_stillness_no_donor_can_be_tested(tmp_path: Path) -> None:
+    report = donor(tmp_path)
+    path = week(tmp_path / "other.raw", seed=2, poses=1)
+    found = borrow(job_of(path, tmp_path / "out"), Request(), [report, report], must_be_better=False)
+    assert found.reasons == ("there is no stillness in 2 postures to test coefficients on",)
