@@ -12,6 +12,9 @@ from tests.study.clusters import cluster
 
 @pytest.fixture(scope="session")
 def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The scheduler file of a cluster of two workers."""
+    """The scheduler file of a cluster whose two workers are there."""
+    distributed = pytest.importorskip("distributed")
     with cluster(tmp_path_factory.mktemp("cluster")) as file:
+        with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
+            client.wait_for_workers(2)
         yield file
