@@ -119,11 +119,8 @@ def _refuse_not_positive(options: ReadOptions) -> None:
 
 
 def _head(path: Path, bare_returns: bool) -> bytes:
-    file = LineFile(path, bare_returns)
-    try:
+    with LineFile(path, bare_returns) as file:
         return file.read(HEAD_BYTES)
-    finally:
-        file.close()
 
 
 def _head_block(head: bytes, dialect: Dialect) -> Block:

@@ -92,16 +92,13 @@ class CsvReader(Reader):
         if detected.export.repeats_idle:
             stages.append(IdleFill(round(detected.pace.rate_hz)))
         size = block_bytes(chunk_samples, detected.line_bytes)
-        file = LineFile(self._path, dialect.bare_returns)
-        try:
+        with LineFile(self._path, dialect.bare_returns) as file:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
             for parsed, block in row_parser.rows(blocks, self.threads):
                 rows = parsed
                 for stage in stages:
                     rows = stage.add(rows, block.last)
                 yield rows, block
-        finally:
-            file.close()
 
     def _first_time(self) -> int | None:
         """Time of the first usable row [us], None without dates.

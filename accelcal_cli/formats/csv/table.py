@@ -16,6 +16,7 @@ import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
@@ -71,7 +72,7 @@ def lone_block(data: bytes, line: int, offset: int) -> Block:
     return Block(data, b"", line, count_lines(data), offset, offset + len(data), 0, False, False)
 
 
-class LineFile:
+class LineFile(Closing):
     """A text file, plain or gzip, read once from its beginning."""
 
     def __init__(self, path: Path, bare_returns: bool = False) -> None:
