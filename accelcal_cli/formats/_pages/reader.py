@@ -313,23 +313,15 @@ def first_temperature(block: PageBlock) -> int:
     return int(known[0]) if len(known) else paged.NO_TEMPERATURE
 
 
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """Length of a recording as its first and last page tell; None where they do not."""
-
-    samples: int | None
-    duration_s: float | None
-
-
-def extent(scheme: PageScheme, opening: Opening) -> Extent:
-    """Compare the first valid page with the last, without reading what lies between.
+def extent(scheme: PageScheme, opening: Opening) -> tuple[int | None, float | None]:
+    """Samples and seconds, by the first valid page and the last; None where these do not tell.
 
     The number of samples takes all pages between for full and present; it is None where the
     sequence numbers contradict that, and for a gzip file, whose end is not known.
     """
     last = None if scheme.file.compressed else last_page(scheme)
     if last is None:
-        return Extent(None, None)
+        return None, None
     ends, _ = paged.split(opening.block, 1)
     if last.position[0] > ends.position[0]:
         ends = paged.joined(ends, last)
@@ -339,7 +331,7 @@ def extent(scheme: PageScheme, opening: Opening) -> Extent:
     rows = int(np.ptp(ends.position)) * scheme.spacing.rows + int(ends.rows[-1])
     lasted_us = int(np.ptp(links.time_us)) + float(scheme.spacing.rows_us(ends.rows[-1]))
     certain = ends.faulty is None and not step.missing.any()
-    return Extent(rows if certain else None, lasted_us / MICROSECONDS)
+    return rows if certain else None, lasted_us / MICROSECONDS
 
 
 def last_page(scheme: PageScheme) -> PageBlock | None:

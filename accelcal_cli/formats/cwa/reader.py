@@ -243,14 +243,6 @@ class Assembler:
         return None if sensor is None else np.repeat(sensor.temperature_mc(block.temperature), block.rows)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """The first believable sector: a scalar of SECTOR and its place."""
-
-    sector: Any
-    position: int
-
-
 class CwaReader(Reader):
     """Streams the sectors; each call of `chunks` reads the file from its beginning."""
 
@@ -285,24 +277,22 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         head = stream.read_exact(HEADER_BYTES)
     header = sector.parse_header(head)
     file = paged.paged_file(path, header.data_start, SECTOR_BYTES)
-    first = first_sector(file, header)
-    settings = sector.settings_of(first.sector)
-    raw_temperature = int(first.sector["temperature"]) & sector.TEMPERATURE_MASK
+    first, position = first_sector(file, header)
+    settings = sector.settings_of(first)
+    raw_temperature = int(first["temperature"]) & sector.TEMPERATURE_MASK
     problems = [] if header.intact else [Problem("damaged_header", NO_HEADER, 0, 0)]
-    clock_set = bool(sector.anchors(np.atleast_1d(first.sector), settings).known[0])
+    clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
-        problems.append(Problem("no_start_time", NO_START, file.offset(first.position), 0))
+        problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
     sensor = None if raw_temperature in sector.NO_SENSOR else sector.thermometer(header.hardware)
     scheme = Scheme(file, settings, sensor, tuple(problems))
-    device = (
-        header.device if header.intact else sector.device_of_sector(settings, int(first.sector["fraction"]))
-    )
+    device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
     return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)
 
 
-def first_sector(file: PagedFile, header: Header) -> Sample:
-    """The first sector whose checksum is right; in the oldest files, which have none, that makes sense.
+def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
+    """The first sector whose checksum is right (in the oldest files: that makes sense), and its place.
 
     Raises:
         UnreadableError: there is none in the whole file.
@@ -314,7 +304,7 @@ def first_sector(file: PagedFile, header: Header) -> Sample:
             for candidates in sector.plausible(raw.pages):
                 if candidates.any():
                     place = int(np.argmax(candidates))
-                    return Sample(sector.as_sectors(raw.pages)[place].copy(), raw.first_position + place)
+                    return sector.as_sectors(raw.pages)[place].copy(), raw.first_position + place
     what = "holds no intact data sector" if header.intact else "is not an Axivity .cwa recording"
     raise UnreadableError(
         f"{what} ({seen} sectors looked at)", path=file.path, byte_offset=file.start_byte, hint=COPY_AGAIN

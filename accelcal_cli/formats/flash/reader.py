@@ -288,7 +288,7 @@ def page_scheme(file: PagedFile, header: FlashHeader) -> PageScheme:
 
 def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Recording:
     """The file's description."""
-    length = extent(scheme, opening)
+    samples, duration_s = extent(scheme, opening)
     return Recording(
         path=scheme.file.path,
         format="flash",
@@ -299,7 +299,7 @@ def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Reco
         range_g=header.range_g,
         start_us=opening.start_us if header.clock_set else None,
         timezone=header.timezone,
-        samples=length.samples,
-        duration_s=length.duration_s,
+        samples=samples,
+        duration_s=duration_s,
         has_temperature=opening.temperature_mc != paged.NO_TEMPERATURE,
     )

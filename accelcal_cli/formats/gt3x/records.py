@@ -64,7 +64,7 @@ LOOK_AHEAD = 2 * LONGEST_BELIEVED
 Key = tuple[int, int]
 """Address space and number of a parameter."""
 
-IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
+IMU_TEMPERATURE_OFFSET = (0, 58)
 ACCEL_SCALE = (0, 55)
 SAMPLE_RATE = (1, 10)
 START_TIME = (1, 12)

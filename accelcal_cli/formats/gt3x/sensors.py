@@ -72,24 +72,19 @@ class Sensor(Protocol):
     @property
     def rate(self) -> int:
         """Samples in a second."""
-        ...
 
     @property
     def fills(self) -> bool:
         """Whether the device repeats its last sample while it sleeps."""
-        ...
 
     def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
         """Which records hold its samples, (m,)."""
-        ...
 
     def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
         """Samples of records that `holds` named."""
-        ...
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
         """Which of these records are one second of samples and nothing else, (k,)."""
-        ...
 
 
 def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) -> NDArray[np.uint8]:

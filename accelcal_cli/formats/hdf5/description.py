@@ -26,31 +26,13 @@ from accelcal_cli.formats.hdf5.units import Scale, StampScale
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
-    "sample_rate",
-    "sample_rate_hz",
-    "sampling_rate",
-    "sampling_rate_hz",
-    "samplerate",
-    "rate_hz",
-    "sampling_frequency",
-    "sampling_frequency_hz",
-    "sample_frequency",
-    "frequency_hz",
-    "sfreq",
-    "fs",
-    "fs_hz",
-    "hz",
-    "rate",
-    "frequency",
+    *("sample_rate", "sample_rate_hz", "sampling_rate", "sampling_rate_hz", "rate_hz"),
+    *("sampling_frequency", "sampling_frequency_hz", "sample_frequency", "frequency_hz", "sfreq"),
+    *("fs", "fs_hz", "hz", "rate", "frequency"),
 )
 START_NAMES = (
-    "start_time",
-    "start",
-    "start_timestamp",
-    "start_datetime",
-    "recording_start",
-    "recording_start_time",
-    "start_time_utc",
+    *("start_time", "start", "start_timestamp", "start_datetime"),
+    *("recording_start", "recording_start_time", "start_time_utc"),
 )
 _LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
 _DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")

@@ -39,15 +39,6 @@ FLOAT_DPS_PER_LSB = 2.0**-16
 LARGEST_DPS = 32_767.0
 LARGEST_MC = 1_000_000.0
 
-CODES = {
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-}
 INT24 = "int24"
 INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
 SMALL, WIDE = np.iinfo(np.int16), np.iinfo(np.int32)
@@ -60,7 +51,7 @@ NO_START = "the layout gives no start time and no page time: times count from 19
 
 def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
     """The numpy type of a layout's number type."""
-    return np.dtype(("<" if endian == "little" else ">") + CODES[kind])
+    return np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
 
 
 def whole_range(field: Field, zero: int) -> tuple[int, int]:
@@ -68,7 +59,7 @@ def whole_range(field: Field, zero: int) -> tuple[int, int]:
     if field.type == INT24:
         low, high = INT24_RANGE
     else:
-        info = np.iinfo(np.dtype(CODES[field.type]))
+        info = np.iinfo(field.type)
         low, high = int(info.min), int(info.max)
     return low - zero, high - zero
 
@@ -395,7 +386,7 @@ def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
 
 def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: ReadOptions) -> Recording:
     """The file's description."""
-    values, length = FrameValues(layout), extent(scheme, opening)
+    values, (samples, duration_s) = FrameValues(layout), extent(scheme, opening)
     start, stamped = layout.start, layout.stamp is not None
     zone = None if stamped or start is None else start.timezone
     ignored = ("start_time of the layout is not used: the pages carry their own times",)
@@ -409,8 +400,8 @@ def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: Rea
         range_g=layout.range_g,
         start_us=opening.start_us if stamped or start else None,
         timezone=options.timezone or zone,
-        samples=length.samples,
-        duration_s=length.duration_s,
+        samples=samples,
+        duration_s=duration_s,
         has_temperature=opening.temperature_mc != paged.NO_TEMPERATURE,
         gyro_dps_per_lsb=values.dps_per_lsb,
         notes=ignored if stamped and start else (),
