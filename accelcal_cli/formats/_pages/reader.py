@@ -143,21 +143,6 @@ class PageEvents(EventMaker):
         yield replace(event, lost_bytes=lost)
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Where a joiner begins.
-
-    Attributes:
-        sample: number of the first row.
-        temperature_mc: temperature of rows before the first measured one.
-        problems: what was found before any page.
-    """
-
-    sample: int
-    temperature_mc: int
-    problems: tuple[Problem, ...] = ()
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
     """Pages whose times are settled: the block, and columns of shape (p,) as in PageClock."""
@@ -182,20 +167,32 @@ class PageJoiner:
     """Takes blocks of decoded pages in order and gives a chunk for each.
 
     The last page is held back until the next one tells how long it lasted.
+
+    Args:
+        sample: number of the first row.
+        temperature_mc: temperature of rows before the first measured one.
+        problems: what was found before any page.
     """
 
-    def __init__(self, file: Places, spacing: Spacing, timeline: Timeline, start: Start) -> None:
+    def __init__(
+        self,
+        file: Places,
+        spacing: Spacing,
+        timeline: Timeline,
+        sample: int,
+        temperature_mc: int,
+        problems: tuple[Problem, ...],
+    ) -> None:
         self._spacing = spacing
         self._timeline = timeline
         self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
-        has_temperature = start.temperature_mc != paged.NO_TEMPERATURE
+        has_temperature = temperature_mc != paged.NO_TEMPERATURE
         self._events = PageEvents(file, self._row_bytes, has_temperature=has_temperature)
-        self._log = ProblemLog(start.problems)
-        self._temperature = paged.TemperatureHold(start.temperature_mc)
+        self._log = ProblemLog(problems)
+        self._temperature = paged.TemperatureHold(temperature_mc)
         self._filter = paged.RowFilter()
         self._last: Stretch | None = None
-        self._rows_in = start.sample
-        self._rows_out = start.sample
+        self._rows_in = self._rows_out = sample
 
     def feed(self, raw: Block, decoded: Decoded) -> Chunk:
         """Add a block; the last one releases the held page too."""
@@ -389,5 +386,5 @@ class PagedReader(Reader):
 
     def _joiner(self, sample: int, problems: tuple[Problem, ...]) -> PageJoiner:
         scheme = self._scheme
-        start = Start(sample, self._opening.temperature_mc, problems)
-        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), start)
+        temperature_mc = self._opening.temperature_mc
+        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), sample, temperature_mc, problems)

@@ -152,14 +152,7 @@ def _table_parser(
 def _with_date_order(
     block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
 ) -> Dialect:
-    """The layout with times that begin with the year, whatever the file's begin with.
-
-    Args:
-        block: the head's rows; column: of the times.
-
-    Raises:
-        UnreadableError: day and month cannot be told apart.
-    """
+    """The layout with times that begin with the year, whatever those of the head's rows begin with."""
     if all(map(times.is_year_first, dialect.cells(column))):
         return dialect
     cells = cells_of(block.data, dialect, column)

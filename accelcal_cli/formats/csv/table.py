@@ -224,10 +224,6 @@ class TableParser:
         extra = [column for column in (self.roles.time, self.roles.temperature) if column is not None]
         return [*self.roles.xyz, *extra]
 
-    @property
-    def _check(self) -> LineCheck:
-        return LineCheck(self.dialect, tuple(self.used), self.roles.time)
-
     def _parse_options(self) -> Any:
         return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
 
@@ -271,7 +267,8 @@ class TableParser:
         try:
             return self._parsed(thorough), thorough
         except pa.ArrowException as error:
-            raise self._check.bad_line(thorough, block.line, self.path) from error
+            check = LineCheck(self.dialect, tuple(self.used), self.roles.time)
+            raise check.bad_line(thorough, block.line, self.path) from error
 
     def _parsed(self, data: bytes) -> Any:
         """A table, in the C library's memory: Arrow's own keeps an eighth more of what was freed."""

@@ -131,7 +131,9 @@ class Linker:
         broken = fresh | (steps.forward > 1) | block.overflow
         fresh[0] |= first
         broken[0] &= not first
-        links = Links(
+        columns = (block.position, block.sequence, block.session, row, block.rows, anchor_row, anchor_us)
+        self._last = _Last(*[*(int(column[-1]) for column in columns), *source])
+        return Links(
             row,
             block.rows,
             anchor_row,
@@ -146,8 +148,6 @@ class Linker:
             np.maximum(off, 0),
             np.maximum(-off, 0),
         )
-        self._last = _last_of(block, links, source)
-        return links
 
     def _before(self, block: SectorBlock) -> _Last:
         """A full sector that the recording's first one would continue; its first sample is number 0."""
@@ -199,20 +199,6 @@ class Linker:
             return np.zeros(len(jump), np.int64)
         size = np.rint(off).astype(np.int64)
         return np.where(jump, np.where(size == 0, -1, size), 0)
-
-
-def _last_of(block: SectorBlock, links: Links, known: tuple[int, int]) -> _Last:
-    return _Last(
-        position=int(block.position[-1]),
-        sequence=int(block.sequence[-1]),
-        session=int(block.session[-1]),
-        row=int(links.row[-1]),
-        rows=int(block.rows[-1]),
-        anchor_row=int(links.anchor_row[-1]),
-        anchor_us=int(links.anchor_us[-1]),
-        known_row=known[0],
-        known_us=known[1],
-    )
 
 
 def _steps(column: NDArray[np.int64], last: int) -> NDArray[np.int64]:

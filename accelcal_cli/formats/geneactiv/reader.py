@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._pages.pages import GOOD, NO_TEMPERATURE, PageBlock
-from accelcal_cli.formats._pages.reader import PageJoiner, Start
+from accelcal_cli.formats._pages.reader import PageJoiner
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
 from accelcal_cli.formats.geneactiv.decode import Decoder, Settings, unhexed
@@ -175,9 +175,9 @@ class Assembler:
         self._scheme = scheme
         self._places = _Places()
         self._decode = Decoder(scheme.settings)
-        start = Start(sample, scheme.first.temperature_mc, problems)
         timeline = CoarseTimeline(scheme.spacing, scheme.first.unit_us)
-        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, start)
+        temperature_mc = scheme.first.temperature_mc
+        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, temperature_mc, problems)
         self._highest = self._last_position = -1
 
     def feed(self, part: Part) -> Chunk:

@@ -131,11 +131,6 @@ def fits(records: Records) -> NDArray[np.bool_]:
     return np.asarray((records.size >= _LOW[records.kind]) & (records.size <= _HIGH[records.kind]))
 
 
-def telling(records: Records) -> NDArray[np.bool_]:
-    """Whether the kind is one whose size tells it from other bytes, (k,)."""
-    return _IS_FIXED[records.kind]
-
-
 @dataclass(frozen=True, slots=True)
 class Span:
     """Seconds since 1970 between which a recording's records are expected."""
@@ -181,7 +176,7 @@ class Page:
         records, end = records.select(sound), end[sound]
         near = (records.second >= self.span.first_s) & (records.second <= self.span.last_s)
         followed = np.isin(end, records.start) | (self.last & (end == len(self.data)))
-        return np.asarray(records.start[followed | (near & telling(records))])
+        return np.asarray(records.start[followed | (near & _IS_FIXED[records.kind])])
 
     def _candidates(self) -> Records:
         end = max(0, len(self.data) - FRAME_BYTES + 1)

@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.formats import GZIP_MAGIC
+from accelcal_cli.formats._bytes import ByteSource
 
 HEAP_MAGIC = b"GCOL\x01\0\0\0"
 HEAP_HEADER = OBJECT_HEADER = 16
@@ -198,12 +198,9 @@ def missing_bytes(file: Any, path: Path) -> int:
 
 
 def _refuse_gzip(path: Path) -> None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(GZIP_MAGIC))
-    except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    if head == GZIP_MAGIC:
+    with ByteSource(path) as source:
+        compressed = source.compressed
+    if compressed:
         raise UnreadableError("is an HDF5 file inside gzip", path=path, hint="unpack it first with gunzip")
 
 

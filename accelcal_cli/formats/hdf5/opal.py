@@ -171,11 +171,7 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
 
 
 def _track(file: Any, sensor: Sensor, name: str, path: Path, beside: Track | None = None) -> Track:
-    """A dataset of the sensor, as long as another one.
-
-    Raises:
-        UnreadableError: it is absent or of another shape.
-    """
+    """A dataset of the sensor, as long as another one."""
     full = f"{sensor.group}/{name}"
     node = file.get(full)
     track = as_track(f"/{full}", node) if hasattr(node, "shape") else None

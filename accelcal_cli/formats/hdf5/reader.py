@@ -29,7 +29,7 @@ from accelcal_cli.core.recording import (
     Reader,
     Recording,
 )
-from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats.hdf5 import description, units
 from accelcal_cli.formats.hdf5 import file as h5
 from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
@@ -326,7 +326,7 @@ class _Stream:
         self._temperatures = [opened(plan.temperature.track)] if plan.temperature else []
         self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
         problems = plan.problems if start == 0 else ()
-        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
+        self._log = ProblemLog(problems, lambda run: f"{run.count} {run.event.text}", SINGLE, rest_last=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0
@@ -438,7 +438,3 @@ def _counts(sources: list[TrackRows], scale: Scale, selection: RowSelection) -> 
     for code, bad in faults.items():
         selection.leave_out((code, FAULTS[code]), bad)
     return counts
-
-
-def _message(run: Run) -> str:
-    return f"{run.count} {run.event.text}"
