@@ -6,7 +6,7 @@ with pages, between pages and with rows goes to the problem log as events.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -337,6 +337,12 @@ def last_page(scheme: PageScheme) -> PageBlock | None:
     with closing(scheme.file.blocks(LAST_PAGES + 1, first)) as blocks:
         block = scheme.decode(next(blocks)).block
     return paged.split(block, len(block) - 1)[1] if len(block) else None
+
+
+def first_time(stream: Generator[Chunk]) -> int:
+    """Time of the first sample of chunks, at least one of which has any [us]."""
+    with closing(stream) as chunks:
+        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
 
 
 class PagedReader(Reader):

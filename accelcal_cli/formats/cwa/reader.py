@@ -23,7 +23,7 @@ from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recordin
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import EventMaker
+from accelcal_cli.formats._pages.reader import EventMaker, first_time
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
 from accelcal_cli.formats.cwa.sector import Header, SectorBlock, Settings, Thermometer
@@ -316,7 +316,7 @@ def describe(
 ) -> Recording:
     """What is known of the recording."""
     settings, file = scheme.settings, scheme.file
-    start_us = first_time(scheme)
+    start_us = first_time(scheme.stream(START_SAMPLES))
     end_us = last_time(scheme)
     lasted = None if end_us is None or end_us <= start_us else (end_us - start_us) / MICROSECONDS
     gyro = settings.gyro_dps_per_lsb
@@ -335,12 +335,6 @@ def describe(
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
         notes=notes,
     )
-
-
-def first_time(scheme: Scheme) -> int:
-    """Time of the first sample [us], as `chunks` gives it."""
-    with closing(scheme.stream(START_SAMPLES)) as chunks:
-        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
 
 
 def last_time(scheme: Scheme) -> int | None:

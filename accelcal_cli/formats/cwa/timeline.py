@@ -238,11 +238,9 @@ class _Window:
         return len(self.row)
 
     def extended(self, links: Links) -> _Window:
-        """The same with these sectors after it."""
         return _Window(**joined_columns((self, links), self.__dataclass_fields__))
 
     def without(self, sectors: int) -> _Window:
-        """The same without so many sectors at its beginning."""
         return _Window(**cut_columns(self, self.__dataclass_fields__, slice(sectors, None)))
 
 

@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._pages.pages import GOOD, NO_TEMPERATURE, PageBlock
-from accelcal_cli.formats._pages.reader import PageJoiner
+from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
 from accelcal_cli.formats.geneactiv.decode import Decoder, Settings, unhexed
@@ -286,7 +286,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         first,
         header.pages,
     )
-    start_us = first_time(scheme)
+    start_us = first_time(scheme.stream(START_SAMPLES))
     dated = not (iso_time(start_us, None) or "").startswith(RESET_DATE)
     scheme = replace(scheme, problems=problems_of(header, first, dated=dated))
     return GeneactivReader(describe(scheme, header, options, start_us if dated else None), scheme)
@@ -360,12 +360,6 @@ def notes(scheme: Scheme, header: Header, options: ReadOptions) -> tuple[str, ..
     if header.drift_s is not None:
         found.append(f"the header notes a clock drift of {header.drift_s} s; the times are the device's own")
     return tuple(found)
-
-
-def first_time(scheme: Scheme) -> int:
-    """Time of the first sample [us], as `chunks` gives it."""
-    with closing(scheme.stream(START_SAMPLES)) as chunks:
-        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
 
 
 def duration_s(scheme: Scheme, start_us: int | None) -> float | None:
