@@ -17,19 +17,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import cut_columns, joined_columns
+from accelcal_cli.formats._pages.timeline import LONGEST_GAP_S, RATE_TOLERANCE
 from accelcal_cli.formats.cwa.sector import SectorBlock
 
-RATE_TOLERANCE = 0.1
-"""Sensors run up to 6 % off their nominal rate; the clock may differ by this much of the time."""
-
 STAMP_TOLERANCE_US = 250_000
-"""And always by this much: a stamp may come late when the memory was slow."""
+"""Beside RATE_TOLERANCE the clock may always differ by this: a stamp comes late when the memory was slow."""
 
 LONGEST_BRIDGE = 100
 """Times are interpolated across fewer lost sectors than this, and begin anew after more."""
-
-LONGEST_GAP_S = 365 * 86_400
-"""A sequence number that jumps further is taken for a new numbering."""
 
 END_ANCHORS = 32
 """The rate at the end of a run is measured over this many anchors."""
