@@ -157,9 +157,8 @@ class Beginning:
 
     def _take_samples(self, batch: Batch) -> None:
         records = batch.records
-        with_samples = records.select(
-            np.isin(records.kind, sensors.KINDS) & (records.size > sensors.DOCKED_BYTES)
-        )
+        holds = np.isin(records.kind, sensors.KINDS) & (records.size > sensors.DOCKED_BYTES)
+        with_samples = records.select(holds)
         rows = sensors.samples_in(with_samples)
         if self.rate is None and rows.any():
             self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]

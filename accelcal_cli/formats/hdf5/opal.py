@@ -144,9 +144,8 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         file, _track(file, sensor, TIME, path, accel_track), StampScale("us"), path
     )
     settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
-    rate = (
-        options.rate_hz or settings.number("Sample Rate", "SampleRate") or (step and units.nominal_rate(step))
-    )
+    stated_hz = settings.number("Sample Rate", "SampleRate")
+    rate = options.rate_hz or stated_hz or (step and units.nominal_rate(step))
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     gyro = _gyro(file, sensor, layout, accel_track, path)
     temperature = _temperature(file, sensor, layout, accel_track, path)
