@@ -142,11 +142,9 @@ class Clock(Protocol):
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
         """Times of rows start..stop-1 [us since 1970, device clock], shape (stop - start,)."""
-        ...
 
     def part(self, start: int, stop: int) -> Clock:
         """The clock of rows start..stop-1, counted from 0."""
-        ...
 
 
 def rate_fraction(rate_hz: float) -> Fraction:

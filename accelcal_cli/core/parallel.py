@@ -74,7 +74,6 @@ class _Guarded:
         self._closed = False
 
     def next(self) -> object:
-        """The next item, or the end."""
         with self._lock:
             return _END if self._closed else next(self._items, _END)
 

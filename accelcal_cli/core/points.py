@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.fixed import ONE, Fixed, rounded_quotient, to_float
 from accelcal_cli.core.gravity import STANDARD, Gravity
+from accelcal_cli.core.recording import cut_columns, joined_columns
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,26 +42,16 @@ class Windows:
 
     def select(self, which: NDArray[np.bool_]) -> Windows:
         """The windows of a mask."""
-        return Windows(**{name: _selected(getattr(self, name), which) for name in _WINDOW_COLUMNS})
+        return Windows(**cut_columns(self, self.__dataclass_fields__, which))
 
 
-_WINDOW_COLUMNS = {name: (0, 3) if name in ("sums", "spread") else (0,) for name in Windows.__annotations__}
-"""Shapes of no windows, by column."""
-
-
-def _selected(column: Any, which: NDArray[np.bool_]) -> Any:
-    return None if column is None else column[which]
+_EMPTY, _NO_ROWS = np.empty(0, np.int64), np.empty((0, 3), np.int64)
+NO_WINDOWS = Windows(_EMPTY, _EMPTY, _NO_ROWS, _NO_ROWS, _EMPTY, _EMPTY, _EMPTY)
 
 
 def joined_windows(parts: Sequence[Windows]) -> Windows:
     """Windows one after another; an optional column that some of them lack is left out."""
-    return Windows(**{name: _joined([getattr(p, name) for p in parts], name) for name in _WINDOW_COLUMNS})
-
-
-def _joined(columns: Sequence[Any], name: str) -> Any:
-    if any(column is None for column in columns):
-        return None
-    return np.concatenate([np.empty(_WINDOW_COLUMNS[name], np.int64), *columns])
+    return Windows(**joined_columns((NO_WINDOWS, *parts), NO_WINDOWS.__dataclass_fields__))
 
 
 @dataclass(frozen=True, slots=True)

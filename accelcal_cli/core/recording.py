@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
@@ -236,7 +235,20 @@ def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, An
     }
 
 
-class Reader:
+class Closing:
+    """Closed at the end of a `with` block."""
+
+    def close(self) -> None:
+        """Release the file."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_failure: object) -> None:
+        self.close()
+
+
+class Reader(Closing):
     """An open recording: its description, and its samples as a stream that can be run again.
 
     A format subclasses this. `chunks` may be called several times; each call starts from the
@@ -265,20 +277,6 @@ class Reader:
         """
         for _, chunk in zip(range(pieces), self.chunks(chunk_samples), strict=False):
             yield chunk
-
-    def close(self) -> None:
-        """Release the file."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def as_json_device(device: Device) -> dict[str, Any]:

@@ -7,14 +7,13 @@ import os
 import zlib
 from functools import cache
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
+from accelcal_cli.core.recording import Closing
 
 GZIP_STEP = 1 << 13
 TRAILING_WORDS = "Not a gzipped file"
@@ -24,7 +23,7 @@ CRC16_POLYNOMIAL = 0x1021
 CRC16_START = 0xFFFF
 
 
-class ByteSource:
+class ByteSource(Closing):
     """The (uncompressed) bytes of a file, from its beginning.
 
     A gzip file is taken in equal steps, so that a damaged one ends at the same byte however much
@@ -134,17 +133,6 @@ class ByteSource:
 
     def _unreadable(self, error: OSError) -> UnreadableError:
         return UnreadableError(f"cannot be read ({error.strerror or error})", path=self.path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint32]:

@@ -20,6 +20,7 @@ Variances are compared as `n times the variance, rounded up`: equal windows have
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from math import isqrt
 from typing import Any
@@ -155,13 +156,11 @@ class States:
         spread = np.maximum.reduceat(windows["high"], first) - np.minimum.reduceat(windows["low"], first)
         sums = np.add.reduceat(windows["sums"], first)
         states = Windows(number * self.length, windows["first"][first], sums, spread, warm)
+        without = replace(states, temperature_sums=None)
         return [
-            self._with_temperature(states.select(_only(part, enough)), known=bool(known[part[0]]))
+            (states if known[part[0]] else without).select(_only(part, enough))
             for part in np.split(np.arange(len(first)), np.flatnonzero(np.diff(known)) + 1)
         ]
-
-    def _with_temperature(self, states: Windows, *, known: bool) -> Windows:
-        return states if known else Windows(states.samples, states.first_sample, states.sums, states.spread)
 
 
 def _only(part: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.bool_]:

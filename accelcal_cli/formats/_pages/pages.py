@@ -13,8 +13,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import GZIP_MAGIC
 from accelcal_cli.core.recording import Chunk, Counts, cut_columns, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
 
@@ -191,13 +189,8 @@ def paged_file(path: Path, start_byte: int, page_bytes: int, *, proved: bool = T
     Raises:
         UnreadableError: it cannot be read.
     """
-    try:
-        size = path.stat().st_size
-        with path.open("rb") as file:
-            compressed = file.read(2) == GZIP_MAGIC
-    except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    return PagedFile(path, start_byte, page_bytes, size, compressed, proved)
+    with ByteSource(path) as source:
+        return PagedFile(path, start_byte, page_bytes, path.stat().st_size, source.compressed, proved)
 
 
 def is_erased(data: bytes) -> bool:

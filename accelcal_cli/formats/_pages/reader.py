@@ -6,7 +6,7 @@ with pages, between pages and with rows goes to the problem log as events.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Generator, Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
 
@@ -15,26 +15,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, cut_columns
-from accelcal_cli.formats._pages.pages import (
-    BAD_KINDS,
-    DAMAGED,
-    ERASED,
-    NO_TEMPERATURE,
-    BadRun,
-    Block,
-    Decoded,
-    PageBlock,
-    PagedFile,
-    Places,
-    RawBlock,
-    RowFilter,
-    TemperatureHold,
-    is_erased,
-    joined,
-    page_rows,
-    per_page,
-    split,
-)
+from accelcal_cli.formats._pages import pages as paged
+from accelcal_cli.formats._pages.pages import BadRun, Block, Decoded, PageBlock, PagedFile, Places, RawBlock
 from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
 
@@ -83,11 +65,11 @@ class EventMaker:
         waiting, self._erased = [] if self._erased is None else [self._erased], None
         if not bad and not waiting:
             return
-        sound = [*(run.position for run in bad if run.kind != ERASED), *position[-1:].tolist()]
+        sound = [*(run.position for run in bad if run.kind != paged.ERASED), *position[-1:].tolist()]
         followed = max(sound, default=-1)
         rows_before = np.concatenate(([0], np.cumsum(rows))) + rows_in
         for run in [*waiting, *bad]:
-            if run.kind == ERASED and run.position > followed:
+            if run.kind == paged.ERASED and run.position > followed:
                 self._hold(run)
             elif run.kind in self._kinds:
                 sample = int(rows_before[np.searchsorted(position, run.position)])
@@ -96,8 +78,8 @@ class EventMaker:
                 yield replace(event, length=run.pages, lost_bytes=lost)
 
     def _hold(self, run: BadRun) -> None:
-        before = self._erased or BadRun(run.position, 0, ERASED)
-        self._erased = BadRun(before.position, before.pages + run.pages, ERASED)
+        before = self._erased or BadRun(run.position, 0, paged.ERASED)
+        self._erased = BadRun(before.position, before.pages + run.pages, paged.ERASED)
 
     def event(self, position: int, kind: tuple[str, str], sample: int, count: int = 1) -> Event:
         """So many units at a page."""
@@ -113,16 +95,16 @@ class PageEvents(EventMaker):
     """
 
     def __init__(self, file: Places, row_bytes: int, *, has_temperature: bool) -> None:
-        super().__init__(file, BAD_KINDS, DAMAGED)
+        super().__init__(file, paged.BAD_KINDS, paged.DAMAGED)
         self._row_bytes = row_bytes
         self._has_temperature = has_temperature
 
     def rows(self, block: PageBlock, rows_in: int) -> Iterator[Event]:
         """Rows without usable values, and samples without a temperature, page by page."""
-        faults = per_page(block, block.faulty)
+        faults = paged.per_page(block, block.faulty)
         measured = block.temperature_mc if self._has_temperature else None
-        unmeasured = per_page(block, None if measured is None else measured == NO_TEMPERATURE)
-        after = rows_in + np.cumsum(page_rows(block))
+        unmeasured = paged.per_page(block, None if measured is None else measured == paged.NO_TEMPERATURE)
+        after = rows_in + np.cumsum(paged.page_rows(block))
         for page in np.flatnonzero(faults + unmeasured).tolist():
             position, sample = int(block.position[page]), int(after[page])
             for kind, count, lost in (
@@ -134,7 +116,7 @@ class PageEvents(EventMaker):
 
     def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
         """What stands between pages."""
-        samples = rows_before + np.cumsum(page_rows(pages))
+        samples = rows_before + np.cumsum(paged.page_rows(pages))
         columns = (step.missing, step.back, links.ahead_us, links.behind_us)
         for page in np.flatnonzero(np.logical_or.reduce(columns)).tolist():
             place, sample = int(pages.position[page + 1]), int(samples[page])
@@ -151,7 +133,7 @@ class PageEvents(EventMaker):
     def ending(self, raw: Block, decoded: Decoded, rows_in: int) -> Iterator[Event]:
         """An incomplete page or frame at the end, unless it is erased flash."""
         blank = len(decoded.leftover) >= BLANK_BYTES or self._erased is not None or decoded.unused_end
-        if not raw.broken and is_erased(decoded.leftover) and (blank or not decoded.leftover):
+        if not raw.broken and paged.is_erased(decoded.leftover) and (blank or not decoded.leftover):
             return
         position = raw.next_position
         offset = self._file.offset(position) + len(raw.tail) - len(decoded.leftover)
@@ -159,21 +141,6 @@ class PageEvents(EventMaker):
         lost = len(decoded.leftover) + raw.undecoded
         event = Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
         yield replace(event, lost_bytes=lost)
-
-
-@dataclass(frozen=True, slots=True)
-class Start:
-    """Where a joiner begins.
-
-    Attributes:
-        sample: number of the first row.
-        temperature_mc: temperature of rows before the first measured one.
-        problems: what was found before any page.
-    """
-
-    sample: int
-    temperature_mc: int
-    problems: tuple[Problem, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,7 +155,7 @@ class Stretch:
 
     def cut(self, pages: int) -> tuple[Stretch, Stretch]:
         """The first `pages` pages, and the rest."""
-        above, below = split(self.block, pages)
+        above, below = paged.split(self.block, pages)
         columns = ("time_us", "span_rows", "span_us", "broken")
         return (
             Stretch(above, **cut_columns(self, columns, slice(None, pages))),
@@ -200,25 +167,37 @@ class PageJoiner:
     """Takes blocks of decoded pages in order and gives a chunk for each.
 
     The last page is held back until the next one tells how long it lasted.
+
+    Args:
+        sample: number of the first row.
+        temperature_mc: temperature of rows before the first measured one.
+        problems: what was found before any page.
     """
 
-    def __init__(self, file: Places, spacing: Spacing, timeline: Timeline, start: Start) -> None:
+    def __init__(
+        self,
+        file: Places,
+        spacing: Spacing,
+        timeline: Timeline,
+        sample: int,
+        temperature_mc: int,
+        problems: tuple[Problem, ...],
+    ) -> None:
         self._spacing = spacing
         self._timeline = timeline
         self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
-        has_temperature = start.temperature_mc != NO_TEMPERATURE
+        has_temperature = temperature_mc != paged.NO_TEMPERATURE
         self._events = PageEvents(file, self._row_bytes, has_temperature=has_temperature)
-        self._log = ProblemLog(start.problems)
-        self._temperature = TemperatureHold(start.temperature_mc)
-        self._filter = RowFilter()
+        self._log = ProblemLog(problems)
+        self._temperature = paged.TemperatureHold(temperature_mc)
+        self._filter = paged.RowFilter()
         self._last: Stretch | None = None
-        self._rows_in = start.sample
-        self._rows_out = start.sample
+        self._rows_in = self._rows_out = sample
 
     def feed(self, raw: Block, decoded: Decoded) -> Chunk:
         """Add a block; the last one releases the held page too."""
         block = decoded.block
-        rows = page_rows(block)
+        rows = paged.page_rows(block)
         events = [*self._events.bad_pages(block.position, rows, decoded.bad, self._rows_in)]
         events += self._events.rows(block, self._rows_in)
         stretch = self._settled(block, events)
@@ -235,13 +214,13 @@ class PageJoiner:
     def _settled(self, block: PageBlock, events: list[Event]) -> Stretch:
         """Times of the held page and the new ones."""
         last = self._last
-        pages = block if last is None else joined(last.block, block)
+        pages = block if last is None else paged.joined(last.block, block)
         if not len(pages):
             return Stretch(pages, *(NO_PAGES,) * 3, NO_PAGES.astype(np.bool_))
         start_us = self._timeline.start(pages) if last is None else int(last.time_us[0])
         step = steps(pages, self._spacing)
         links = self._timeline.link(pages, step, start_us)
-        before = self._rows_in - (0 if last is None else int(page_rows(last.block).sum()))
+        before = self._rows_in - (0 if last is None else int(paged.page_rows(last.block).sum()))
         events += self._events.links(pages, step, links, before)
         return self._spread(pages, links, last is not None and bool(last.broken[0]))
 
@@ -326,38 +305,30 @@ def look_inside(scheme: PageScheme) -> Opening | None:
 def first_temperature(block: PageBlock) -> int:
     """The first measured one in the block, NO_TEMPERATURE where there is none."""
     if block.temperature_mc is None:
-        return NO_TEMPERATURE
-    known = block.temperature_mc[block.temperature_mc != NO_TEMPERATURE]
-    return int(known[0]) if len(known) else NO_TEMPERATURE
+        return paged.NO_TEMPERATURE
+    known = block.temperature_mc[block.temperature_mc != paged.NO_TEMPERATURE]
+    return int(known[0]) if len(known) else paged.NO_TEMPERATURE
 
 
-@dataclass(frozen=True, slots=True)
-class Extent:
-    """Length of a recording as its first and last page tell; None where they do not."""
-
-    samples: int | None
-    duration_s: float | None
-
-
-def extent(scheme: PageScheme, opening: Opening) -> Extent:
-    """Compare the first valid page with the last, without reading what lies between.
+def extent(scheme: PageScheme, opening: Opening) -> tuple[int | None, float | None]:
+    """Samples and seconds, by the first valid page and the last; None where these do not tell.
 
     The number of samples takes all pages between for full and present; it is None where the
     sequence numbers contradict that, and for a gzip file, whose end is not known.
     """
     last = None if scheme.file.compressed else last_page(scheme)
     if last is None:
-        return Extent(None, None)
-    ends, _ = split(opening.block, 1)
+        return None, None
+    ends, _ = paged.split(opening.block, 1)
     if last.position[0] > ends.position[0]:
-        ends = joined(ends, last)
+        ends = paged.joined(ends, last)
     step = steps(ends, scheme.spacing)
     timeline = scheme.timeline()
     links = timeline.link(ends, step, timeline.start(ends))
     rows = int(np.ptp(ends.position)) * scheme.spacing.rows + int(ends.rows[-1])
     lasted_us = int(np.ptp(links.time_us)) + float(scheme.spacing.rows_us(ends.rows[-1]))
     certain = ends.faulty is None and not step.missing.any()
-    return Extent(rows if certain else None, lasted_us / MICROSECONDS)
+    return rows if certain else None, lasted_us / MICROSECONDS
 
 
 def last_page(scheme: PageScheme) -> PageBlock | None:
@@ -365,7 +336,13 @@ def last_page(scheme: PageScheme) -> PageBlock | None:
     first = max(0, scheme.file.data_pages() - LAST_PAGES)
     with closing(scheme.file.blocks(LAST_PAGES + 1, first)) as blocks:
         block = scheme.decode(next(blocks)).block
-    return split(block, len(block) - 1)[1] if len(block) else None
+    return paged.split(block, len(block) - 1)[1] if len(block) else None
+
+
+def first_time(stream: Generator[Chunk]) -> int:
+    """Time of the first sample of chunks, at least one of which has any [us]."""
+    with closing(stream) as chunks:
+        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
 
 
 class PagedReader(Reader):
@@ -415,5 +392,5 @@ class PagedReader(Reader):
 
     def _joiner(self, sample: int, problems: tuple[Problem, ...]) -> PageJoiner:
         scheme = self._scheme
-        start = Start(sample, self._opening.temperature_mc, problems)
-        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), start)
+        temperature_mc = self._opening.temperature_mc
+        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), sample, temperature_mc, problems)

@@ -98,11 +98,9 @@ class Timeline(Protocol):
 
     def start(self, block: PageBlock) -> int:
         """Time of the block's first page [us]."""
-        ...
 
     def link(self, block: PageBlock, step: Steps, start_us: int) -> Links:
         """Times of all pages of a block whose first page begins at `start_us`."""
-        ...
 
 
 def fresh_pages(block: PageBlock) -> NDArray[np.bool_]:

@@ -12,23 +12,13 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
+from accelcal_cli.formats.csv import times
 from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.rows import HOTTEST_C
 from accelcal_cli.formats.csv.table import Block, LineFile, ParsedTable, TableParser, lone_block
-from accelcal_cli.formats.csv.times import (
-    NO_TIME,
-    ORDERS,
-    Pace,
-    agreeing_pace,
-    find_order,
-    find_pace,
-    find_time_format,
-    is_year_first,
-    read_date,
-    year_first_cell,
-)
+from accelcal_cli.formats.csv.times import Pace
 from accelcal_cli.formats.csv.vendors import ExportDescription, export_description
 
 HEAD_BYTES = 1 << 20
@@ -129,11 +119,8 @@ def _refuse_not_positive(options: ReadOptions) -> None:
 
 
 def _head(path: Path, bare_returns: bool) -> bytes:
-    file = LineFile(path, bare_returns)
-    try:
+    with LineFile(path, bare_returns) as file:
         return file.read(HEAD_BYTES)
-    finally:
-        file.close()
 
 
 def _head_block(head: bytes, dialect: Dialect) -> Block:
@@ -158,30 +145,24 @@ def _table_parser(
     dialect = _with_date_order(block, dialect, roles.time, export, options, path)
     cells, line = dialect.cells(roles.time), dialect.skipped + 1
     rate_hz = options.rate_hz or export.rate_hz
-    time = find_time_format(cells, roles.time_unit_us, rate_hz, path, line)
+    time = times.find_time_format(cells, roles.time_unit_us, rate_hz, path, line)
     return TableParser(path, dialect, roles, time)
 
 
 def _with_date_order(
     block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
 ) -> Dialect:
-    """The layout with times that begin with the year, whatever the file's begin with.
-
-    Args:
-        block: the head's rows; column: of the times.
-
-    Raises:
-        UnreadableError: day and month cannot be told apart.
-    """
-    if all(map(is_year_first, dialect.cells(column))):
+    """The layout with times that begin with the year, whatever those of the head's rows begin with."""
+    if all(map(times.is_year_first, dialect.cells(column))):
         return dialect
     cells = cells_of(block.data, dialect, column)
     stated = [order for order in (_order_of_start(cells, export), export.date_order) if order]
-    order = find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
+    order = times.find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
     if order is None:
         return dialect
     sample = tuple(
-        (*row[:column], year_first_cell(row[column], order), *row[column + 1 :]) for row in dialect.sample
+        (*row[:column], times.year_first_cell(row[column], order), *row[column + 1 :])
+        for row in dialect.sample
     )
     return replace(dialect, normaliser=replace(dialect.normaliser, date_order=order), sample=sample)
 
@@ -191,7 +172,7 @@ def _order_of_start(cells: list[str], export: ExportDescription) -> str | None:
     if export.start is None or not cells:
         return None
     days = export.start.days(export.date_order)
-    fitting = [order for order in ORDERS if read_date(cells[0], order) in days]
+    fitting = [order for order in times.ORDERS if times.read_date(cells[0], order) in days]
     return fitting[0] if len(fitting) == 1 else None
 
 
@@ -209,10 +190,10 @@ def _scale(
 
 def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
     if cells.time_us is not None:
-        stamps = cells.time_us[cells.time_us != NO_TIME]
+        stamps = cells.time_us[cells.time_us != times.NO_TIME]
         if options.rate_hz is None and export.rate_hz is not None:
-            return agreeing_pace(stamps, export.rate_hz, path)
-        return find_pace(stamps, options.rate_hz, path)
+            return times.agreeing_pace(stamps, export.rate_hz, path)
+        return times.find_pace(stamps, options.rate_hz, path)
     if export.rate_hz is not None:
         return Pace(agreed_rate(options, export.rate_hz, path))
     if options.rate_hz is None:
@@ -245,5 +226,5 @@ def last_timestamp(parser: TableParser) -> int | None:
         stamps = parser.cells(lone_block(b"".join(whole), 1, 0)).time_us
     except UnreadableError:
         return None
-    usable = stamps is not None and len(stamps) and stamps[-1] != NO_TIME
+    usable = stamps is not None and len(stamps) and stamps[-1] != times.NO_TIME
     return int(stamps[-1]) if stamps is not None and usable else None

@@ -22,7 +22,7 @@ from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowParser, Rows, SharedStamps, block_bytes, joined
 from accelcal_cli.formats.csv.table import Block, LineFile
-from accelcal_cli.formats.csv.times import GAP_PERIODS, Pace
+from accelcal_cli.formats.csv.times import GAP_PERIODS
 
 SINGLE = 50
 """Problems of a kind that are given one by one."""
@@ -66,21 +66,13 @@ class CsvReader(Reader):
         Raises:
             UnreadableError: a line is no row of the file, or most rows cannot be used.
         """
-        assembler = self._assembler()
+        assembler = Assembler(self._detected)
         for rows, block in joined(self._settled(chunk_samples), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
                 if len(chunk) or chunk.problems:
                     yield chunk
         if 2 * assembler.samples < assembler.rows or not assembler.samples:
             raise self._unusable(f"only {assembler.samples} of {assembler.rows} rows hold usable values")
-
-    def _assembler(self) -> Assembler:
-        detected = self._detected
-        row_bytes = max(1, round(detected.line_bytes))
-        problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
-        return Assembler(
-            detected.pace, detected.parser.time is not None, detected.start_us or 0, row_bytes, problems
-        )
 
     def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
@@ -92,24 +84,17 @@ class CsvReader(Reader):
         if detected.export.repeats_idle:
             stages.append(IdleFill(round(detected.pace.rate_hz)))
         size = block_bytes(chunk_samples, detected.line_bytes)
-        file = LineFile(self._path, dialect.bare_returns)
-        try:
+        with LineFile(self._path, dialect.bare_returns) as file:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
             for parsed, block in row_parser.rows(blocks, self.threads):
                 rows = parsed
                 for stage in stages:
                     rows = stage.add(rows, block.last)
                 yield rows, block
-        finally:
-            file.close()
 
     def _first_time(self) -> int | None:
-        """Time of the first usable row [us], None without dates.
-
-        Raises:
-            UnreadableError: the beginning of the file holds no usable row.
-        """
-        assembler = self._assembler()
+        """Time of the first usable row [us], None without dates."""
+        assembler = Assembler(self._detected)
         samples = int(HEAD_BYTES / self._detected.line_bytes)
         for rows, block in self._settled(samples):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
@@ -160,24 +145,15 @@ class _Kept:
 
 
 class Assembler:
-    """Makes chunks of all rows of a file, in order.
+    """Makes chunks of all rows of a file, in order."""
 
-    Args:
-        pace: how the rows follow each other.
-        stamped: rows carry times; else they are counted at the pace.
-        start_us: time of the first row where they are counted.
-        row_bytes: about how long a line is.
-        problems: to be given with the first chunk.
-    """
-
-    def __init__(
-        self, pace: Pace, stamped: bool, start_us: int, row_bytes: int, problems: tuple[Problem, ...]
-    ) -> None:
-        self._row_bytes = row_bytes
-        self._stamped = stamped
-        self._start_us = start_us
-        self._pace = pace
-        self._rate = rate_fraction(pace.rate_hz)
+    def __init__(self, detected: Detected) -> None:
+        problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
+        self._row_bytes = max(1, round(detected.line_bytes))
+        self._stamped = detected.parser.time is not None
+        self._start_us = detected.start_us or 0
+        self._pace = detected.pace
+        self._rate = rate_fraction(detected.pace.rate_hz)
         self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
         self._last_row = -1
         self._last_us = 0

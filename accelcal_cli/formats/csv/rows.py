@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
+from accelcal_cli.core.recording import cut_columns, joined_columns
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
 from accelcal_cli.formats.csv.table import Block, TableParser
@@ -71,36 +71,22 @@ class Rows:
 
     def part(self, start: int, stop: int) -> Rows:
         """Rows start..stop-1, as views."""
-        return Rows(
-            self.first_row + start,
-            self.line[start:stop],
-            self.counts[start:stop],
-            self.fault[start:stop],
-            *(None if item is None else item[start:stop] for item in self._optional),
-        )
+        columns = cut_columns(self, COLUMNS, slice(start, stop))
+        return replace(self, first_row=self.first_row + start, **columns)
 
     def then(self, other: Rows) -> Rows:
         """These rows and the next ones of the same file."""
         return joined_rows([self, other])
 
-    @property
-    def _optional(self) -> tuple[NDArray[Any] | None, ...]:
-        """The columns that not every file has."""
-        return self.time_us, self.temperature_mc, self.filled
+
+COLUMNS = ("line", "counts", "fault", "time_us", "temperature_mc", "filled")
 
 
 def joined_rows(parts: list[Rows]) -> Rows:
     """Rows of the same file that follow each other, at least one stretch of them."""
     if len(parts) == 1:
         return parts[0]
-    optional = zip(*(part._optional for part in parts), strict=True)
-    return Rows(
-        parts[0].first_row,
-        np.concatenate([part.line for part in parts]),
-        np.concatenate([part.counts for part in parts]),
-        np.concatenate([part.fault for part in parts]),
-        *(None if any(item is None for item in items) else np.concatenate(items) for items in optional),
-    )
+    return Rows(parts[0].first_row, **joined_columns(parts, COLUMNS))
 
 
 class RowParser:

@@ -16,6 +16,7 @@ import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
@@ -71,7 +72,7 @@ def lone_block(data: bytes, line: int, offset: int) -> Block:
     return Block(data, b"", line, count_lines(data), offset, offset + len(data), 0, False, False)
 
 
-class LineFile:
+class LineFile(Closing):
     """A text file, plain or gzip, read once from its beginning."""
 
     def __init__(self, path: Path, bare_returns: bool = False) -> None:
@@ -223,10 +224,6 @@ class TableParser:
         extra = [column for column in (self.roles.time, self.roles.temperature) if column is not None]
         return [*self.roles.xyz, *extra]
 
-    @property
-    def _check(self) -> LineCheck:
-        return LineCheck(self.dialect, tuple(self.used), self.roles.time)
-
     def _parse_options(self) -> Any:
         return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
 
@@ -270,7 +267,8 @@ class TableParser:
         try:
             return self._parsed(thorough), thorough
         except pa.ArrowException as error:
-            raise self._check.bad_line(thorough, block.line, self.path) from error
+            check = LineCheck(self.dialect, tuple(self.used), self.roles.time)
+            raise check.bad_line(thorough, block.line, self.path) from error
 
     def _parsed(self, data: bytes) -> Any:
         """A table, in the C library's memory: Arrow's own keeps an eighth more of what was freed."""

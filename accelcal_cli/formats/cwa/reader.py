@@ -21,49 +21,26 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._pages.pages import (
-    CHECKSUM,
-    FOREIGN,
-    NONSENSE,
-    RATE,
-    PagedFile,
-    RawBlock,
-    bad_runs,
-    is_erased,
-    paged_file,
-)
-from accelcal_cli.formats._pages.reader import EventMaker
+from accelcal_cli.formats._pages import pages as paged
+from accelcal_cli.formats._pages.pages import PagedFile, RawBlock
+from accelcal_cli.formats._pages.reader import EventMaker, first_time
 from accelcal_cli.formats._problems import Event, ProblemLog
-from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES
-from accelcal_cli.formats.cwa.sector import (
-    EMPTY,
-    NO_SENSOR,
-    SETTINGS,
-    TEMPERATURE_MASK,
-    Header,
-    SectorBlock,
-    Settings,
-    Thermometer,
-    anchors,
-    as_sectors,
-    decode,
-    device_of_sector,
-    parse_header,
-    plausible,
-    settings_of,
-    thermometer,
-)
+from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
+from accelcal_cli.formats.cwa.sector import Header, SectorBlock, Settings, Thermometer
 from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline, nominal_us
 
 LEFT_OUT = {
-    EMPTY: ("bad_page", "empty sectors between sectors with data, left out"),
-    FOREIGN: ("bad_page", "sectors that are not Axivity data, left out"),
-    CHECKSUM: ("checksum", "data sectors with a wrong checksum, left out"),
-    NONSENSE: ("bad_page", "data sectors with an impossible number or layout of samples, left out"),
-    RATE: ("rate_change", "data sectors recorded at another rate than the first, left out"),
-    SETTINGS: ("settings_change", "data sectors with another range, scale or axes than the first, left out"),
+    sector.EMPTY: ("bad_page", "empty sectors between sectors with data, left out"),
+    paged.FOREIGN: ("bad_page", "sectors that are not Axivity data, left out"),
+    paged.CHECKSUM: ("checksum", "data sectors with a wrong checksum, left out"),
+    paged.NONSENSE: ("bad_page", "data sectors with an impossible number or layout of samples, left out"),
+    paged.RATE: ("rate_change", "data sectors recorded at another rate than the first, left out"),
+    sector.SETTINGS: (
+        "settings_change",
+        "data sectors with another range, scale or axes than the first, left out",
+    ),
 }
-DAMAGED = (EMPTY, FOREIGN, CHECKSUM, NONSENSE)
+DAMAGED = (sector.EMPTY, paged.FOREIGN, paged.CHECKSUM, paged.NONSENSE)
 """Kinds whose bytes are lost; a sector recorded with other settings is sound."""
 
 MISSING = ("sequence_gap", "data sectors missing by their sequence numbers")
@@ -102,16 +79,16 @@ class SectorEvents(EventMaker):
         measured = {AHEAD: links.ahead_us, BACK: links.behind_us}
         samples = sample + np.cumsum(block.rows) - block.rows
         for kind, column in (counted | measured).items():
-            for sector in np.flatnonzero(column).tolist():
-                amount, position = int(column[sector]), int(block.position[sector])
+            for place in np.flatnonzero(column).tolist():
+                amount, position = int(column[place]), int(block.position[place])
                 if kind in measured:
-                    yield replace(self.event(position, kind, int(samples[sector])), amount_us=amount)
+                    yield replace(self.event(position, kind, int(samples[place])), amount_us=amount)
                 else:
-                    yield self.event(position, kind, int(samples[sector]), amount)
+                    yield self.event(position, kind, int(samples[place]), amount)
 
     def ending(self, raw: RawBlock, sample: int) -> Iterator[Event]:
         """An incomplete sector at the end, unless it is empty."""
-        if not raw.broken and (is_erased(raw.tail) or not any(raw.tail)):
+        if not raw.broken and (paged.is_erased(raw.tail) or not any(raw.tail)):
             return
         kind = "truncated", BROKEN_OFF if raw.broken else CUT_OFF
         event = self.event(raw.next_position, kind, sample, len(raw.tail))
@@ -202,13 +179,13 @@ class Assembler:
         self._log = ProblemLog(problems)
         self._waiting: deque[_Waiting] = deque()
         self._spans = NO_SPANS
-        self._nothing, _ = decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, scheme.settings)
+        self._nothing, _ = sector.decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, scheme.settings)
         self._rows_in = self._rows_out = sample
 
     def feed(self, raw: RawBlock) -> Iterator[Chunk]:
         """Add a block; the last one releases everything."""
-        block, status = decode(raw.pages, raw.first_position, self._scheme.settings)
-        bad = bad_runs(status, raw.first_position)
+        block, status = sector.decode(raw.pages, raw.first_position, self._scheme.settings)
+        bad = paged.bad_runs(status, raw.first_position)
         events = list(self._events.bad_pages(block.position, block.rows, bad, self._rows_in))
         if len(block):
             self._place(block, raw.end_byte, events)
@@ -266,14 +243,6 @@ class Assembler:
         return None if sensor is None else np.repeat(sensor.temperature_mc(block.temperature), block.rows)
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
-    """The first believable sector: a scalar of SECTOR and its place."""
-
-    sector: Any
-    position: int
-
-
 class CwaReader(Reader):
     """Streams the sectors; each call of `chunks` reads the file from its beginning."""
 
@@ -306,24 +275,24 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     with ByteSource(path) as stream:
         head = stream.read_exact(HEADER_BYTES)
-    header = parse_header(head)
-    file = paged_file(path, header.data_start, SECTOR_BYTES)
-    first = first_sector(file, header)
-    settings = settings_of(first.sector)
-    raw_temperature = int(first.sector["temperature"]) & TEMPERATURE_MASK
+    header = sector.parse_header(head)
+    file = paged.paged_file(path, header.data_start, SECTOR_BYTES)
+    first, position = first_sector(file, header)
+    settings = sector.settings_of(first)
+    raw_temperature = int(first["temperature"]) & sector.TEMPERATURE_MASK
     problems = [] if header.intact else [Problem("damaged_header", NO_HEADER, 0, 0)]
-    clock_set = bool(anchors(np.atleast_1d(first.sector), settings).known[0])
+    clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
-        problems.append(Problem("no_start_time", NO_START, file.offset(first.position), 0))
-    sensor = None if raw_temperature in NO_SENSOR else thermometer(header.hardware)
+        problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
+    sensor = None if raw_temperature in sector.NO_SENSOR else sector.thermometer(header.hardware)
     scheme = Scheme(file, settings, sensor, tuple(problems))
-    device = header.device if header.intact else device_of_sector(settings, int(first.sector["fraction"]))
+    device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
     return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)
 
 
-def first_sector(file: PagedFile, header: Header) -> Sample:
-    """The first sector whose checksum is right; in the oldest files, which have none, that makes sense.
+def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
+    """The first sector whose checksum is right (in the oldest files: that makes sense), and its place.
 
     Raises:
         UnreadableError: there is none in the whole file.
@@ -332,10 +301,10 @@ def first_sector(file: PagedFile, header: Header) -> Sample:
     with closing(sector_blocks(file, SEARCH_SECTORS)) as blocks:
         for raw in blocks:
             seen += len(raw.pages)
-            for candidates in plausible(raw.pages):
+            for candidates in sector.plausible(raw.pages):
                 if candidates.any():
                     place = int(np.argmax(candidates))
-                    return Sample(as_sectors(raw.pages)[place].copy(), raw.first_position + place)
+                    return sector.as_sectors(raw.pages)[place].copy(), raw.first_position + place
     what = "holds no intact data sector" if header.intact else "is not an Axivity .cwa recording"
     raise UnreadableError(
         f"{what} ({seen} sectors looked at)", path=file.path, byte_offset=file.start_byte, hint=COPY_AGAIN
@@ -347,7 +316,7 @@ def describe(
 ) -> Recording:
     """What is known of the recording."""
     settings, file = scheme.settings, scheme.file
-    start_us = first_time(scheme)
+    start_us = first_time(scheme.stream(START_SAMPLES))
     end_us = last_time(scheme)
     lasted = None if end_us is None or end_us <= start_us else (end_us - start_us) / MICROSECONDS
     gyro = settings.gyro_dps_per_lsb
@@ -368,19 +337,13 @@ def describe(
     )
 
 
-def first_time(scheme: Scheme) -> int:
-    """Time of the first sample [us], as `chunks` gives it."""
-    with closing(scheme.stream(START_SAMPLES)) as chunks:
-        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
-
-
 def last_time(scheme: Scheme) -> int | None:
     """When the last sample ended [us], by the last intact sector; None where that is not found."""
     if scheme.file.compressed:
         return None
     first = max(0, scheme.file.data_pages() - LAST_SECTORS)
     with closing(sector_blocks(scheme.file, LAST_SECTORS + 1, first)) as blocks:
-        block, _ = decode(next(blocks).pages, first, scheme.settings)
+        block, _ = sector.decode(next(blocks).pages, first, scheme.settings)
     if not len(block) or not block.anchors.known[-1]:
         return None
     after = block.rows[-1:] - block.anchors.row[-1:]

@@ -73,7 +73,7 @@ FULL_ROWS = {PACKED: 120, AXES_3X16: 80, 0x62: 40, 0x92: 26}
 """Samples in a full sector, by the byte that tells axes and packing: packed x y z; 16-bit x y z;
 gyroscope and accelerometer; gyroscope, accelerometer and magnetometer."""
 
-OVERFLOW_EVENTS = 0x30
+OVERFLOW_EVENTS = np.uint8(0x30)
 """The sensor's (bit 4) or the firmware's (bit 5) buffer ran over: samples were lost."""
 
 HIGHEST_RATE = 3200
@@ -91,7 +91,6 @@ EMPTY, OTHER, SETTINGS = ERASED, 50, 51
 acceleration (FOREIGN is no sector at all), or recorded with other settings."""
 
 KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI", b"GY", b"GX")]
-OVERFLOW_MASK = np.uint8(OVERFLOW_EVENTS)
 
 TEMPERATURE_MASK = 0x3FF
 NO_SENSOR = (0, TEMPERATURE_MASK)
@@ -387,7 +386,7 @@ def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) ->
         rows=rows,
         sequence=sectors["sequence"].astype(np.int64),
         session=sectors["session"].astype(np.int64),
-        overflow=(sectors["events"] & OVERFLOW_MASK) != 0,
+        overflow=(sectors["events"] & OVERFLOW_EVENTS) != 0,
         anchors=anchors(sectors, settings),
         counts=_joined(accel, rows if short else None),
         temperature=sectors["temperature"].copy(),

@@ -17,19 +17,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import cut_columns, joined_columns
+from accelcal_cli.formats._pages.timeline import LONGEST_GAP_S, RATE_TOLERANCE
 from accelcal_cli.formats.cwa.sector import SectorBlock
 
-RATE_TOLERANCE = 0.1
-"""Sensors run up to 6 % off their nominal rate; the clock may differ by this much of the time."""
-
 STAMP_TOLERANCE_US = 250_000
-"""And always by this much: a stamp may come late when the memory was slow."""
+"""Beside RATE_TOLERANCE the clock may always differ by this: a stamp comes late when the memory was slow."""
 
 LONGEST_BRIDGE = 100
 """Times are interpolated across fewer lost sectors than this, and begin anew after more."""
-
-LONGEST_GAP_S = 365 * 86_400
-"""A sequence number that jumps further is taken for a new numbering."""
 
 END_ANCHORS = 32
 """The rate at the end of a run is measured over this many anchors."""
@@ -131,7 +126,9 @@ class Linker:
         broken = fresh | (steps.forward > 1) | block.overflow
         fresh[0] |= first
         broken[0] &= not first
-        links = Links(
+        columns = (block.position, block.sequence, block.session, row, block.rows, anchor_row, anchor_us)
+        self._last = _Last(*[*(int(column[-1]) for column in columns), *source])
+        return Links(
             row,
             block.rows,
             anchor_row,
@@ -146,8 +143,6 @@ class Linker:
             np.maximum(off, 0),
             np.maximum(-off, 0),
         )
-        self._last = _last_of(block, links, source)
-        return links
 
     def _before(self, block: SectorBlock) -> _Last:
         """A full sector that the recording's first one would continue; its first sample is number 0."""
@@ -201,20 +196,6 @@ class Linker:
         return np.where(jump, np.where(size == 0, -1, size), 0)
 
 
-def _last_of(block: SectorBlock, links: Links, known: tuple[int, int]) -> _Last:
-    return _Last(
-        position=int(block.position[-1]),
-        sequence=int(block.sequence[-1]),
-        session=int(block.session[-1]),
-        row=int(links.row[-1]),
-        rows=int(block.rows[-1]),
-        anchor_row=int(links.anchor_row[-1]),
-        anchor_us=int(links.anchor_us[-1]),
-        known_row=known[0],
-        known_us=known[1],
-    )
-
-
 def _steps(column: NDArray[np.int64], last: int) -> NDArray[np.int64]:
     """From each sector to the next, the first from `last`."""
     return column - _previous(last, column)
@@ -252,11 +233,9 @@ class _Window:
         return len(self.row)
 
     def extended(self, links: Links) -> _Window:
-        """The same with these sectors after it."""
         return _Window(**joined_columns((self, links), self.__dataclass_fields__))
 
     def without(self, sectors: int) -> _Window:
-        """The same without so many sectors at its beginning."""
         return _Window(**cut_columns(self, self.__dataclass_fields__, slice(sectors, None)))
 
 

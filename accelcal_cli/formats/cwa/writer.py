@@ -19,36 +19,16 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Recording
-from accelcal_cli.formats._writing import (
-    OTHER_FORMAT,
-    check_bits,
-    known_rate,
-    known_scale,
-    new_file,
-    number_of,
-    page_means_mc,
-    page_runs,
-    remark,
-    start_us,
-)
-from accelcal_cli.formats.cwa import HEADER_MAGIC
-from accelcal_cli.formats.cwa.sector import (
-    AXES_3X16,
-    FULL_ROWS,
-    HAS_FRACTION,
-    HEADER,
-    MAGIC,
-    SECTOR,
-    rate_of,
-)
+from accelcal_cli.formats import _writing
+from accelcal_cli.formats.cwa import HEADER_MAGIC, sector
 
-SAMPLES = FULL_ROWS[AXES_3X16]
+SAMPLES = sector.FULL_ROWS[sector.AXES_3X16]
 HARDWARE, FIRMWARE = 0x17, 47
 SESSION = 1
 FULL_BATTERY = 205
 SAMPLES_LOST = 0x20
 TICKS_PER_S = 1 << 15
-RATE_CODES = {float(rate_of(code)): code for code in range(6, 16)}
+RATE_CODES = {float(sector.rate_of(code)): code for code in range(6, 16)}
 RANGE_CODES = {16.0: 0x00, 8.0: 0x40, 4.0: 0x80, 2.0: 0xC0}
 LSB_PER_G = 256.0
 NOT_MEASURED = 0
@@ -63,8 +43,8 @@ def sampling(recording: Recording) -> Sampling:
     Raises:
         UsageError: there is no such setting.
     """
-    rate_hz = known_rate(recording, RATE_CODES, "an Axivity AX3")
-    known_scale(recording, [(LSB_PER_G, range_g) for range_g in RANGE_CODES], "an Axivity AX3")
+    rate_hz = _writing.known_rate(recording, RATE_CODES, "an Axivity AX3")
+    _writing.known_scale(recording, [(LSB_PER_G, range_g) for range_g in RANGE_CODES], "an Axivity AX3")
     return Sampling(rate_hz)
 
 
@@ -76,10 +56,10 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
         OutputError: a count or a time does not fit, or the file cannot be written.
     """
     sampling(recording)
-    with new_file(path) as file:
+    with _writing.new_file(path) as file:
         file.write(header(path, recording))
         sequence = 0
-        for rows in page_runs(chunks, SAMPLES):
+        for rows in _writing.page_runs(chunks, SAMPLES):
             sectors = data_sectors(path, rows, recording)
             sectors["sequence"] = sequence + np.arange(len(sectors))
             file.write(with_checksums(sectors).data)
@@ -88,9 +68,9 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 def header(path: Path, recording: Recording) -> bytes:
     """The first 1024 bytes."""
-    number = number_of(recording.device)
-    second = np.array([start_us(path, recording) // 1_000_000])
-    return HEADER.pack(
+    number = _writing.number_of(recording.device)
+    second = np.array([_writing.start_us(path, recording) // 1_000_000])
+    return sector.HEADER.pack(
         HEADER_MAGIC,
         HARDWARE,
         number & 0xFFFF,
@@ -108,7 +88,7 @@ def header(path: Path, recording: Recording) -> bytes:
         FIRMWARE,
         -1,
         UNSET * 20,
-        f"_n={quote_plus(remark(recording.device))}".encode()[:448].ljust(448),
+        f"_n={quote_plus(_writing.remark(recording.device))}".encode()[:448].ljust(448),
         UNSET * 512,
     )
 
@@ -120,15 +100,15 @@ def rate_code(recording: Recording) -> int:
 
 def data_sectors(path: Path, rows: Chunk, recording: Recording) -> NDArray[np.void]:
     """Full sectors, or a single one that is not full; without number and checksum."""
-    check_bits(path, rows, 16)
+    _writing.check_bits(path, rows, 16)
     width = min(SAMPLES, len(rows))
-    sectors = np.zeros(len(rows) // width, SECTOR)
-    sectors["magic"] = MAGIC
+    sectors = np.zeros(len(rows) // width, sector.SECTOR)
+    sectors["magic"] = sector.MAGIC
     sectors["session"] = SESSION
     sectors["temperature"] = temperature_words(rows, len(sectors))
     sectors["events"][0] = SAMPLES_LOST * rows.is_fresh
     sectors["battery"] = FULL_BATTERY
-    sectors["rate"], sectors["axes"] = rate_code(recording), AXES_3X16
+    sectors["rate"], sectors["axes"] = rate_code(recording), sector.AXES_3X16
     sectors["count"] = width
     sectors["data"].view("<i2")[:, : 3 * width] = rows.counts.reshape(-1, 3 * width)
     stamp(path, sectors, rows.time_us.reshape(-1, width), int(recording.rate_hz))
@@ -147,7 +127,7 @@ def stamp(path: Path, sectors: Any, time_us: NDArray[np.int64], rate_hz: int) ->
     ticks = (rest_us * TICKS_PER_S + 500_000) // 1_000_000
     second, ticks = second + ticks // TICKS_PER_S, ticks % TICKS_PER_S
     sectors["stamp"] = packed_times(path, second)
-    sectors["fraction"] = HAS_FRACTION | ticks
+    sectors["fraction"] = sector.HAS_FRACTION | ticks
     sectors["offset"] = sample - ticks * rate_hz // TICKS_PER_S
 
 
@@ -162,7 +142,7 @@ def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
     day = moment.astype("M8[D]")
     months = month.astype(np.int64) - 30 * 12
     if len(months) and (months.min() < 0 or months.max() >= 64 * 12):
-        raise OutputError("a time lies before 2000 or after 2063", path=path, hint=OTHER_FORMAT)
+        raise OutputError("a time lies before 2000 or after 2063", path=path, hint=_writing.OTHER_FORMAT)
     of_month = (day - month.astype("M8[D]")).astype(np.int64) + 1
     of_day = second % 86_400
     date = (months // 12 << 9 | months % 12 + 1 << 5 | of_month) << 17
@@ -171,7 +151,7 @@ def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def temperature_words(rows: Chunk, sectors: int) -> NDArray[np.int64]:
     """Mean temperature of each sector in units of the sensor of hardware 1.7: C = raw * 0.15 - 20.5."""
-    means_mc = page_means_mc(rows, SAMPLES)
+    means_mc = _writing.page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return np.full(sectors, NOT_MEASURED)
     return np.clip(np.rint((means_mc + 20_500) / 150), 1, WARMEST).astype(np.int64)

@@ -22,21 +22,8 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource, crc32_pages
-from accelcal_cli.formats._pages.pages import (
-    CHECKSUM,
-    ERASED,
-    FOREIGN,
-    GOOD,
-    NO_TEMPERATURE,
-    NONSENSE,
-    Decoded,
-    PageBlock,
-    PagedFile,
-    RawBlock,
-    bad_runs,
-    erased_pages,
-    paged_file,
-)
+from accelcal_cli.formats._pages import pages as paged
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
 from accelcal_cli.formats._pages.timeline import ExactTimeline, Spacing
 from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC
@@ -89,20 +76,20 @@ class FlashDecoder:
     def __call__(self, raw: RawBlock) -> Decoded:
         """The valid pages of a block; an incomplete page at its end is left over."""
         status = page_status(raw.pages, self._recording_id)
-        pages = raw.pages if not status.any() else raw.pages[status == GOOD]
-        position = raw.first_position + np.flatnonzero(status == GOOD)
+        pages = raw.pages if not status.any() else raw.pages[status == paged.GOOD]
+        position = raw.first_position + np.flatnonzero(status == paged.GOOD)
         block = as_block(pages.view(PAGE)[:, 0], position, self._has_temperature)
-        return Decoded(block, bad_runs(status, raw.first_position), raw.tail)
+        return Decoded(block, paged.bad_runs(status, raw.first_position), raw.tail)
 
 
 def page_status(pages: NDArray[np.uint8], recording_id: int) -> NDArray[np.uint8]:
     """GOOD or a key of BAD_KINDS for each page, (p,)."""
     fields = pages.view(PAGE)[:, 0]
-    status = np.full(len(pages), GOOD, np.uint8)
-    status[fields["recording_id"] != recording_id] = FOREIGN
-    status[~sensible(fields)] = NONSENSE
-    status[crc32_pages(pages, 0, CRC_AT) != fields["crc"]] = CHECKSUM
-    status[erased_pages(pages)] = ERASED
+    status = np.full(len(pages), paged.GOOD, np.uint8)
+    status[fields["recording_id"] != recording_id] = paged.FOREIGN
+    status[~sensible(fields)] = paged.NONSENSE
+    status[crc32_pages(pages, 0, CRC_AT) != fields["crc"]] = paged.CHECKSUM
+    status[paged.erased_pages(pages)] = paged.ERASED
     return status
 
 
@@ -131,7 +118,7 @@ def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperat
 def temperature_mc(fields: NDArray[np.void], rows: NDArray[np.int64]) -> NDArray[np.int32]:
     """Each sample's temperature, that of its page [thousandths of a degree C], (n,)."""
     raw = fields["temperature"].astype(np.int32)
-    milli = np.where(raw == NOT_MEASURED, np.int32(NO_TEMPERATURE), (raw * 1000 + 64) >> 7)
+    milli = np.where(raw == NOT_MEASURED, np.int32(paged.NO_TEMPERATURE), (raw * 1000 + 64) >> 7)
     return np.repeat(milli.astype(np.int32), rows)
 
 
@@ -239,7 +226,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     with ByteSource(path) as stream:
         page = stream.read_exact(PAGE_BYTES)
-    file = paged_file(path, PAGE_BYTES, PAGE_BYTES)
+    file = paged.paged_file(path, PAGE_BYTES, PAGE_BYTES)
     try:
         header, problems = parse_header(page), []
     except HeaderDamageError as error:
@@ -301,7 +288,7 @@ def page_scheme(file: PagedFile, header: FlashHeader) -> PageScheme:
 
 def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Recording:
     """The file's description."""
-    length = extent(scheme, opening)
+    samples, duration_s = extent(scheme, opening)
     return Recording(
         path=scheme.file.path,
         format="flash",
@@ -312,7 +299,7 @@ def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Reco
         range_g=header.range_g,
         start_us=opening.start_us if header.clock_set else None,
         timezone=header.timezone,
-        samples=length.samples,
-        duration_s=length.duration_s,
-        has_temperature=opening.temperature_mc != NO_TEMPERATURE,
+        samples=samples,
+        duration_s=duration_s,
+        has_temperature=opening.temperature_mc != paged.NO_TEMPERATURE,
     )

@@ -11,27 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.recording import Counts
-from accelcal_cli.formats._pages.pages import (
-    DIGITS,
-    FOREIGN,
-    GOOD,
-    RATE,
-    REPEATED,
-    TEXT,
-    Decoded,
-    PageBlock,
-    bad_runs,
-    chosen,
-)
+from accelcal_cli.formats._pages import pages as paged
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock
+from accelcal_cli.formats.geneactiv import scan
 from accelcal_cli.formats.geneactiv.header import Scale
-from accelcal_cli.formats.geneactiv.scan import (
-    NO_STAMP,
-    SAMPLE_DIGITS,
-    Found,
-    number,
-    stamps_us,
-    temperature_mc,
-)
+from accelcal_cli.formats.geneactiv.scan import Found
 
 REMEMBERED_PAGES = 1 << 15
 MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
@@ -98,34 +82,34 @@ class Decoder:
             first_position: number of the first place within the file.
         """
         status = np.array(found.status, np.uint8)
-        places = np.flatnonzero(status == GOOD)
+        places = np.flatnonzero(status == paged.GOOD)
         samples = unhexed(found.bodies)
-        time_us = stamps_us([head[2] for head in found.heads])
+        time_us = scan.stamps_us([head[2] for head in found.heads])
         verdict = self._verdict(found, time_us, all_digits=samples is not None)
-        keep = np.flatnonzero(verdict == GOOD)
+        keep = np.flatnonzero(verdict == paged.GOOD)
         if samples is None or len(keep) < len(verdict):
             samples = unhexlify(b"".join(found.bodies[page] for page in keep.tolist()))
         block = replace(
             self._block(found, keep, samples, first_position + places[keep]), time_us=time_us[keep]
         )
         again = self._repeats.among(block)
-        verdict[keep[again]] = REPEATED
+        verdict[keep[again]] = paged.REPEATED
         status[places] = verdict
         if again.any():
-            block = chosen(block, ~again, np.repeat(~again, block.rows))
-        return Decoded(block, bad_runs(status, first_position), b"")
+            block = paged.chosen(block, ~again, np.repeat(~again, block.rows))
+        return Decoded(block, paged.bad_runs(status, first_position), b"")
 
     def _verdict(self, found: Found, time_us: NDArray[np.int64], *, all_digits: bool) -> NDArray[np.uint8]:
         """What each page is, (p,)."""
-        verdict = np.full(len(time_us), GOOD, np.uint8)
+        verdict = np.full(len(time_us), paged.GOOD, np.uint8)
         rates = {head[4] for head in found.heads}
-        other = {text for text in rates if number(text) != self._settings.rate}
+        other = {text for text in rates if scan.number(text) != self._settings.rate}
         if other:
-            verdict[[head[4] in other for head in found.heads]] = RATE
-        verdict[[head[0] != self._settings.serial for head in found.heads]] = FOREIGN
-        verdict[time_us == NO_STAMP] = TEXT
+            verdict[[head[4] in other for head in found.heads]] = paged.RATE
+        verdict[[head[0] != self._settings.serial for head in found.heads]] = paged.FOREIGN
+        verdict[time_us == scan.NO_STAMP] = paged.TEXT
         if not all_digits:
-            verdict[[unhexed([body]) is None for body in found.bodies]] = DIGITS
+            verdict[[unhexed([body]) is None for body in found.bodies]] = paged.DIGITS
         return verdict
 
     def _block(
@@ -133,13 +117,15 @@ class Decoder:
     ) -> PageBlock:
         """Columns of these pages, but for their times."""
         heads = [found.heads[page] for page in pages.tolist()]
-        rows = np.array([len(found.bodies[page]) // SAMPLE_DIGITS for page in pages.tolist()], np.int64)
+        rows = np.array([len(found.bodies[page]) // scan.SAMPLE_DIGITS for page in pages.tolist()], np.int64)
         return PageBlock(
             position=position,
             rows=rows,
             counts=counts(samples, self._settings.scale),
             sequence=np.array([int(head[1]) for head in heads], np.int64),
-            temperature_mc=np.repeat(np.array([temperature_mc(head[3]) for head in heads], np.int32), rows),
+            temperature_mc=np.repeat(
+                np.array([scan.temperature_mc(head[3]) for head in heads], np.int32), rows
+            ),
         )
 
 

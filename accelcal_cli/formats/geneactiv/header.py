@@ -30,7 +30,6 @@ RAW_LIMIT = RAW_VALUES // 2
 GAINS = (6_400, 102_400)
 """Hundredths of a count per g that are possible: ranges of 32 g down to 2 g over 12 bits."""
 
-HEADER_LIMIT = 1 << 16
 CALIBRATION = "Calibration Data"
 RESET_DATE = "2010-09-16"
 """Where the clock of a device stands after its battery was empty; the header then has lost its times."""
@@ -161,7 +160,7 @@ def parse_header(head: bytes) -> Header:
     """Read the header.
 
     Args:
-        head: the file's first HEADER_LIMIT bytes.
+        head: the file's first bytes.
     """
     match = _PAGE_LINE.search(head)
     end = match.start() if match else 0

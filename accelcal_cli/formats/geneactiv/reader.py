@@ -19,9 +19,9 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._pages.pages import GOOD, NO_TEMPERATURE, PageBlock
-from accelcal_cli.formats._pages.reader import PageJoiner, Start
+from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
-from accelcal_cli.formats.geneactiv import HEADER_MAGIC
+from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
 from accelcal_cli.formats.geneactiv.decode import Decoder, Settings, unhexed
 from accelcal_cli.formats.geneactiv.header import (
     RAW_LIMIT,
@@ -32,17 +32,7 @@ from accelcal_cli.formats.geneactiv.header import (
     parse_header,
     raw_scale,
 )
-from accelcal_cli.formats.geneactiv.scan import (
-    NO_STAMP,
-    SAMPLES,
-    USUAL_BYTES,
-    Head,
-    Part,
-    TextFile,
-    number,
-    stamps_us,
-    temperature_mc,
-)
+from accelcal_cli.formats.geneactiv.scan import Head, Part, TextFile
 
 PAGES = 64
 UNITS_US = (1_000_000, 500_000)
@@ -98,20 +88,20 @@ def _right_pages(part: Part) -> list[tuple[int, Head]]:
     """Place and text of pages that make sense by themselves."""
     found = part.found
     places = [place for place, kind in enumerate(found.status, part.first_position) if kind == GOOD]
-    known = stamps_us([head[2] for head in found.heads]) != NO_STAMP
+    known = scan.stamps_us([head[2] for head in found.heads]) != scan.NO_STAMP
     pages = zip(places, found.heads, found.bodies, known.tolist(), strict=True)
     return [
         (place, head)
         for place, head, body, dated in pages
-        if dated and (number(head[4]) or 0) > 0 and unhexed([body]) is not None
+        if dated and (scan.number(head[4]) or 0) > 0 and unhexed([body]) is not None
     ]
 
 
 def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
-    stated = [(head[0], number(head[4])) for _, head in pages]
+    stated = [(head[0], scan.number(head[4])) for _, head in pages]
     serial, rate = Counter(stated).most_common(1)[0][0]
     place, first = pages[stated.index((serial, rate))]
-    temperatures = [temperature_mc(head[3]) for _, head in pages]
+    temperatures = [scan.temperature_mc(head[3]) for _, head in pages]
     return FirstPages(
         serial=serial,
         rate=rate or Fraction(1),
@@ -124,7 +114,7 @@ def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
 
 def _unit_us(stamps: Sequence[bytes]) -> int:
     """The coarsest unit of which nearly all stamps are multiples."""
-    time_us = stamps_us(stamps)
+    time_us = scan.stamps_us(stamps)
     fits = (unit for unit in UNITS_US if np.mean(time_us % unit == 0) >= AGREEING)
     return next(fits, FINEST_US)
 
@@ -159,7 +149,7 @@ class Scheme:
     def stream(self, chunk_samples: int) -> Generator[Chunk]:
         """All rows of the file, whole pages, at least one."""
         assembler = Assembler(self, 0, self.problems)
-        with closing(self.file.parts(max(1, chunk_samples // SAMPLES))) as parts:
+        with closing(self.file.parts(max(1, chunk_samples // scan.SAMPLES))) as parts:
             for part in parts:
                 chunk = assembler.feed(part)
                 if part.last:
@@ -171,7 +161,7 @@ class Scheme:
         """The pages that begin within `length` bytes, as if the recording were just these."""
         part = self.file.piece(offset, length)
         pages = max(0, int(part.found.heads[0][1]) - self.first.sequence) if part.found.heads else 0
-        return Assembler(self, pages * SAMPLES, ()).feed(part)
+        return Assembler(self, pages * scan.SAMPLES, ()).feed(part)
 
     def block(self, part: Part) -> PageBlock:
         """The pages of a part, decoded."""
@@ -185,9 +175,9 @@ class Assembler:
         self._scheme = scheme
         self._places = _Places()
         self._decode = Decoder(scheme.settings)
-        start = Start(sample, scheme.first.temperature_mc, problems)
         timeline = CoarseTimeline(scheme.spacing, scheme.first.unit_us)
-        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, start)
+        temperature_mc = scheme.first.temperature_mc
+        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, temperature_mc, problems)
         self._highest = self._last_position = -1
 
     def feed(self, part: Part) -> Chunk:
@@ -205,8 +195,8 @@ class Assembler:
         sample, found = chunk.first_sample + len(chunk), part.found
         problems = [Problem("truncated", BROKEN_OFF, part.end, sample)] if part.broke_off else []
         if found.cut is not None:
-            missing = SAMPLES - found.cut_samples
-            text = f"the file ends within a page: {missing} of its {SAMPLES} samples are missing"
+            missing = scan.SAMPLES - found.cut_samples
+            text = f"the file ends within a page: {missing} of its {scan.SAMPLES} samples are missing"
             problems.append(Problem("truncated", text, found.cut, sample, missing))
         lost = self._never_come(part)
         if lost > 0:
@@ -225,7 +215,7 @@ class _Places:
     """Where the places of the part lie that is being read."""
 
     part: Part
-    page_bytes = USUAL_BYTES
+    page_bytes = scan.USUAL_BYTES
 
     def offset(self, position: int) -> int:
         """Bytes from the start of the (uncompressed) file."""
@@ -266,8 +256,8 @@ class GeneactivReader(Reader):
         if file.compressed:
             yield from super().preview(chunk_samples, pieces)
             return
-        spread = max(USUAL_BYTES, (file.size - file.start) // max(1, pieces))
-        length = min(spread, max(1, chunk_samples // SAMPLES) * USUAL_BYTES)
+        spread = max(scan.USUAL_BYTES, (file.size - file.start) // max(1, pieces))
+        length = min(spread, max(1, chunk_samples // scan.SAMPLES) * scan.USUAL_BYTES)
         for piece in range(pieces):
             chunk = self._scheme.piece(file.start + piece * spread, length)
             if len(chunk) or chunk.problems:
@@ -292,11 +282,11 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     scheme = Scheme(
         file,
         Settings(first.serial, first.rate, scale_of(header, options, path)),
-        Spacing(true_rate(first.rate), SAMPLES),
+        Spacing(true_rate(first.rate), scan.SAMPLES),
         first,
         header.pages,
     )
-    start_us = first_time(scheme)
+    start_us = first_time(scheme.stream(START_SAMPLES))
     dated = not (iso_time(start_us, None) or "").startswith(RESET_DATE)
     scheme = replace(scheme, problems=problems_of(header, first, dated=dated))
     return GeneactivReader(describe(scheme, header, options, start_us if dated else None), scheme)
@@ -370,12 +360,6 @@ def notes(scheme: Scheme, header: Header, options: ReadOptions) -> tuple[str, ..
     if header.drift_s is not None:
         found.append(f"the header notes a clock drift of {header.drift_s} s; the times are the device's own")
     return tuple(found)
-
-
-def first_time(scheme: Scheme) -> int:
-    """Time of the first sample [us], as `chunks` gives it."""
-    with closing(scheme.stream(START_SAMPLES)) as chunks:
-        return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
 
 
 def duration_s(scheme: Scheme, start_us: int | None) -> float | None:

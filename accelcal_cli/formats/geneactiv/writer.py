@@ -18,19 +18,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Counts, Recording
-from accelcal_cli.formats._writing import (
-    OTHER_FORMAT,
-    check_bits,
-    fixed_offset,
-    full_pages,
-    known_rate,
-    known_scale,
-    new_file,
-    number_of,
-    page_means_mc,
-    remark,
-    start_us,
-)
+from accelcal_cli.formats import _writing
 
 SAMPLES = 300
 PAGE_DIGITS = 12 * SAMPLES
@@ -126,8 +114,8 @@ def sampling(recording: Recording) -> Sampling:
     Raises:
         UsageError: there is no such rate or scale.
     """
-    rate_hz = known_rate(recording, RATES, "a GENEActiv", RATE_ROUNDING_HZ)
-    known_scale(recording, [(LSB_PER_G, RANGE_G)], "a GENEActiv")
+    rate_hz = _writing.known_rate(recording, RATES, "a GENEActiv", RATE_ROUNDING_HZ)
+    _writing.known_scale(recording, [(LSB_PER_G, RANGE_G)], "a GENEActiv")
     return Sampling(rate_hz, SAMPLES)
 
 
@@ -140,10 +128,10 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
             the disk fails.
     """
     sampling(recording)
-    with new_file(path) as file:
+    with _writing.new_file(path) as file:
         file.write(header(path, recording, 0))
         sequence = 0
-        for rows in full_pages(path, chunks, SAMPLES):
+        for rows in _writing.full_pages(path, chunks, SAMPLES):
             file.write(data_pages(path, rows, recording, sequence))
             sequence += len(rows) // SAMPLES
         file.seek(0)
@@ -152,14 +140,14 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 def header(path: Path, recording: Recording, pages: int) -> bytes:
     """The text before the first page; as long for any number of pages."""
-    device, offset = recording.device, fixed_offset(recording.timezone)
+    device, offset = recording.device, _writing.fixed_offset(recording.timezone)
     text = HEADER.format(
-        serial=number_of(device),
-        start=stamps(path, np.array([start_us(path, recording)]))[0],
+        serial=_writing.number_of(device),
+        start=stamps(path, np.array([_writing.start_us(path, recording)]))[0],
         rate=recording.rate_hz,
         hours=ceil(pages * SAMPLES / recording.rate_hz / 3600),
         zone=f"GMT {offset}" if offset else "",
-        remark=remark(device),
+        remark=_writing.remark(device),
         gain=round(100 * recording.lsb_per_g),
         pages=pages,
     )
@@ -168,9 +156,9 @@ def header(path: Path, recording: Recording, pages: int) -> bytes:
 
 def data_pages(path: Path, rows: Chunk, recording: Recording, sequence: int) -> bytes:
     """Whole pages, numbered from `sequence`."""
-    check_bits(path, rows, BITS)
+    _writing.check_bits(path, rows, BITS)
     digits = sample_digits(rows.counts)
-    constants = {"serial": number_of(recording.device), "rate": recording.rate_hz}
+    constants = {"serial": _writing.number_of(recording.device), "rate": recording.rate_hz}
     times, means = stamps(path, rows.time_us[::SAMPLES]), temperatures(rows)
     pages = [
         PAGE.format(
@@ -204,14 +192,14 @@ def stamps(path: Path, time_us: NDArray[np.int64]) -> list[str]:
         OutputError: a time lies outside 2000 to 2099.
     """
     if len(time_us) and not (time_us.min() >= EARLIEST_US and time_us.max() < LATEST_US):
-        raise OutputError("a time lies before 2000 or after 2099", path=path, hint=OTHER_FORMAT)
+        raise OutputError("a time lies before 2000 or after 2099", path=path, hint=_writing.OTHER_FORMAT)
     texts = np.datetime_as_string(((time_us + 500) // 1000).astype("M8[ms]"))
     return [text.replace("T", " ").replace(".", ":") for text in texts.tolist()]
 
 
 def temperatures(rows: Chunk) -> list[str]:
     """Mean temperature of each page; empty where none was measured."""
-    means_mc = page_means_mc(rows, SAMPLES)
+    means_mc = _writing.page_means_mc(rows, SAMPLES)
     if means_mc is None:
         return [""] * (len(rows) // SAMPLES)
     return [f"{mean / 1000:.1f}" for mean in means_mc.tolist()]

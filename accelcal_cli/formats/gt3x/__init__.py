@@ -19,11 +19,6 @@ NAMED = re.compile(rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin)", 
 SUFFIXES = (".gt3x",)
 
 
-def names_in(head: bytes) -> set[str]:
-    """Names of the parts that begin within the first bytes of a file."""
-    return {found[2].decode() for found in NAMED.finditer(head)}
-
-
 def holds_samples(names: set[str]) -> bool:
     """Whether one of the parts of either kind is among them."""
     return not names.isdisjoint((LOG, ACTIVITY))
@@ -31,7 +26,7 @@ def holds_samples(names: set[str]) -> bool:
 
 def sniff(probe: Probe) -> int:
     """100 for a zip file that holds log.bin or activity.bin; 30 for a damaged one with the usual suffix."""
-    if holds_samples(names_in(probe.head)):
+    if holds_samples({found[2].decode() for found in NAMED.finditer(probe.head)}):
         return 100
     by_name = 30 if probe.suffix in SUFFIXES else 0
     if probe.compressed or not (by_name or probe.head.startswith(MAGIC)):

@@ -12,11 +12,10 @@ import zlib
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.recording import Problem
+from accelcal_cli.core.recording import Closing, Problem
 from accelcal_cli.formats.gt3x import ACTIVITY, INFO, LOG, MAGIC, NAMED, holds_samples
 
 WANTED = (INFO, LOG, ACTIVITY)
@@ -186,7 +185,7 @@ class Fault(Enum):
     WRONG_CHECKSUM = "its checksum does not fit"
 
 
-class MemberStream:
+class MemberStream(Closing):
     """Reads a part from its beginning.
 
     The file is taken in equal steps, so that what is salvaged from a damaged one does not depend
@@ -293,17 +292,6 @@ class MemberStream:
 
     def _unreadable(self, error: OSError) -> UnreadableError:
         return UnreadableError(f"cannot be read ({error.strerror or error})", path=self._path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
 
 def salvaged(inflate: Any, packed: bytes) -> bytes:

@@ -18,39 +18,11 @@ import numpy as np
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Problem
-from accelcal_cli.formats.gt3x import INFO, LOG
+from accelcal_cli.formats.gt3x import INFO, LOG, sensors
+from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x.archive import Archive, MemberStream
-from accelcal_cli.formats.gt3x.records import (
-    ACCEL_SCALE,
-    ANY_TIME,
-    IMU_TEMPERATURE_OFFSET,
-    SAMPLE_RATE,
-    SENSOR_CONFIGURATION,
-    SENSOR_DATA,
-    SENSOR_SCHEMA,
-    START_TIME,
-    Batch,
-    Key,
-    Span,
-    batches,
-    in_utc,
-    number_of,
-    parameters_in,
-    payloads,
-)
-from accelcal_cli.formats.gt3x.sensors import (
-    ACCELEROMETER,
-    DOCKED_BYTES,
-    GYROSCOPE,
-    KINDS,
-    TEMPERATURE,
-    Imu,
-    Primary,
-    Schema,
-    Sensor,
-    parse_schema,
-    samples_in,
-)
+from accelcal_cli.formats.gt3x.records import Batch, Key, Span
+from accelcal_cli.formats.gt3x.sensors import Imu, Primary, Schema, Sensor
 
 TICKS_PER_US = 10
 YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
@@ -174,19 +146,20 @@ class Beginning:
 
     def take(self, batch: Batch) -> None:
         """Look at the next records."""
-        self.parameters = parameters_in(batch) | self.parameters
-        self.utc |= in_utc(batch)
-        self.imu |= bool((batch.records.kind == SENSOR_DATA).any())
+        self.parameters = log.parameters_in(batch) | self.parameters
+        self.utc |= log.in_utc(batch)
+        self.imu |= bool((batch.records.kind == log.SENSOR_DATA).any())
         if self.schema is None:
-            schemas = [parse_schema(data) for data in payloads(batch, SENSOR_SCHEMA)]
-            usable = [schema for schema in schemas if schema and schema.axes(ACCELEROMETER)]
+            schemas = [sensors.parse_schema(data) for data in log.payloads(batch, log.SENSOR_SCHEMA)]
+            usable = [schema for schema in schemas if schema and schema.axes(sensors.ACCELEROMETER)]
             self.schema = usable[0] if usable else None
         self._take_samples(batch)
 
     def _take_samples(self, batch: Batch) -> None:
         records = batch.records
-        with_samples = records.select(np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES))
-        rows = samples_in(with_samples)
+        holds = np.isin(records.kind, sensors.KINDS) & (records.size > sensors.DOCKED_BYTES)
+        with_samples = records.select(holds)
+        rows = sensors.samples_in(with_samples)
         if self.rate is None and rows.any():
             self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
             self.first_s = int(with_samples.second[rows > 0][0])
@@ -200,7 +173,7 @@ def look_inside(archive: Archive, *, imu: bool) -> Beginning:
     """
     beginning = Beginning()
     with MemberStream(archive, archive.members[LOG]) as stream:
-        for batch in batches(stream, ANY_TIME):
+        for batch in log.batches(stream, log.ANY_TIME):
             beginning.take(batch)
             if beginning.imu and beginning.schema if imu else beginning.rate:
                 break
@@ -210,9 +183,9 @@ def look_inside(archive: Archive, *, imu: bool) -> Beginning:
 def span_of(info: Info, beginning: Beginning) -> Span:
     """Between which times records are expected."""
     start_us = info.start_us
-    start_s = beginning.parameters.get(START_TIME) if start_us is None else start_us // 1_000_000
+    start_s = beginning.parameters.get(log.START_TIME) if start_us is None else start_us // 1_000_000
     first_s = beginning.first_s if start_s is None else start_s
-    return ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
+    return log.ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,12 +226,12 @@ def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Pat
     if beginning.rate is None:
         hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
         raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
-    parameter = number_of(beginning.parameters, ACCEL_SCALE)
+    parameter = log.number_of(beginning.parameters, log.ACCEL_SCALE)
     scale = scale_of(info, parameter, options, path)
     turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
     notes = [TURNED] if turned else []
-    notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(SENSOR_CONFIGURATION) else []
-    named = info.rate_hz or beginning.parameters.get(SAMPLE_RATE)
+    notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(log.SENSOR_CONFIGURATION) else []
+    named = info.rate_hz or beginning.parameters.get(log.SAMPLE_RATE)
     if named not in (None, beginning.rate):
         notes.append(f"the header says {named} Hz, the records hold {beginning.rate} samples a second")
     return Known(Primary(beginning.rate, turned), scale, tuple(notes))
@@ -289,15 +262,15 @@ def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
     """
     if beginning.schema is None or not beginning.imu:
         raise UsageError(NO_IMU, path=path, hint="leave --sensor out")
-    told_c = number_of(beginning.parameters, IMU_TEMPERATURE_OFFSET)
+    told_c = log.number_of(beginning.parameters, log.IMU_TEMPERATURE_OFFSET)
     zero_c = told_c if told_c is not None and abs(told_c) <= WARMEST_C else IMU_ZERO_C
     schema = beginning.schema
-    per_g = schema.axes(ACCELEROMETER)[0].scale
-    turns = [1 / column.scale for column in schema.axes(GYROSCOPE)]
+    per_g = schema.axes(sensors.ACCELEROMETER)[0].scale
+    turns = [1 / column.scale for column in schema.axes(sensors.GYROSCOPE)]
     return Known(
         Imu(schema, zero_c),
         Scale(options.lsb_per_g or per_g, IMU_FULL_SCALE / per_g),
-        has_temperature=TEMPERATURE in schema.columns,
+        has_temperature=sensors.TEMPERATURE in schema.columns,
         gyro_dps_per_lsb=(turns[0], turns[1], turns[2]) if turns else None,
     )
 

@@ -16,19 +16,9 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 from accelcal_cli.formats._problems import ProblemLog
-from accelcal_cli.formats.gt3x import ACTIVITY, LOG
+from accelcal_cli.formats.gt3x import ACTIVITY, LOG, header
 from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream, open_archive
-from accelcal_cli.formats.gt3x.header import (
-    COPY_AGAIN,
-    NO_IMU,
-    Info,
-    activity_bin_scale,
-    imu_of,
-    look_inside,
-    primary_of,
-    read_info,
-    span_of,
-)
+from accelcal_cli.formats.gt3x.header import Info
 from accelcal_cli.formats.gt3x.records import Span, batches
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
 from accelcal_cli.formats.gt3x.timeline import (
@@ -78,12 +68,14 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if probe_file(path, options).compressed:
         raise UnreadableError("is packed twice", path=path, hint=UNPACK)
     archive = open_archive(path)
-    info, problems = read_info(archive)
+    info, problems = header.read_info(archive)
     if LOG in archive.members:
         return open_log(archive, info, options, archive.problems + problems)
     if ACTIVITY in archive.members:
         return open_activity_bin(archive, info, options, archive.problems + problems)
-    raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
+    raise UnreadableError(
+        "holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=header.COPY_AGAIN
+    )
 
 
 def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
@@ -93,12 +85,12 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         UnreadableError: it holds no samples, or nothing says their scale.
         UsageError: the rates contradict each other, or the wanted sensor did not record.
     """
-    beginning = look_inside(archive, imu=options.sensor == IMU)
+    beginning = header.look_inside(archive, imu=options.sensor == IMU)
     if options.sensor == IMU:
-        known = imu_of(beginning, options, archive.path)
+        known = header.imu_of(beginning, options, archive.path)
     else:
-        known = primary_of(info, beginning, options, archive.path)
-    file = LogFile(archive, archive.members[LOG], known.sensor, span_of(info, beginning), problems)
+        known = header.primary_of(info, beginning, options, archive.path)
+    file = LogFile(archive, archive.members[LOG], known.sensor, header.span_of(info, beginning), problems)
     start_us = first_time(file)
     recording = Recording(
         path=archive.path,
@@ -130,14 +122,16 @@ def open_activity_bin(
     from accelcal_cli.formats.gt3x.activity import ActivityFile, has_samples  # few files are of this kind
 
     if options.sensor == IMU:
-        raise UsageError(NO_IMU, path=archive.path, hint="leave --sensor out")
+        raise UsageError(header.NO_IMU, path=archive.path, hint="leave --sensor out")
     rate = activity_bin_rate(info, options, archive.path)
     if info.start_us is None:
         problems += (Problem("no_start_time", NO_START, None, 0),)
     file = ActivityFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
     if not has_samples(file):
-        raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
-    scale = activity_bin_scale(info)
+        raise UnreadableError(
+            "holds no acceleration in activity.bin", path=archive.path, hint=header.COPY_AGAIN
+        )
+    scale = header.activity_bin_scale(info)
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -175,7 +169,7 @@ def first_time(file: LogFile) -> int:
         for chunk in chunks:
             if len(chunk):
                 return int(chunk.clock.times(0, 1)[0])
-    raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=COPY_AGAIN)
+    raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=header.COPY_AGAIN)
 
 
 def lasted_s(info: Info, start_us: int) -> float | None:

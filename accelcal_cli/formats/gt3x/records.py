@@ -64,7 +64,7 @@ LOOK_AHEAD = 2 * LONGEST_BELIEVED
 Key = tuple[int, int]
 """Address space and number of a parameter."""
 
-IMU_TEMPERATURE_SCALE, IMU_TEMPERATURE_OFFSET = (0, 57), (0, 58)
+IMU_TEMPERATURE_OFFSET = (0, 58)
 ACCEL_SCALE = (0, 55)
 SAMPLE_RATE = (1, 10)
 START_TIME = (1, 12)
@@ -131,11 +131,6 @@ def fits(records: Records) -> NDArray[np.bool_]:
     return np.asarray((records.size >= _LOW[records.kind]) & (records.size <= _HIGH[records.kind]))
 
 
-def telling(records: Records) -> NDArray[np.bool_]:
-    """Whether the kind is one whose size tells it from other bytes, (k,)."""
-    return _IS_FIXED[records.kind]
-
-
 @dataclass(frozen=True, slots=True)
 class Span:
     """Seconds since 1970 between which a recording's records are expected."""
@@ -181,7 +176,7 @@ class Page:
         records, end = records.select(sound), end[sound]
         near = (records.second >= self.span.first_s) & (records.second <= self.span.last_s)
         followed = np.isin(end, records.start) | (self.last & (end == len(self.data)))
-        return np.asarray(records.start[followed | (near & telling(records))])
+        return np.asarray(records.start[followed | (near & _IS_FIXED[records.kind])])
 
     def _candidates(self) -> Records:
         end = max(0, len(self.data) - FRAME_BYTES + 1)
@@ -190,23 +185,23 @@ class Page:
         return records.select(inside & fits(records))
 
     def incomplete(self, index: int) -> bool:
-        """Whether what is at `at` could be a record that goes on beyond the piece."""
+        """Whether what is at `index` could be a record that goes on beyond the piece."""
         left = len(self.data) - index
         return left < FRAME_BYTES or (self.data[index] == SEPARATOR and left < self.length(index))
 
     def length(self, index: int) -> int:
-        """Bytes of the record at `at`, by its header."""
+        """Bytes of the record at `index`, by its header."""
         return FRAME_BYTES + (self.data[index + 6] | self.data[index + 7] << 8)
 
     def after_padding(self, index: int) -> int:
-        """Where a record or the end of the data follows after a few zeros; `at` where that is not so."""
+        """Where a record or the end of the data follows after a few zeros; `index` where that is not so."""
         ahead = self.data[index : index + FRAME_BYTES]
         zeros = len(ahead) - len(ahead.lstrip(b"\0"))
         ends = self.last and index + zeros == len(self.data) and zeros <= PADDING_BYTES
         return index + zeros if ends or ahead[zeros : zeros + 1] == SEPARATOR_BYTE else index
 
     def follow(self, index: int, most: int) -> tuple[list[int], int]:
-        """Sound records one after the other from `at` on, up to `most`; where the next should be."""
+        """Sound records one after the other from `index` on, up to `most`; where the next should be."""
         starts, end = walk(self.data, index, most)
         if not starts:
             return starts, index
@@ -305,7 +300,7 @@ class Framer:
         return framed.batch(page)
 
     def _step(self, page: Page, index: int, framed: _Framed) -> int | None:
-        """Go on from `at`; gives where to, or None where more bytes are needed."""
+        """Go on from `index`; gives where to, or None where more bytes are needed."""
         if self._lost is not None:
             return self._search(page, index, framed)
         starts, end = page.follow(index, self._most)
@@ -321,7 +316,7 @@ class Framer:
         return end if starts else None
 
     def _lose(self, page: Page, index: int, framed: _Framed) -> None:
-        """What should begin at `at` is no sound record."""
+        """What should begin at `index` is no sound record."""
         self._lost, self._most = page.base + index, FIRST_WALK
         if framed.starts and page.data[index] != SEPARATOR:
             framed.doubtful.append(len(framed.starts) - 1)

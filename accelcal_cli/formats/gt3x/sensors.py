@@ -19,15 +19,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.formats.gt3x.records import (
-    ACTIVITY,
-    ACTIVITY2,
-    ACTIVITY3,
-    HEADER_BYTES,
-    SENSOR_DATA,
-    Records,
-    float_of,
-)
+from accelcal_cli.formats.gt3x import records as log
+from accelcal_cli.formats.gt3x.records import Records
 
 USUAL_RATE = 100
 """What a schema that says 0 samples means, as in the vendor's example code."""
@@ -49,7 +42,7 @@ PAIR_BYTES = 9
 YXZ, XYZ = (1, 0, 2), (0, 1, 2)
 """Columns of the result in which the values of a sample are, in the order of the file."""
 
-KINDS = (ACTIVITY, ACTIVITY2, ACTIVITY3)
+KINDS = (log.ACTIVITY, log.ACTIVITY2, log.ACTIVITY3)
 SAMPLE_BYTES = 6
 KIND_BITS = 8
 DOCKED_BYTES = 1
@@ -79,24 +72,19 @@ class Sensor(Protocol):
     @property
     def rate(self) -> int:
         """Samples in a second."""
-        ...
 
     @property
     def fills(self) -> bool:
         """Whether the device repeats its last sample while it sleeps."""
-        ...
 
     def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
         """Which records hold its samples, (m,)."""
-        ...
 
     def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
         """Samples of records that `holds` named."""
-        ...
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
         """Which of these records are one second of samples and nothing else, (k,)."""
-        ...
 
 
 def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
@@ -104,7 +92,7 @@ def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) 
     if not size:
         return np.empty((len(start), 0), np.uint8)
     every = np.lib.stride_tricks.sliding_window_view(buffer, size)
-    return np.ascontiguousarray(every[start + HEADER_BYTES])
+    return np.ascontiguousarray(every[start + log.HEADER_BYTES])
 
 
 def first_rows(rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -154,7 +142,7 @@ def parse_schema(data: bytes) -> Schema | None:
     row_bytes = 0
     for flags, offset, bits, scale, label in _COLUMN.iter_unpack(data[_HEAD.size :]):
         row_bytes += bits // 8
-        per_unit = float_of(scale)
+        per_unit = log.float_of(scale)
         plain = bits == 16 and flags & _SIGNED and offset % 8 == 0
         if plain and LEAST_SCALE <= per_unit <= LARGEST_SCALE:
             order = ">i2" if flags & _BIG_ENDIAN else "<i2"
@@ -182,7 +170,7 @@ class Imu:
 
     def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
         """Which records hold samples by this schema, (m,)."""
-        data = (records.kind == SENSOR_DATA) & (records.size >= ID_BYTES + self.schema.row_bytes)
+        data = (records.kind == log.SENSOR_DATA) & (records.size >= ID_BYTES + self.schema.row_bytes)
         number = payloads_of(buffer, records.start[data], ID_BYTES).view("<u2")[:, 0]
         data[data] = number == self.schema.number
         return np.asarray(data)
@@ -301,24 +289,24 @@ class Primary:
     def whole(self, records: Records) -> NDArray[np.bool_]:
         """Which records hold as many samples as the rate says, without further bytes, (k,)."""
         rows = samples_in(records)
-        bytes_of = np.where(records.kind == ACTIVITY2, SAMPLE_BYTES * rows, packed_bytes(rows))
+        bytes_of = np.where(records.kind == log.ACTIVITY2, SAMPLE_BYTES * rows, packed_bytes(rows))
         return np.asarray((rows == self.rate) & (records.size == bytes_of))
 
     def _group(self, buffer: NDArray[np.uint8], records: Records, size: int, kind: int) -> NDArray[np.int16]:
         """Samples of records of one kind and size, (k, rows, 3)."""
         data = payloads_of(buffer, records.start, size)
-        if kind == ACTIVITY2:
+        if kind == log.ACTIVITY2:
             whole = data[:, : size // SAMPLE_BYTES * SAMPLE_BYTES]
             values = np.ascontiguousarray(whole).view("<i2").astype(np.int16, copy=False)
             return values.reshape(len(data), -1, 3)
         samples = int(packed_samples(np.array(size)))
-        values = unpacked(data, samples, YXZ if kind == ACTIVITY else XYZ)
-        return upright(values) if self.turned and kind == ACTIVITY else values
+        values = unpacked(data, samples, YXZ if kind == log.ACTIVITY else XYZ)
+        return upright(values) if self.turned and kind == log.ACTIVITY else values
 
 
 def samples_in(records: Records) -> NDArray[np.int64]:
     """How many samples activity records hold, (k,)."""
-    return np.where(records.kind == ACTIVITY2, records.size // SAMPLE_BYTES, packed_samples(records.size))
+    return np.where(records.kind == log.ACTIVITY2, records.size // SAMPLE_BYTES, packed_samples(records.size))
 
 
 def upright(values: NDArray[np.int16]) -> NDArray[np.int16]:

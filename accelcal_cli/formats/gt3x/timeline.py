@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Chunk, Problem, Validity
-from accelcal_cli.formats._problems import Event
+from accelcal_cli.formats._problems import Event, Kind
 from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
 from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
@@ -35,8 +35,6 @@ LONGEST_SILENCE_S = 86_400
 
 JITTER_S = 2
 """Records of other kinds may carry times a little before those of the records around them."""
-
-Kind = tuple[str, str]
 
 CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
 NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")

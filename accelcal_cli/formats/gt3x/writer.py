@@ -23,18 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Counts, Recording
-from accelcal_cli.formats._writing import (
-    OTHER_FORMAT,
-    check_bits,
-    fixed_offset,
-    full_pages,
-    known_rate,
-    known_scale,
-    new_file,
-    number_of,
-    remark,
-    start_us,
-)
+from accelcal_cli.formats import _writing
 
 RATES = range(30, 101, 10)
 LEVEL = 1
@@ -93,8 +82,8 @@ def sampling(recording: Recording) -> Sampling:
     Raises:
         UsageError: there is no such rate or scale.
     """
-    known_scale(recording, MODELS, "an ActiGraph")
-    rate = known_rate(recording, RATES, "an ActiGraph")
+    _writing.known_scale(recording, MODELS, "an ActiGraph")
+    rate = _writing.known_rate(recording, RATES, "an ActiGraph")
     return Sampling(float(rate), int(rate))
 
 
@@ -107,15 +96,15 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
             the disk fails.
     """
     rate, model = sampling(recording).unit_samples, MODELS[recording.lsb_per_g, recording.range_g or 0.0]
-    begun_s = int(whole_seconds(path, np.array([start_us(path, recording)]))[0])
+    begun_s = int(whole_seconds(path, np.array([_writing.start_us(path, recording)]))[0])
     seconds = 0
     with (
-        new_file(path) as file,
+        _writing.new_file(path) as file,
         zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=LEVEL) as archive,
     ):
         with archive.open("log.bin", "w", force_zip64=True) as log:
             log.write(parameters(begun_s, rate, recording.lsb_per_g))
-            for rows in full_pages(path, chunks, rate):
+            for rows in _writing.full_pages(path, chunks, rate):
                 log.write(records(path, rows, rate, model).data)
                 seconds += len(rows) // rate
         with archive.open("info.txt", "w") as about:
@@ -128,7 +117,7 @@ def records(path: Path, rows: Chunk, rate: int, model: Model) -> NDArray[np.void
     Raises:
         OutputError: a count does not fit, or a second of samples does not begin with a second of the clock.
     """
-    check_bits(path, rows, model.bits)
+    _writing.check_bits(path, rows, model.bits)
     payload = model.payload(rows.counts.reshape(-1, rate, 3))
     fields = [("head", "u1", 2), ("second", "<u4"), ("size", "<u2"), ("payload", "u1", payload.shape[1])]
     table = np.zeros(len(payload), np.dtype([*fields, ("checksum", "u1")]))
@@ -144,9 +133,9 @@ def whole_seconds(path: Path, time_us: NDArray[np.int64]) -> NDArray[np.int64]:
     """Times of first samples as seconds since 1970."""
     seconds, rest_us = np.divmod(time_us, 1_000_000)
     if rest_us.any():
-        raise OutputError("samples do not begin with a whole second", path=path, hint=OTHER_FORMAT)
+        raise OutputError("samples do not begin with a whole second", path=path, hint=_writing.OTHER_FORMAT)
     if len(seconds) and (seconds.min() < 0 or seconds.max() > LARGEST_S):
-        raise OutputError("a time lies before 1970 or after 2106", path=path, hint=OTHER_FORMAT)
+        raise OutputError("a time lies before 1970 or after 2106", path=path, hint=_writing.OTHER_FORMAT)
     return seconds
 
 
@@ -168,7 +157,7 @@ def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
     """The text of info.txt."""
     range_g = recording.range_g
     values = {
-        "Serial Number": f"{model.serial}{number_of(recording.device):08d}",
+        "Serial Number": f"{model.serial}{_writing.number_of(recording.device):08d}",
         "Device Type": model.name,
         "Firmware": model.firmware,
         "Battery Voltage": "4.10",
@@ -180,7 +169,7 @@ def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
         "Download Date": ticks(ended_s),
         "Board Revision": 8,
         "Unexpected Resets": 0,
-        "Subject Name": remark(recording.device),
+        "Subject Name": _writing.remark(recording.device),
         "Acceleration Scale": recording.lsb_per_g,
         "Acceleration Min": f"-{range_g}",
         "Acceleration Max": range_g,
@@ -190,7 +179,7 @@ def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
 
 def zone_text(timezone: str | None) -> str | None:
     """The zone as hours, minutes and seconds east of UTC where it is a fixed offset."""
-    offset = fixed_offset(timezone)
+    offset = _writing.fixed_offset(timezone)
     return None if offset is None else f"{offset.removeprefix('+')}:00"
 
 

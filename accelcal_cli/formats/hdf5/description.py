@@ -18,61 +18,21 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
-from accelcal_cli.formats.hdf5.datasets import (
-    Group,
-    Track,
-    find_gyro,
-    find_temperature,
-    find_time,
-    named_track,
-    split_time_name,
-)
+from accelcal_cli.formats.hdf5 import datasets, units
+from accelcal_cli.formats.hdf5.datasets import Group, Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, h5py_guard
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.units import (
-    EARLIEST_ABSOLUTE_US,
-    PER_SECOND,
-    Scale,
-    StampScale,
-    count_scale,
-    gyro_scale,
-    millicelsius,
-    nominal_rate,
-    parse_moment,
-    per_celsius,
-    per_dps,
-    time_unit,
-    typical_step,
-    unit_by_size,
-)
+from accelcal_cli.formats.hdf5.units import Scale, StampScale
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
-    "sample_rate",
-    "sample_rate_hz",
-    "sampling_rate",
-    "sampling_rate_hz",
-    "samplerate",
-    "rate_hz",
-    "sampling_frequency",
-    "sampling_frequency_hz",
-    "sample_frequency",
-    "frequency_hz",
-    "sfreq",
-    "fs",
-    "fs_hz",
-    "hz",
-    "rate",
-    "frequency",
+    *("sample_rate", "sample_rate_hz", "sampling_rate", "sampling_rate_hz", "rate_hz"),
+    *("sampling_frequency", "sampling_frequency_hz", "sample_frequency", "frequency_hz", "sfreq"),
+    *("fs", "fs_hz", "hz", "rate", "frequency"),
 )
 START_NAMES = (
-    "start_time",
-    "start",
-    "start_timestamp",
-    "start_datetime",
-    "recording_start",
-    "recording_start_time",
-    "start_time_utc",
+    *("start_time", "start", "start_timestamp", "start_datetime"),
+    *("recording_start", "recording_start_time", "start_time_utc"),
 )
 _LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
 _DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
@@ -178,7 +138,7 @@ def first_temperature(file: Any, track: Track, factor: float, path: Path) -> Tem
     """A temperature dataset with its first value; None where it has no value at all."""
     rows = TrackRows(file, track, path)
     for start in range(0, track.rows, BLOCK_ROWS):
-        degrees = millicelsius(*rows.read(start, min(start + BLOCK_ROWS, track.rows)), factor)
+        degrees = units.millicelsius(*rows.read(start, min(start + BLOCK_ROWS, track.rows)), factor)
         known = degrees[~np.isnan(degrees)]
         if len(known):
             return Temperature(track, factor, int(known[0]))
@@ -203,7 +163,7 @@ def measured_stamps(
         )
     final = _believable(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows)
     last = int(final[-1]) if len(final) else int(times[-1])
-    step, coarse = typical_step(times) or (None, 0)
+    step, coarse = units.typical_step(times) or (None, 0)
     return Stamps(track, scale, coarse), int(times[0]), max(last, int(times[0])), step
 
 
@@ -277,7 +237,7 @@ def find_timeline(source: Source) -> Timeline:
     attributes, options = source.attributes, source.options
     rate = attributes.number(*RATE_NAMES) if options.rate_hz is None else options.rate_hz
     stated = attributes.value(*START_NAMES)
-    start = None if stated is None else parse_moment(stated)
+    start = None if stated is None else units.parse_moment(stated)
     track = _time_track(source)
     if track is not None:
         with h5py_guard(source.path, f"dataset of times {track.path}"):
@@ -295,7 +255,7 @@ def _time_track(source: Source) -> Track | None:
     name = source.options.time_column
     if name is not None:
         return None if name.lower() == NO_COLUMN else _named(source, name)
-    found = find_time(source.tracks, source.accel)
+    found = datasets.find_time(source.tracks, source.accel)
     if len(found) > 1:
         listed = ", ".join(group[0].path for group in found)
         raise UnreadableError(
@@ -307,7 +267,7 @@ def _time_track(source: Source) -> Track | None:
 
 
 def _named(source: Source, name: str) -> Track:
-    track = named_track(source.tracks, name, source.path)
+    track = datasets.named_track(source.tracks, name, source.path)
     if track.width != 1 or track.rows != source.accel.rows:
         raise UsageError(
             f"{track.path} is not one column as long as the acceleration ({source.accel.rows} rows)",
@@ -323,7 +283,7 @@ def _stamped(
     scale, is_utc, known = _stamp_scale(file, track, rate, start, path)
     stamps, first, last, step = measured_stamps(file, track, scale, path)
     if rate is None and step is not None:
-        rate = nominal_rate(step)
+        rate = units.nominal_rate(step)
     period = 1 / rate if rate else 0.0
     problem = Problem(
         "no_start_time", f"{track.path} counts from an unknown start; times count from 1970-01-01", None, 0
@@ -346,7 +306,7 @@ def _stamp_scale(
     unit = _stated_unit(track, stated, path)
     head = head_rows(file, track, path)[:, 0]
     head = head[head > 0]
-    unit = unit or (unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
+    unit = unit or (units.unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
     if unit is None:
         raise UnreadableError(
             f"the unit of the times in {track.path} is not stated",
@@ -354,11 +314,13 @@ def _stamp_scale(
             hint="give that dataset an attribute `units` (s, ms, us or ns), "
             f"or ignore it with `--time-column {NO_COLUMN}`",
         )
-    since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
+    since = (
+        units.parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
+    )
     if since is not None and since[0]:
         return StampScale(unit, since[0]), since[1], True
-    first = float(head[0]) / PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
-    if first >= EARLIEST_ABSOLUTE_US:
+    first = float(head[0]) / units.PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
+    if first >= units.EARLIEST_ABSOLUTE_US:
         return StampScale(unit), False, True
     return StampScale(unit, start[0] if start else 0), bool(start and start[1]), start is not None
 
@@ -366,8 +328,8 @@ def _stamp_scale(
 def _stated_unit(track: Track, stated: str | None, path: Path) -> str | None:
     """The unit by attribute, or by a name such as `time_ms`."""
     if stated is None:
-        return split_time_name(track.name)[1]
-    unit = time_unit(stated)
+        return datasets.split_time_name(track.name)[1]
+    unit = units.time_unit(stated)
     if unit is None:
         raise UnreadableError(
             f"the unit {stated!r} of the times in {track.path} is not known",
@@ -379,9 +341,9 @@ def _stated_unit(track: Track, stated: str | None, path: Path) -> str | None:
 
 def _unit_by_rate(head: Any, rate: float | None) -> str | None:
     """The unit in which the steps between times fit the sampling rate within 5 %."""
-    for unit in PER_SECOND:
+    for unit in units.PER_SECOND:
         times, _ = StampScale(unit).times(head)
-        typical = typical_step(times) if len(head) > 1 else None
+        typical = units.typical_step(times) if len(head) > 1 else None
         if rate and typical and abs(typical[0] * rate / MICROSECONDS - 1) < 0.05:
             return unit
     return None
@@ -399,8 +361,8 @@ class Extras:
 def find_extras(source: Source) -> Extras:
     """Look for a gyroscope and a temperature of the same length as the acceleration."""
     file, tracks, accel = source.file, source.tracks, source.accel
-    gyro, gyro_notes = _gyro(file, find_gyro(tracks, accel), source.path)
-    temperature, notes = _temperature(file, find_temperature(tracks, accel), source.path)
+    gyro, gyro_notes = _gyro(file, datasets.find_gyro(tracks, accel), source.path)
+    temperature, notes = _temperature(file, datasets.find_temperature(tracks, accel), source.path)
     return Extras(gyro, temperature, gyro_notes + notes)
 
 
@@ -422,9 +384,9 @@ def _gyro_scale(group: Group, stated: Attributes) -> Scale | None:
     lsb = 1 / per_count if counts is None and per_count else counts
     if lsb is not None and lsb > 0:
         widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
-        return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
-    factor = per_dps(stated.text("units", "unit") or "")
-    return None if factor is None else gyro_scale(factor)
+        return units.count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
+    factor = units.per_dps(stated.text("units", "unit") or "")
+    return None if factor is None else units.gyro_scale(factor)
 
 
 def _temperature(
@@ -449,7 +411,7 @@ def _temperature_factor(file: Any, track: Track) -> float | None:
     """Units in one degree, as the dataset says; decimal fractions that say nothing are in Celsius."""
     unit = Attributes([file[track.path]]).text("units", "unit")
     if unit is not None:
-        return per_celsius(unit)
+        return units.per_celsius(unit)
     named = track.name.lower().endswith(("_c", "_degc"))
     return 1.0 if named or track.dtype.kind == "f" else None
 

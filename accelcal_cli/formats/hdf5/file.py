@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.formats import GZIP_MAGIC
+from accelcal_cli.formats._bytes import ByteSource
 
 HEAP_MAGIC = b"GCOL\x01\0\0\0"
 HEAP_HEADER = OBJECT_HEADER = 16
@@ -198,46 +198,26 @@ def missing_bytes(file: Any, path: Path) -> int:
 
 
 def _refuse_gzip(path: Path) -> None:
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(GZIP_MAGIC))
-    except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    if head == GZIP_MAGIC:
+    with ByteSource(path) as source:
+        compressed = source.compressed
+    if compressed:
         raise UnreadableError("is an HDF5 file inside gzip", path=path, hint="unpack it first with gunzip")
 
 
 def _open_error(path: Path, error: Exception, claimed: int) -> UnreadableError:
     """What h5py's complaint means for the person who has the file."""
-    text = str(error)
+    text, size, hint = str(error), 0, "copy it again from its source"
     if claimed:
         size = path.stat().st_size
-        return UnreadableError(
-            f"is cut short: {size} bytes are there of {claimed}, and what is left cannot be read",
-            path=path,
-            byte_offset=size,
-            hint="copy it again from its source",
-        )
-    if "signature not found" in text:
-        return UnreadableError(
-            "is not an HDF5 file, or its beginning is damaged",
-            path=path,
-            byte_offset=0,
-            hint="copy it again from its source",
-        )
-    if "consistency flags" in text or "already open for write" in text:
-        return UnreadableError(
-            "was not closed by the program that wrote it",
-            path=path,
-            byte_offset=0,
-            hint="close that program, or mark a copy as closed with `h5clear -s`",
-        )
-    return UnreadableError(
-        f"the structure of the HDF5 file is damaged ({_brief(error)})",
-        path=path,
-        byte_offset=0,
-        hint="copy it again from its source",
-    )
+        what = f"is cut short: {size} bytes are there of {claimed}, and what is left cannot be read"
+    elif "signature not found" in text:
+        what = "is not an HDF5 file, or its beginning is damaged"
+    elif "consistency flags" in text or "already open for write" in text:
+        what = "was not closed by the program that wrote it"
+        hint = "close that program, or mark a copy as closed with `h5clear -s`"
+    else:
+        what = f"the structure of the HDF5 file is damaged ({_brief(error)})"
+    return UnreadableError(what, path=path, byte_offset=size, hint=hint)
 
 
 def _brief(error: Exception) -> str:

@@ -17,40 +17,12 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
+from accelcal_cli.formats.hdf5 import description, units
+from accelcal_cli.formats.hdf5 import file as h5
 from accelcal_cli.formats.hdf5.datasets import Track, as_track
-from accelcal_cli.formats.hdf5.description import (
-    Axes,
-    Plan,
-    Temperature,
-    checked_rate,
-    first_temperature,
-    header_problems,
-    is_readable,
-    measured_stamps,
-)
-from accelcal_cli.formats.hdf5.file import (
-    H5PY_ERRORS,
-    Attributes,
-    attributes_of,
-    explaining,
-    h5py_guard,
-    members,
-    missing_bytes,
-    open_hdf5,
-    text_list,
-)
+from accelcal_cli.formats.hdf5.description import Axes, Plan, Temperature
 from accelcal_cli.formats.hdf5.reader import Hdf5Reader
-from accelcal_cli.formats.hdf5.units import (
-    PER_G,
-    Scale,
-    StampScale,
-    accel_unit,
-    gyro_scale,
-    nominal_rate,
-    per_celsius,
-    per_dps,
-    physical_scale,
-)
+from accelcal_cli.formats.hdf5.units import Scale, StampScale
 
 VERSION_NAMES = ("FileFormatVersion", "File_Format_Version")
 OLDEST, OLD, NEW = 2, 4, 5
@@ -88,9 +60,9 @@ class Sensor:
 def is_opal(path: Path) -> bool:
     """Whether an HDF5 file has an Opal version and sensors."""
     try:
-        with open_hdf5(path) as file:
+        with h5.open_hdf5(path) as file:
             return bool(_version(file)) and ("Sensors" in file or "CaseIdList" in file.attrs)
-    except (UnreadableError, *H5PY_ERRORS):
+    except (UnreadableError, *h5.H5PY_ERRORS):
         return False
 
 
@@ -101,9 +73,9 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
         UnreadableError: damaged, cut short, of an unsupported version, or without sensors.
         UsageError: several sensors and none chosen, or the chosen one is not there.
     """
-    with open_hdf5(path) as file:
-        missing = missing_bytes(file, path)
-        with explaining(path, missing), h5py_guard(path, "description of the recording"):
+    with h5.open_hdf5(path) as file:
+        missing = h5.missing_bytes(file, path)
+        with h5.explaining(path, missing), h5.h5py_guard(path, "description of the recording"):
             layout, sensors = _contents(file, path)
             return Hdf5Reader(_plan(file, path, _choose(sensors, options.sensor, path), layout, options))
 
@@ -124,25 +96,25 @@ def _contents(file: Any, path: Path) -> tuple[Layout, list[Sensor]]:
 
 
 def _version(file: Any) -> int | None:
-    number = Attributes([file]).number(*VERSION_NAMES)
+    number = h5.Attributes([file]).number(*VERSION_NAMES)
     return None if number is None else int(number)
 
 
 def _new_sensors(file: Any) -> list[Sensor]:
     """The sensors of a version 5 file that have an accelerometer."""
     sensors = []
-    for serial, group in members(file["Sensors"])[0]:
+    for serial, group in h5.members(file["Sensors"])[0]:
         if LAYOUTS[NEW].accel in group:
             path = f"Sensors/{serial}"
-            label = attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
+            label = h5.attributes_of(file, f"{path}/{LAYOUTS[NEW].settings}").text("Label 0", "Label 1")
             sensors.append(Sensor(serial, label or "", path))
     return sensors
 
 
 def _old_sensors(file: Any) -> list[Sensor]:
     """The sensors of an older file that have an accelerometer."""
-    groups = text_list(file.attrs["CaseIdList"])
-    labels = text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
+    groups = h5.text_list(file.attrs["CaseIdList"])
+    labels = h5.text_list(file.attrs["MonitorLabelList"]) if "MonitorLabelList" in file.attrs else []
     labels += [""] * (len(groups) - len(labels))
     found = zip(groups, labels, strict=False)
     return [Sensor(group, label, group) for group, label in found if f"{group}/{LAYOUTS[OLD].accel}" in file]
@@ -168,18 +140,19 @@ def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
 
 def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> Plan:
     accel_track = _track(file, sensor, layout.accel, path)
-    stamps, start, last, step = measured_stamps(
+    stamps, start, last, step = description.measured_stamps(
         file, _track(file, sensor, TIME, path, accel_track), StampScale("us"), path
     )
-    settings = attributes_of(file, f"{sensor.group}/{layout.settings}")
-    rate = options.rate_hz or settings.number("Sample Rate", "SampleRate") or (step and nominal_rate(step))
+    settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
+    stated_hz = settings.number("Sample Rate", "SampleRate")
+    rate = options.rate_hz or stated_hz or (step and units.nominal_rate(step))
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     gyro = _gyro(file, sensor, layout, accel_track, path)
     temperature = _temperature(file, sensor, layout, accel_track, path)
     recording = Recording(
         path=path,
         format="opal",
-        rate_hz=checked_rate(rate or None, path),
+        rate_hz=description.checked_rate(rate or None, path),
         lsb_per_g=accel.scale.lsb,
         total_bytes=path.stat().st_size,
         device=Device("Opal", sensor.serial, settings.text("Firmware Version", "VersionString1")),
@@ -191,17 +164,13 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         gyro_dps_per_lsb=None if gyro is None else gyro.dps_per_lsb,
         notes=_notes(sensor, settings),
     )
-    problems = header_problems(settings)
-    missing = missing_bytes(file, path)
+    problems = description.header_problems(settings)
+    missing = h5.missing_bytes(file, path)
     return Plan(recording, accel_track.rows, accel, stamps, gyro, temperature, problems, missing)
 
 
 def _track(file: Any, sensor: Sensor, name: str, path: Path, beside: Track | None = None) -> Track:
-    """A dataset of the sensor, as long as another one.
-
-    Raises:
-        UnreadableError: it is absent or of another shape.
-    """
+    """A dataset of the sensor, as long as another one."""
     full = f"{sensor.group}/{name}"
     node = file.get(full)
     track = as_track(f"/{full}", node) if hasattr(node, "shape") else None
@@ -222,46 +191,46 @@ def _optional(file: Any, sensor: Sensor, name: str, path: Path, beside: Track) -
 
 
 def _units(file: Any, track: Track, usual: str) -> str:
-    return Attributes([file[track.path]]).text("Units") or usual
+    return h5.Attributes([file[track.path]]).text("Units") or usual
 
 
 def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
-    unit = options.unit or accel_unit(_units(file, track, "m/s2"))
-    if unit not in PER_G:
+    unit = options.unit or units.accel_unit(_units(file, track, "m/s2"))
+    if unit not in units.PER_G:
         raise UnreadableError(
             f"the unit of {track.path} is not known or cannot be counts",
             path=path,
-            hint=f"give --unit {'|'.join(PER_G)}",
+            hint=f"give --unit {'|'.join(units.PER_G)}",
         )
-    return physical_scale(unit, track.dtype)
+    return units.physical_scale(unit, track.dtype)
 
 
 def _gyro(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> Axes | None:
     track = _optional(file, sensor, layout.gyro, path, accel)
-    factor = per_dps(_units(file, track, "rad/s")) if track is not None else None
-    if track is None or factor is None or track.width != 3 or not is_readable(file, track, path):
+    factor = units.per_dps(_units(file, track, "rad/s")) if track is not None else None
+    if track is None or factor is None or track.width != 3 or not description.is_readable(file, track, path):
         return None
-    return Axes((track,), gyro_scale(factor))
+    return Axes((track,), units.gyro_scale(factor))
 
 
 def _temperature(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> Temperature | None:
     track = _optional(file, sensor, layout.temperature, path, accel)
-    factor = per_celsius(_units(file, track, "deg C")) if track is not None else None
-    if track is None or factor is None or track.width != 1 or not is_readable(file, track, path):
+    factor = units.per_celsius(_units(file, track, "deg C")) if track is not None else None
+    if track is None or factor is None or track.width != 1 or not description.is_readable(file, track, path):
         return None
-    return first_temperature(file, track, factor, path)
+    return description.first_temperature(file, track, factor, path)
 
 
 def _range_g(file: Any, track: Track) -> float | None:
     """The smaller of the two limits that the vendor gives, in g."""
-    settings = Attributes([file[track.path]])
+    settings = h5.Attributes([file[track.path]])
     limits = [settings.number(name) for name in ("Upper Limit", "Lower Limit")]
-    unit = PER_G.get(accel_unit(_units(file, track, "m/s2")) or "")
+    unit = units.PER_G.get(units.accel_unit(_units(file, track, "m/s2")) or "")
     found = [abs(limit) for limit in limits if limit]
     return min(found) / unit if found and unit else None
 
 
-def _notes(sensor: Sensor, settings: Attributes) -> tuple[str, ...]:
+def _notes(sensor: Sensor, settings: h5.Attributes) -> tuple[str, ...]:
     zone = settings.text("Timezone")
     place = (f"worn at: {sensor.label}",) if sensor.label else ()
     return (*place, f"recorded in the time zone {zone}") if zone else place

@@ -29,40 +29,13 @@ from accelcal_cli.core.recording import (
     Reader,
     Recording,
 )
-from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog
+from accelcal_cli.formats.hdf5 import description, units
+from accelcal_cli.formats.hdf5 import file as h5
 from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
-from accelcal_cli.formats.hdf5.description import (
-    Axes,
-    Extras,
-    Plan,
-    Source,
-    Timeline,
-    checked_rate,
-    find_extras,
-    find_timeline,
-    header_problems,
-    known_zone,
-    spread_rows,
-    whole_rows_known,
-)
-from accelcal_cli.formats.hdf5.file import (
-    Attributes,
-    attributes_of,
-    explaining,
-    h5py_guard,
-    missing_bytes,
-    open_hdf5,
-)
+from accelcal_cli.formats.hdf5.description import Axes, Extras, Plan, Source, Timeline
 from accelcal_cli.formats.hdf5.rows import TrackRows
-from accelcal_cli.formats.hdf5.units import (
-    LARGEST_G,
-    PER_G,
-    Scale,
-    accel_unit,
-    count_scale,
-    millicelsius,
-    physical_scale,
-)
+from accelcal_cli.formats.hdf5.units import Scale
 
 LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
 RANGE_NAMES = ("range_g", "accel_range_g", "full_scale_g", "dynamic_range_g")
@@ -104,23 +77,23 @@ def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
         UnreadableError: damaged, cut short, or nothing in it is known as acceleration.
         UsageError: several datasets fit, or the rate, unit or counts per g are stated nowhere.
     """
-    with open_hdf5(path) as file, h5py_guard(path, "list of datasets"):
+    with h5.open_hdf5(path) as file, h5.h5py_guard(path, "list of datasets"):
         tracks, damaged = all_tracks(file)
-        missing = missing_bytes(file, path)
-        with explaining(path, missing, damaged), h5py_guard(path, "description of the recording"):
+        missing = h5.missing_bytes(file, path)
+        with h5.explaining(path, missing, damaged), h5.h5py_guard(path, "description of the recording"):
             if options.columns is not None:
                 group = chosen_axes(tracks, options.columns, path)
             else:
                 group = find_accel(tracks, path, options.sensor)
-            attributes = attributes_of(file, group[0].path)
+            attributes = h5.attributes_of(file, group[0].path)
             return Hdf5Reader(_plan(Source(file, path, options, tracks, group, attributes, damaged)))
 
 
 def _plan(source: Source) -> Plan:
-    timeline = find_timeline(source)
-    rate = checked_rate(timeline.rate_hz, source.path)
+    timeline = description.find_timeline(source)
+    rate = description.checked_rate(timeline.rate_hz, source.path)
     accel = Axes(source.group, _scale(source))
-    extras = find_extras(source)
+    extras = description.find_extras(source)
     rows = source.accel.rows
     return Plan(
         recording=_recording(source, timeline, rate, accel, extras),
@@ -129,8 +102,8 @@ def _plan(source: Source) -> Plan:
         stamps=timeline.stamps,
         gyro=extras.gyro,
         temperature=extras.temperature,
-        problems=timeline.problems + header_problems(source.attributes, source.damaged),
-        missing_bytes=missing_bytes(source.file, source.path),
+        problems=timeline.problems + description.header_problems(source.attributes, source.damaged),
+        missing_bytes=h5.missing_bytes(source.file, source.path),
     )
 
 
@@ -138,7 +111,7 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
     attributes = source.attributes
     rows = source.accel.rows
     zone, zone_notes = _zone(source, timeline)
-    known = whole_rows_known(accel, timeline.stamps, extras.gyro)
+    known = description.whole_rows_known(accel, timeline.stamps, extras.gyro)
     return Recording(
         path=source.path,
         format="hdf5",
@@ -159,7 +132,7 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
     )
 
 
-def _range(attributes: Attributes) -> float | None:
+def _range(attributes: h5.Attributes) -> float | None:
     value = attributes.number(*RANGE_NAMES)
     return value if value is not None and 0 < value <= 1000 else None
 
@@ -171,7 +144,7 @@ def _zone(source: Source, timeline: Timeline) -> tuple[str | None, tuple[str, ..
     if source.options.timezone is not None:
         return source.options.timezone, ()
     name = source.attributes.text(*ZONE_NAMES)
-    zone = known_zone(name)
+    zone = description.known_zone(name)
     if name is not None and zone is None:
         return None, (f"the time zone {name!r} is not known: times are taken as local times",)
     return zone, ()
@@ -183,7 +156,7 @@ def _scale(source: Source) -> Scale:
     dtype = np.result_type(*(item.dtype for item in source.group))
     if unit == "counts":
         return _count_scale(source, _checked_lsb(lsb, source.path), dtype)
-    return physical_scale(unit, dtype)
+    return units.physical_scale(unit, dtype)
 
 
 def _unit_and_lsb(source: Source) -> tuple[str, float | None]:
@@ -195,18 +168,18 @@ def _unit_and_lsb(source: Source) -> tuple[str, float | None]:
     whole = all(item.dtype.kind in "iu" for item in source.group)
     if lsb is not None and (whole or file_unit is None):
         return "counts", lsb
-    unit = "counts" if file_unit is None and whole else accel_unit(file_unit or "")
+    unit = "counts" if file_unit is None and whole else units.accel_unit(file_unit or "")
     if unit is not None:
         return unit, lsb
     what = f"the unit {file_unit!r} is not known" if file_unit else "the file does not state the unit"
     raise UnreadableError(
-        f"{what} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(PER_G)}|counts"
+        f"{what} of {source.accel.path}", path=source.path, hint=f"give --unit {'|'.join(units.PER_G)}|counts"
     )
 
 
 def _shared_unit_and_lsb(source: Source) -> tuple[str | None, float | None]:
     """Unit and counts per g in the attributes of the axes, which must not contradict each other."""
-    attributes = [attributes_of(source.file, item.path) for item in source.group]
+    attributes = [h5.attributes_of(source.file, item.path) for item in source.group]
     units = {found.text("units", "unit") for found in attributes} - {None}
     scales = {found.number(*LSB_NAMES) for found in attributes} - {None}
     if len(units) > 1 or len(scales) > 1:
@@ -221,7 +194,7 @@ def _checked_lsb(lsb: float | None, path: Path) -> float:
         raise UnreadableError(
             "the file does not state the counts per g", path=path, hint="give --lsb-per-g N"
         )
-    if not 0 < lsb <= FLOAT_LSB_PER_G * LARGEST_G:
+    if not 0 < lsb <= FLOAT_LSB_PER_G * units.LARGEST_G:
         raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
     return lsb
 
@@ -230,11 +203,11 @@ def _count_scale(source: Source, lsb: float, dtype: np.dtype[Any]) -> Scale:
     """Counts as they are; those with decimal fractions (averages) on the grid of fractions."""
     if dtype.kind == "f":
         for item in source.group:
-            seen = spread_rows(source.file, item, source.path)
+            seen = description.spread_rows(source.file, item, source.path)
             seen = seen[np.isfinite(seen)]
             if np.any(seen != np.rint(seen)):
-                return Scale(FLOAT_LSB_PER_G, lsb, LARGEST_G)
-    return count_scale(lsb, dtype)
+                return Scale(FLOAT_LSB_PER_G, lsb, units.LARGEST_G)
+    return units.count_scale(lsb, dtype)
 
 
 class Hdf5Reader(Reader):
@@ -260,7 +233,7 @@ class Hdf5Reader(Reader):
 
     def _refuse(self) -> None:
         plan, path = self._plan, self.recording.path
-        with explaining(path, plan.missing_bytes):
+        with h5.explaining(path, plan.missing_bytes):
             raise UnreadableError(
                 f"none of the {plan.rows} rows of {plan.accel.tracks[0].path} is usable",
                 path=path,
@@ -279,8 +252,8 @@ class Hdf5Reader(Reader):
 
     def _pieces(self, start: int, stop: int, chunk_samples: int) -> Generator[Chunk, None, None]:
         path = self.recording.path
-        with open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
-            with explaining(path, self._plan.missing_bytes), h5py_guard(path, "datasets"):
+        with h5.open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
+            with h5.explaining(path, self._plan.missing_bytes), h5.h5py_guard(path, "datasets"):
                 opened = partial(TrackRows, file, path=path, pool=pool)
                 stream = _Stream(opened, self._plan, start)
             step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
@@ -353,7 +326,7 @@ class _Stream:
         self._temperatures = [opened(plan.temperature.track)] if plan.temperature else []
         self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
         problems = plan.problems if start == 0 else ()
-        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
+        self._log = ProblemLog(problems, lambda run: f"{run.count} {run.event.text}", SINGLE, rest_last=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0
@@ -406,7 +379,7 @@ class _Stream:
         if self._plan.temperature is None:
             return None
         values, good = self._temperatures[0].read(selection.start, selection.stop)
-        degrees = millicelsius(values, good, self._plan.temperature.factor)
+        degrees = units.millicelsius(values, good, self._plan.temperature.factor)
         missing = np.isnan(degrees)
         if missing.any():
             selection.note(NO_TEMPERATURE, np.flatnonzero(missing))
@@ -465,7 +438,3 @@ def _counts(sources: list[TrackRows], scale: Scale, selection: RowSelection) -> 
     for code, bad in faults.items():
         selection.leave_out((code, FAULTS[code]), bad)
     return counts
-
-
-def _message(run: Run) -> str:
-    return f"{run.count} {run.event.text}"

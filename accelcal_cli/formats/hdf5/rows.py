@@ -16,6 +16,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from concurrent.futures import Executor
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -330,9 +331,7 @@ class TrackRows:
         chunks = self._dataset.chunks
         if chunks is None:
             return False
-        expected = 1
-        for length, step in zip(self._dataset.shape, chunks, strict=True):
-            expected *= -(-length // step)
+        expected = prod(-(-length // step) for length, step in zip(self._dataset.shape, chunks, strict=True))
         try:
             return bool(self._dataset.id.get_num_chunks() != expected)
         except H5PY_ERRORS:

@@ -60,7 +60,6 @@ class _Target(io.RawIOBase):
             raise self._failure
 
     def readinto(self, buffer: Any) -> int:
-        """Read, for HDF5's own use."""
         data = self._file.read(len(buffer))
         buffer[: len(data)] = data
         return len(data)
@@ -75,11 +74,9 @@ class _Target(io.RawIOBase):
         return len(data)
 
     def seek(self, offset: int, whence: int = 0) -> int:
-        """Go to a byte."""
         return self._file.seek(offset, whence)
 
     def tell(self) -> int:
-        """The current byte."""
         return self._file.tell()
 
     def truncate(self, size: int | None = None) -> int:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from accelcal_cli.core.errors import UsageError
 
@@ -33,6 +33,7 @@ LARGEST_FRAME = 1 << 16
 LARGEST_PAGE = 1 << 24
 
 Span = tuple[int, int, str]
+T = TypeVar("T")
 
 LARGEST_BYTES = 1 << 40
 
@@ -256,6 +257,11 @@ class Keys:
         self._known.add(key)
         return self._table.get(key)
 
+    def _required(self, key: str, value: T | None) -> T:
+        if value is None:
+            raise self.error(key, "is missing")
+        return value
+
     def finish(self) -> None:
         """Refuse keys that nothing asked for."""
         for key in self._table:
@@ -268,10 +274,7 @@ class Keys:
 
     def table(self, key: str) -> Keys:
         """A table that must be there."""
-        table = self.optional_table(key)
-        if table is None:
-            raise self.error(key, "is missing")
-        return table
+        return self._required(key, self.optional_table(key))
 
     def optional_table(self, key: str) -> Keys | None:
         """A table, or None where absent."""
@@ -284,10 +287,7 @@ class Keys:
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
         """A number that must be there."""
-        value = self.optional_number(key, low, high)
-        if value is None:
-            raise self.error(key, "is missing")
-        return value
+        return self._required(key, self.optional_number(key, low, high))
 
     def optional_number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
         """A finite number within low..high, or None where absent."""
@@ -302,11 +302,8 @@ class Keys:
 
     def whole(self, key: str, default: int | None, low: int = 0) -> int:
         """A whole number from `low` on; `default` None: it must be there."""
-        value = self.raw(key)
-        if value is None:
-            value = default
-        if value is None:
-            raise self.error(key, "is missing")
+        given = self.raw(key)
+        value = self._required(key, default if given is None else given)
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.error(key, f"must be a whole number, not {value!r}")
         if value is not default and not low <= value <= LARGEST_BYTES:
@@ -322,18 +319,14 @@ class Keys:
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None) -> str:
         """One of a few words; `default` None: it must be there."""
-        value = self.text(key) or default
-        if value is None:
-            raise self.error(key, "is missing")
+        value = self._required(key, self.text(key) or default)
         if value not in allowed:
             raise self.error(key, f"is {value!r}", f"allowed: {', '.join(allowed)}")
         return value
 
     def pair(self, key: str) -> tuple[int, int]:
         """Two whole numbers that must be there."""
-        value = self.raw(key)
-        if value is None:
-            raise self.error(key, "is missing")
+        value = self._required(key, self.raw(key))
         whole = isinstance(value, list) and [type(item) for item in value] == [int, int]
         if not whole or not 0 <= value[0] < value[1]:
             raise self.error(key, f"must be two byte numbers [first, after the last], not {value!r}")

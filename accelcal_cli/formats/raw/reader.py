@@ -18,28 +18,10 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts, Device, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import crc16_pages, crc32_pages
-from accelcal_cli.formats._pages.pages import (
-    CHECKSUM,
-    ERASED,
-    GOOD,
-    NO_TEMPERATURE,
-    NONSENSE,
-    Decoded,
-    PageBlock,
-    PagedFile,
-    RawBlock,
-    bad_runs,
-    erased_pages,
-    paged_file,
-)
+from accelcal_cli.formats._pages import pages as paged
+from accelcal_cli.formats._pages import timeline as timelines
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
-from accelcal_cli.formats._pages.timeline import (
-    CoarseTimeline,
-    ExactTimeline,
-    NominalTimeline,
-    Spacing,
-    Timeline,
-)
 from accelcal_cli.formats.raw import find_layout, named_layout
 from accelcal_cli.formats.raw.layout import (
     AXES,
@@ -57,15 +39,6 @@ FLOAT_DPS_PER_LSB = 2.0**-16
 LARGEST_DPS = 32_767.0
 LARGEST_MC = 1_000_000.0
 
-CODES = {
-    "int8": "i1",
-    "uint8": "u1",
-    "int16": "i2",
-    "uint16": "u2",
-    "int32": "i4",
-    "uint32": "u4",
-    "float32": "f4",
-}
 INT24 = "int24"
 INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
 SMALL, WIDE = np.iinfo(np.int16), np.iinfo(np.int32)
@@ -78,7 +51,7 @@ NO_START = "the layout gives no start time and no page time: times count from 19
 
 def number_type(endian: str, kind: str) -> np.dtype[np.generic]:
     """The numpy type of a layout's number type."""
-    return np.dtype(("<" if endian == "little" else ">") + CODES[kind])
+    return np.dtype(kind).newbyteorder("<" if endian == "little" else ">")
 
 
 def whole_range(field: Field, zero: int) -> tuple[int, int]:
@@ -86,7 +59,7 @@ def whole_range(field: Field, zero: int) -> tuple[int, int]:
     if field.type == INT24:
         low, high = INT24_RANGE
     else:
-        info = np.iinfo(np.dtype(CODES[field.type]))
+        info = np.iinfo(field.type)
         low, high = int(info.min), int(info.max)
     return low - zero, high - zero
 
@@ -164,7 +137,8 @@ class FrameValues:
         raw = self._raw(records, "temperature").astype(np.float64)
         milli = (raw * field.scale + field.zero) * 1000
         measured = np.abs(milli) <= LARGEST_MC
-        return np.where(measured, np.rint(np.where(measured, milli, 0)), NO_TEMPERATURE).astype(np.int32)
+        whole = np.rint(np.where(measured, milli, 0))
+        return np.where(measured, whole, paged.NO_TEMPERATURE).astype(np.int32)
 
     def _raw(self, records: NDArray[np.void], name: str) -> NDArray[Any]:
         """One field as numbers, (n,)."""
@@ -239,8 +213,8 @@ class FrameDecoder:
         status = self._status(pages)
         rows = self._used_rows(pages, limit, status)
         unused_end = bool((rows < limit)[-1:].any())
-        good = status == GOOD
-        runs = bad_runs(status, raw.first_position)
+        good = status == paged.GOOD
+        runs = paged.bad_runs(status, raw.first_position)
         if not good.all():
             pages, rows = pages[good], rows[good]
         block = self._block(pages, rows, raw.first_position + np.flatnonzero(good))
@@ -257,10 +231,10 @@ class FrameDecoder:
         return np.concatenate((raw.pages, last)), raw.tail[used:], frames
 
     def _status(self, pages: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        status = np.full(len(pages), GOOD, np.uint8)
+        status = np.full(len(pages), paged.GOOD, np.uint8)
         if self._layout.checksum is not None:
-            status[~self._intact(pages, self._layout.checksum)] = CHECKSUM
-        status[erased_pages(pages)] = ERASED
+            status[~self._intact(pages, self._layout.checksum)] = paged.CHECKSUM
+        status[paged.erased_pages(pages)] = paged.ERASED
         return status
 
     def _intact(self, pages: NDArray[np.uint8], crc: Checksum) -> NDArray[np.bool_]:
@@ -290,13 +264,13 @@ class FrameDecoder:
         """Frames of each page without the erased ones at its end, (p,); marks pages without any."""
         frames = self._frames(pages)
         rows = limit.copy()
-        ended = (frames[:, -UNUSED_FRAMES:] == 0xFF).all(axis=(1, 2)) & (status == GOOD)
+        ended = (frames[:, -UNUSED_FRAMES:] == 0xFF).all(axis=(1, 2)) & (status == paged.GOOD)
         for page in np.flatnonzero(ended).tolist():
             used = np.flatnonzero((frames[page] != 0xFF).any(axis=1))
             last = int(used[-1]) + 1 if len(used) else 0
             if rows[page] - last >= UNUSED_FRAMES:
                 rows[page] = last
-        status[(rows == 0) & (status == GOOD)] = NONSENSE
+        status[(rows == 0) & (status == paged.GOOD)] = paged.NONSENSE
         return rows
 
     def _block(
@@ -344,7 +318,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     layout = layout_for(path, options)
     proved = layout.checksum is not None
-    file = paged_file(path, layout.header_bytes, layout.block_bytes, proved=proved)
+    file = paged.paged_file(path, layout.header_bytes, layout.block_bytes, proved=proved)
     scheme = page_scheme(file, layout)
     opening = look_inside(scheme)
     if opening is None:
@@ -396,23 +370,23 @@ def nothing_usable(file: PagedFile, layout: Layout) -> UnreadableError:
 def page_scheme(file: PagedFile, layout: Layout) -> PageScheme:
     """How this file's pages are read."""
     bits = 32 if layout.sequence is None else layout.sequence.bits
-    spacing = Spacing(rate_fraction(layout.rate_hz), layout.page_frames, bits)
+    spacing = timelines.Spacing(rate_fraction(layout.rate_hz), layout.page_frames, bits)
     return PageScheme(file, spacing, FrameDecoder(layout), lambda: timeline(layout, spacing))
 
 
-def timeline(layout: Layout, spacing: Spacing) -> Timeline:
+def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
     """By page stamps where there are any, finer or coarser than a sample, else by counting."""
     if layout.stamp is None:
-        return NominalTimeline(spacing, layout.start.start_us if layout.start else 0)
+        return timelines.NominalTimeline(spacing, layout.start.start_us if layout.start else 0)
     unit = unit_us(layout.stamp)
     if unit <= float(spacing.rows_us(1)):
-        return ExactTimeline(spacing)
-    return CoarseTimeline(spacing, round(unit))
+        return timelines.ExactTimeline(spacing)
+    return timelines.CoarseTimeline(spacing, round(unit))
 
 
 def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: ReadOptions) -> Recording:
     """The file's description."""
-    values, length = FrameValues(layout), extent(scheme, opening)
+    values, (samples, duration_s) = FrameValues(layout), extent(scheme, opening)
     start, stamped = layout.start, layout.stamp is not None
     zone = None if stamped or start is None else start.timezone
     ignored = ("start_time of the layout is not used: the pages carry their own times",)
@@ -426,9 +400,9 @@ def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: Rea
         range_g=layout.range_g,
         start_us=opening.start_us if stamped or start else None,
         timezone=options.timezone or zone,
-        samples=length.samples,
-        duration_s=length.duration_s,
-        has_temperature=opening.temperature_mc != NO_TEMPERATURE,
+        samples=samples,
+        duration_s=duration_s,
+        has_temperature=opening.temperature_mc != paged.NO_TEMPERATURE,
         gyro_dps_per_lsb=values.dps_per_lsb,
         notes=ignored if stamped and start else (),
     )
