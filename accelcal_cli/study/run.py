@@ -17,7 +17,7 @@ from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
 from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
 from accelcal_cli.study.records import OWN, Entry, Item, RecordingState
-from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, results, threads_of
+from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
 from accelcal_cli.study.summary import Summary
 from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
 
@@ -165,9 +165,8 @@ class StudyRun:
         return [*(one.own for one in standing), *later, *self.known.pools.values()]
 
     def _calibrate(self, items: Sequence[Item]) -> None:
-        study, asked = self.study, self.study.asked()
-        request = replace(study.request, threads=threads_of(study, len(items)))
-        tasks = [CalibrationTask(item, study.out, request, asked) for item in items]
+        common = common_of(self.study, len(items))
+        tasks = [CalibrationTask(item, common) for item in items]
         for item, result in results(self.study, calibrated, tasks, self._observer):
             self.worked.add(item.name)
             self._ledger.add(result.entry)
