@@ -8,14 +8,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import (
-    FILE,
-    method_options,
-    read_options,
-    reading_options,
-    settings,
-)
+from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, comma_separated, number, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
@@ -31,13 +24,13 @@ PUBLISHED = (
 
 
 @click.command("methods")
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--only", metavar="A,B", help="Compare only these optimizers.  [default: all]")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@reading_options
-@method_options
+@options.reading_options
+@options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Fit the same points of each RECORDING with every optimizer and judge all by the same hold-out.
 
@@ -53,7 +46,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     for path in recordings:
         try:
             with progress_bars(path.name, quiet=values["quiet"]) as bars:
-                rows += compare(path, read_options(values), settings(values), names, bars)
+                rows += compare(path, options.read_options(values), options.settings(values), names, bars)
         except AccelcalError as error:
             exit_codes.say(str(error))
             failed = error.exit_code

@@ -8,14 +8,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import (
-    FILE,
-    fitting_options,
-    fitting_settings,
-    read_options,
-    reading_options,
-)
+from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, comma_separated, progress_bars
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.settings import STILLNESS
@@ -40,12 +33,12 @@ FIGURES = {
 
 
 @click.command("stillness")
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@reading_options
-@fitting_options
+@options.reading_options
+@options.fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every rule of stillness and compare the results.
 
@@ -70,8 +63,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 
 def _one(path: Path, values: dict[str, Any], bars: ProgressMaker) -> list[Row]:
-    chosen, chunk_samples = fitting_settings(values), values["chunk_samples"]
-    return rows(compare(path, read_options(values), chosen, chunk_samples, bars))
+    chosen, chunk_samples = options.fitting_settings(values), values["chunk_samples"]
+    return rows(compare(path, options.read_options(values), chosen, chunk_samples, bars))
 
 
 def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:

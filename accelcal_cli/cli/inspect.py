@@ -10,15 +10,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import (
-    FILE,
-    damage_option,
-    method_options,
-    read_options,
-    reading_options,
-    settings,
-)
+from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import stdin
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.settings import DEFAULT, Settings
@@ -30,12 +22,12 @@ QUICK = "gauss-newton"
 
 
 @click.command("inspect")
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--full", is_flag=True, help="Read everything, not just pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
-@reading_options
-@damage_option
-@method_options
+@options.reading_options
+@options.damage_option
+@options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
@@ -64,7 +56,7 @@ def _look(path: Path, values: dict[str, Any]) -> Inspection:
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(spooled(stdin())) if path == STDIN else path
         try:
-            inspection = inspect(source, read_options(values), _settings(values), full=values["full"])
+            inspection = inspect(source, options.read_options(values), _settings(values), full=values["full"])
         except AccelcalError as error:
             error.path = path if error.path == source else error.path
             raise
@@ -73,7 +65,7 @@ def _look(path: Path, values: dict[str, Any]) -> Inspection:
 
 def _settings(values: dict[str, Any]) -> Settings:
     """As for `calibrate`; a look at pieces is fitted by a quicker optimizer if none is named."""
-    wanted = settings(values)
+    wanted = options.settings(values)
     look = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
     return replace(wanted, optimizer=QUICK) if look else wanted
 
