@@ -7,4 +7,4 @@ import numpy as np
 from accelcal_cli.optimize._float import gradient_descent
 
 OPTIMIZER = gradient_descent("double", np.float64, smallest_step=2.0**-30)
-DEFAULT, fit = OPTIMIZER.settings["default"], OPTIMIZER.fit
+DEFAULT, PAPER, fit = OPTIMIZER.settings["default"], OPTIMIZER.settings["paper"], OPTIMIZER.fit

@@ -128,7 +128,7 @@ class Round:
 
 
 def common_of(study: Study, recordings: int = MANY) -> Common:
-    """What tasks on so many recordings share; all that work at a time fit the CPUs, a cluster counts its own."""
+    """What tasks on so many recordings share; a cluster counts its threads itself."""
     threads = 1 if study.dask is not None else system.threads(workers_of(study, recordings))
     return Common(study.out, replace(study.request, threads=threads), study.asked())
 

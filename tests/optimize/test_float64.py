@@ -33,7 +33,7 @@ def drawn(seed: int, number: int = 18, noise: float = 0.003) -> PointSet:
 def test_profile_paper_is_the_paper_s_iteration() -> None:
     for seed in range(5):
         held = drawn(seed)
-        found = float64.fit(held, MODELS["9"], replace(_float.PAPER, keep_history=True))
+        found = float64.fit(held, MODELS["9"], replace(float64.PAPER, keep_history=True))
         expected = paper_descent(held.xyz_g(), 50)
         assert len(found.history) == 50
         for ours, theirs in zip(found.history, expected, strict=True):
@@ -41,7 +41,7 @@ def test_profile_paper_is_the_paper_s_iteration() -> None:
 
 
 def test_profile_paper_counts_the_paper_s_operations() -> None:
-    found = float64.fit(drawn(1), MODELS["9"], _float.PAPER)
+    found = float64.fit(drawn(1), MODELS["9"], float64.PAPER)
     assert found.operations == Operations(90_150, 90_150)
 
 
@@ -74,7 +74,7 @@ def test_rates_that_are_too_large_are_halved_until_the_cost_falls() -> None:
 def test_a_descent_that_leaves_all_numbers_behind_is_an_error() -> None:
     wild = {name: 1e3 * rate for name, rate in fixed32.RATES_OF_F.items()}
     with pytest.raises(DivergedError, match="leave"):
-        float64.fit(drawn(2), MODELS["9"], replace(_float.PAPER, rates=wild))
+        float64.fit(drawn(2), MODELS["9"], replace(float64.PAPER, rates=wild))
 
 
 def test_the_gradient_is_the_slope_of_the_cost() -> None:
