@@ -15,7 +15,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import Positive, Within
-from accelcal_cli.cli.output import aligned, comma_separated, number
+from accelcal_cli.cli.output import aligned, comma_separated, number, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, with_error
@@ -182,8 +182,7 @@ def command(out: Path, **values: Any) -> int:
     device: its recordings, the fastest drift of an offset and of scale or misalignment with standard errors,
     and a verdict (service, watch, good or unknown) with the first reason.
     """
-    if values["as_json_"] and values["as_csv"]:
-        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
+    refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
     reviewed = review(out, rules, time.time())
     devices = _chosen(reviewed, values["device"], out)

@@ -35,10 +35,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="name - once")
-    codes = [_one(path, values) for path in recordings]
-    if len(codes) == 1:
-        return codes[0]
-    return exit_codes.SOME_FAILED if any(codes) else exit_codes.OK
+    return exit_codes.of_all([_one(path, values) for path in recordings])
 
 
 def _one(path: Path, values: dict[str, Any]) -> int:

@@ -59,13 +59,21 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _refuse_special(path: Path) -> None:
-    """Raise OutputError for a device, a pipe or a folder: a rename would replace it."""
+def exists(path: Path) -> bool:
+    """Whether an output is there already.
+
+    Raises:
+        OutputError: its name cannot be one.
+    """
     try:
-        special = path.exists() and not path.is_file()
+        return path.exists()
     except OSError as error:
         raise output_error(error, path) from error
-    if special:
+
+
+def _refuse_special(path: Path) -> None:
+    """Raise OutputError for a device, a pipe or a folder: a rename would replace it."""
+    if exists(path) and not path.is_file():
         raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
 
 
@@ -196,13 +204,9 @@ def written_by_us(path: Path) -> bool:
     return bool(metadata_of(path))
 
 
-def refuse_foreign(path: Path) -> None:
-    """Raise OutputError if a Parquet file exists that accelcal did not write."""
-    try:
-        exists = path.exists()
-    except OSError as error:
-        raise output_error(error, path) from error
-    if exists and not written_by_us(path):
+def refuse_foreign(path: Path, *, known: bool) -> None:
+    """Raise OutputError if a file exists that is not known to be ours."""
+    if not known and exists(path):
         raise OutputError(
             "exists and was not written by accelcal",
             path=path,
