@@ -14,6 +14,7 @@ from accelcal_cli.core.errors import printable
 from accelcal_cli.core.settings import STILLNESS
 from accelcal_cli.evaluate.methods import true_errors
 from accelcal_cli.evaluate.stillness import RAW, Comparison, Found, compare
+from accelcal_cli.output.report import rounded
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 Row = dict[str, Any]
@@ -75,7 +76,7 @@ def _cells(path: str, row: Row) -> list[Any]:
 def rows(comparison: Comparison) -> list[Row]:
     """A row for raw data and for each rule; None where there is nothing to say."""
     on = {
-        rule: {name: _rounded(error) for name, error in errors.items()}
+        rule: {name: rounded(error) for name, error in errors.items()}
         for rule, errors in comparison.errors_mg().items()
     }
     rows_of_rules = [_row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.found]
@@ -95,15 +96,11 @@ def _row(result: Found, comparison: Comparison) -> Row:
         "postures": result.postures,
         "outcome": str(result.judgement.outcome),
         "model": None if calibration is None else calibration.model,
-        "before_mg": None if holdout is None else _rounded(holdout.before.mean),
-        "after_mg": None if holdout is None else _rounded(holdout.after.mean),
+        "before_mg": None if holdout is None else rounded(holdout.before.mean),
+        "after_mg": None if holdout is None else rounded(holdout.after.mean),
         "gain_error": None if errors is None else round(errors.gain, 8),
-        "offset_error_mg": None if errors is None else _rounded(errors.offset_mg),
+        "offset_error_mg": None if errors is None else rounded(errors.offset_mg),
     }
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)
 
 
 def text(shown: list[Row]) -> str:

@@ -71,6 +71,8 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     """An inspection for people."""
     about = shown["recording"]
     device = " ".join(value for value in about["device"].values() if value) or "unknown"
+    zone = " (device clock)" if about["timezone"] is None else f" ({about['timezone']})"
+    extras = ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
     windows = f"{shown['read']['still_windows']} of {inspection.windows.complete}"
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
     lines = [
@@ -79,9 +81,9 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  device       {device}",
         f"  rate         {about['sample_rate_hz']:g} Hz{_measured(inspection)}",
         f"  scale        {about['lsb_per_g']:.10g} counts per g{_range(about['range_g'])}",
-        f"  start        {about['start_time'] or 'unknown'}{_zone(about['timezone'])}",
+        f"  start        {about['start_time'] or 'unknown'}{zone}",
         f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
-        f"  also holds   {_extras(about)}",
+        f"  also holds   {extras}",
         f"  read         {scope}: {windows} windows still",
         f"  problems     {_problems(shown)}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
@@ -99,20 +101,12 @@ def _range(range_g: float | None) -> str:
     return "" if range_g is None else f", range +-{range_g:g} g"
 
 
-def _zone(zone: str | None) -> str:
-    return " (device clock)" if zone is None else f" ({zone})"
-
-
 def _hours(seconds: float | None) -> str:
     return "unknown" if seconds is None else f"{seconds / 3600:.2f} h"
 
 
 def _samples(samples: int | None) -> str:
     return "" if samples is None else f", {samples} samples"
-
-
-def _extras(about: dict[str, Any]) -> str:
-    return ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
 
 
 def _clock(clock: dict[str, Any]) -> str:

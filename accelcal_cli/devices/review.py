@@ -247,15 +247,14 @@ def judged(records: table.Records, rules: Rules) -> Review:
     )
     levels = trends(referred.records, usage, rules)
     devices = [_reviewed(records, referred, usage, index, one) for index, one in enumerate(levels)]
-    kinds = {kind: device_group(one for one in devices if one.key.kind == kind) for kind in _kinds(devices)}
+    kinds = {
+        kind: device_group(one for one in devices if one.key.kind == kind)
+        for kind in sorted({one.key.kind for one in devices})
+    }
     devices = [replace(one, reasons=reasons(one, kinds[one.key.kind], rules)) for one in devices]
     order = tuple(Verdict)
     devices.sort(key=lambda one: order.index(one.verdict))
     return Review(records, referred, usage, tuple(devices), kinds, rules)
-
-
-def _kinds(devices: list[DeviceReview]) -> list[tuple[str, str]]:
-    return sorted({one.key.kind for one in devices})
 
 
 def _reviewed(

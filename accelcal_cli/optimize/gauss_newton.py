@@ -88,7 +88,8 @@ def _iterate(points: _float.FloatPoints, model: Model, settings: Settings) -> Fi
             raise DivergedError("the points do not determine the parameters")
         change = settings.damping * (basis @ step)
         before, now = now, now - change
-        if _settled(change, (now + before) / 2, settings.tolerance):
+        small = np.maximum(settings.tolerance * np.abs((now + before) / 2), SMALLEST_CHANGE)
+        if (np.abs(change) <= small).all():
             return Fit(_float.as_integers(_lower(now)), iteration, "small change", Operations())
     raise DivergedError(f"the fit has not converged after {settings.max_iterations} iterations")
 
@@ -105,10 +106,6 @@ def _step(points: _float.FloatPoints, basis: _float.Real, now: _float.Real) -> t
     root = np.sqrt(points.weights)
     step, _, rank, _ = np.linalg.lstsq(slopes * root[:, np.newaxis], residual * root, rcond=SINGULAR)
     return np.asarray(step), int(rank)
-
-
-def _settled(change: _float.Real, mean: _float.Real, tolerance: float) -> bool:
-    return bool((np.abs(change) <= np.maximum(tolerance * np.abs(mean), SMALLEST_CHANGE)).all())
 
 
 def _lower(now: _float.Real) -> _float.Real:

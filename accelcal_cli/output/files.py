@@ -45,12 +45,14 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written.
     """
-    _refuse_special(path)
+    if exists(path) and not path.is_file():  # a rename would replace a device, a pipe or a folder
+        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
     temporary = _name_beside(path)
     try:
         _create(temporary)
         yield temporary
-        _flush(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
         temporary.replace(path)
         _flush_folder(path.parent)
     except OSError as error:
@@ -69,12 +71,6 @@ def exists(path: Path) -> bool:
         return path.exists()
     except OSError as error:
         raise output_error(error, path) from error
-
-
-def _refuse_special(path: Path) -> None:
-    """Raise OutputError for a device, a pipe or a folder: a rename would replace it."""
-    if exists(path) and not path.is_file():
-        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
 
 
 def beside(path: Path) -> Path:
@@ -147,11 +143,6 @@ def _temporaries(folder: Path) -> list[str]:
             names = [entry.name for entry in entries if entry.name[0] == "." and entry.name.endswith(".tmp")]
         _LISTED[folder] = names, time.monotonic() + 100 * (time.monotonic() - now)
     return names
-
-
-def _flush(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def _flush_folder(folder: Path) -> None:

@@ -55,8 +55,8 @@ def _windows(data: PointsInput) -> dict[str, Any]:
         "implausible": data.implausible,
         "constant_left_out": 0,
         "used": data.rows - data.implausible,
-        "raw_error_mg": None if data.raw_error_mg is None else round(data.raw_error_mg, 4),
-        "after_error_mg": None if data.after_error_mg is None else round(data.after_error_mg, 4),
+        "raw_error_mg": reports.rounded(data.raw_error_mg),
+        "after_error_mg": reports.rounded(data.after_error_mg),
     }
 
 

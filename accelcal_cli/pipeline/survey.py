@@ -369,7 +369,7 @@ class FactsObserver(Observer):
             self.has_temperature,
             self.has_gyroscope,
             self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
-            self._utc_offset_s(),
+            utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
             self._lost_bytes,
             self._used_bytes,
             Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
@@ -379,10 +379,6 @@ class FactsObserver(Observer):
     @property
     def _dated(self) -> bool:
         return all(problem.code != "no_start_time" for problem in self.problems)
-
-    def _utc_offset_s(self) -> int | None:
-        """Of the device's clock at the start; None for a recording without a date."""
-        return utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None
 
     def _zone_change(self) -> ZoneChange | None:
         zone = self.recording.timezone

@@ -50,19 +50,17 @@ class RoundPlanner:
         What is not to be touched keeps what it has: it is never among the first.
         """
         todo, taken = [], []
+        latest, asked = self.ledger.latest, self.study.asked()
         for task in tasks:
             waits = not self.untouched.isdisjoint(task.names)
             if waits:
                 self.untouched |= set(task.names)
-            entry = self._latest(one, task) if waits else self._standing(one, task)
+            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
             if entry is not None:
                 taken.append((task, entry))
             elif not waits:
                 todo.append(task)
         return todo, taken
-
-    def _latest(self, one: Round, task: RoundTask) -> Entry | None:
-        return self.ledger.latest(task.item.name, self.study.asked(), one.name)
 
     def _standing(self, one: Round, task: RoundTask) -> Entry | None:
         """What an earlier run made of a task, if that is what would come of it now."""
