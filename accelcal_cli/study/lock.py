@@ -35,7 +35,7 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
         LockedError: a living process holds one of them, or one on another host that cannot be asked.
         OutputError: the lock cannot be written, or another one not be read.
     """
-    me = {"host": host(), "pid": os.getpid(), "started": _started(os.getpid())}
+    me = _me()
     try:
         _take(path, me)
     except OSError as error:
@@ -58,6 +58,10 @@ def _check_free(path: Path) -> None:
         raise output_error(error, path) from error
     if owner is not None and not _stale(path, owner):
         raise _refusal(path, owner)
+
+
+def _me() -> dict[str, Any]:
+    return {"host": host(), "pid": os.getpid(), "started": _started(os.getpid())}
 
 
 def _take(path: Path, me: dict[str, Any]) -> None:
