@@ -9,7 +9,7 @@ reads (0, 0, 1).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +138,8 @@ class Wearer:
         if hour >= 23 or hour < 7:
             return self._sleep(chance)
         if 20.5 <= hour < 21 and chance < 0.5:
-            return self._table()
+            bout = self._rest(self._near((TABLE,), 0.02), self.random.uniform(300, 1200))
+            return replace(bout, worn=False)
         return self._day(chance)
 
     def _sleep(self, chance: float) -> Bout:
@@ -146,10 +147,6 @@ class Wearer:
         if chance < 0.8:
             return self._rest(posture, self._minutes(9.0, 0.8))
         return self._moving(posture, self.random.uniform(5, 60), 0.15)
-
-    def _table(self) -> Bout:
-        bout = self._rest(self._near((TABLE,), 0.02), self.random.uniform(300, 1200))
-        return Bout(bout.acceleration, bout.still, worn=False)
 
     def _day(self, chance: float) -> Bout:
         if chance < 0.35:

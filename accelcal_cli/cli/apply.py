@@ -9,16 +9,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.options import (
-    FILE,
-    damage_option,
-    gravity_options,
-    place_options,
-    printing_options,
-    read_options,
-    reading_options,
-    with_given,
-)
+from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.report_reading import read_coefficients
@@ -27,11 +18,11 @@ from accelcal_cli.pipeline.jobs import Request, plan
 
 
 @click.command("apply")
-@place_options
+@options.place_options
 @click.option(
     "--coefficients",
     required=True,
-    type=FILE,
+    type=options.FILE,
     metavar="STEM.calibration.json",
     help="Report with the coefficients.",
 )
@@ -41,10 +32,10 @@ from accelcal_cli.pipeline.jobs import Request, plan
     is_flag=True,
     help="Apply them as at their reference temperature.",
 )
-@printing_options
-@reading_options
-@damage_option
-@gravity_options
+@options.printing_options
+@options.reading_options
+@options.damage_option
+@options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Apply known coefficients to each RECORDING; `-` reads standard input.
 
@@ -55,8 +46,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)
     request = Request(
-        options=read_options(values),
-        settings=replace(with_given(DEFAULT, values), temperature=not values["no_temperature"]),
+        options=options.read_options(values),
+        settings=replace(options.with_given(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

@@ -15,7 +15,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import Positive, Within
-from accelcal_cli.cli.output import aligned, comma_separated, number
+from accelcal_cli.cli.output import aligned, comma_separated, number, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, with_error
@@ -40,12 +40,14 @@ def overview(devices: Sequence[DeviceReview]) -> str:
 def _names(devices: Sequence[DeviceReview]) -> list[str]:
     """Serials; with model and format where several devices have the same."""
     often = Counter(device.key.serial for device in devices)
-    return [printable(_name(device, alone=often[device.key.serial] == 1)) for device in devices]
-
-
-def _name(device: DeviceReview, *, alone: bool) -> str:
-    key = device.key
-    return key.serial if alone else f"{key.serial} ({key.model or '-'}, {key.format or '-'})"
+    return [
+        printable(
+            key.serial
+            if often[key.serial] == 1
+            else f"{key.serial} ({key.model or '-'}, {key.format or '-'})"
+        )
+        for key in (device.key for device in devices)
+    ]
 
 
 def _line(name: str, device: DeviceReview) -> list[str]:
@@ -89,15 +91,8 @@ def detail(review: Review, device: DeviceReview) -> str:
     name = f"{key.serial} ({', '.join(filter(None, about)) or 'of unknown model'}): {device.verdict}"
     reasons = [f"  {'' if one.certain else 'perhaps: '}{one.text}" for one in device.reasons]
     temperature = [] if device.reference_c is None else [f"offsets at {device.reference_c:.1f} C"]
-    return "\n".join(
-        [printable(name), *reasons, "", *temperature, *_parameters(device), _history(review, device)]
-    )
-
-
-def _parameters(device: DeviceReview) -> list[str]:
-    if not device.trends:
-        return []
-    return [aligned(DETAIL, [_trend(trend) for trend in device.trends]), ""]
+    parameters = [aligned(DETAIL, [_trend(trend) for trend in device.trends]), ""] if device.trends else []
+    return "\n".join([printable(name), *reasons, "", *temperature, *parameters, _history(review, device)])
 
 
 def _trend(trend: Trend) -> list[str]:
@@ -182,8 +177,7 @@ def command(out: Path, **values: Any) -> int:
     device: its recordings, the fastest drift of an offset and of scale or misalignment with standard errors,
     and a verdict (service, watch, good or unknown) with the first reason.
     """
-    if values["as_json_"] and values["as_csv"]:
-        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
+    refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
     reviewed = review(out, rules, time.time())
     devices = _chosen(reviewed, values["device"], out)

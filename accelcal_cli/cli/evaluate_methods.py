@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import json
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import click
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import (
-    FILE,
-    method_options,
-    read_options,
-    reading_options,
-    settings,
-)
-from accelcal_cli.cli.output import aligned, comma_separated, number, progress_bars
-from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.cli import options
+from accelcal_cli.cli.output import aligned, comma_separated, each_recording, number, refuse_both
+from accelcal_cli.core.errors import UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
 from accelcal_cli.optimize import all_optimizers, named_optimizer
+from accelcal_cli.pipeline.jobs import ProgressMaker
 
 HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
 PUBLISHED = (
@@ -31,13 +26,13 @@ PUBLISHED = (
 
 
 @click.command("methods")
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--only", metavar="A,B", help="Compare only these optimizers.  [default: all]")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@reading_options
-@method_options
+@options.reading_options
+@options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Fit the same points of each RECORDING with every optimizer and judge all by the same hold-out.
 
@@ -45,21 +40,16 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     paper), operations are additions and multiplications where they are counted, ms is the time of
     one fit. With --profile paper: 18 points and a second set to judge by, as in the paper.
     """
-    if values["as_json_"] and values["as_csv"]:
-        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
+    refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     names = _names(values["only"])
-    rows: list[Row] = []
-    failed = 0
-    for path in recordings:
-        try:
-            with progress_bars(path.name, quiet=values["quiet"]) as bars:
-                rows += compare(path, read_options(values), settings(values), names, bars)
-        except AccelcalError as error:
-            exit_codes.say(str(error))
-            failed = error.exit_code
-    if rows:
+
+    def work(path: Path, bars: ProgressMaker) -> list[Row]:
+        return list(compare(path, options.read_options(values), options.settings(values), names, bars))
+
+    found, code = each_recording(recordings, work, quiet=values["quiet"])
+    if rows := list(chain.from_iterable(found)):
         click.echo(_shown(rows, values))
-    return exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
+    return code
 
 
 def _names(only: str | None) -> tuple[str, ...]:

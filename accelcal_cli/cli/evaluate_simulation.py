@@ -56,7 +56,7 @@ def _errors(table: Table) -> Iterator[tuple[str, ...]]:
     for scores in table.scores:
         label = scores.method.label + ("" if scores.method.model.name == "9" else SIX)
         ratios = figure(scores.ratio_to_bound), figure(table.worst_against_paper(scores))
-        yield from _pair(label, scores.mean, scores.sd, (*ratios, _failed(scores)))
+        yield from _pair(label, scores.mean, scores.sd, (*ratios, str(sum(scores.failures.values()))))
 
 
 def _pair(
@@ -68,10 +68,6 @@ def _pair(
 
 def _scaled(values: Sequence[float | None]) -> list[str]:
     return [figure(None if value is None else value / UNIT) for value in values]
-
-
-def _failed(scores: Scores) -> str:
-    return str(sum(scores.failures.values()))
 
 
 def _cost(scores: Scores) -> tuple[str, ...]:

@@ -8,19 +8,13 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import (
-    FILE,
-    fitting_options,
-    fitting_settings,
-    read_options,
-    reading_options,
-)
-from accelcal_cli.cli.output import aligned, comma_separated, progress_bars
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.cli import options
+from accelcal_cli.cli.output import aligned, comma_separated, each_recording, number, refuse_both
+from accelcal_cli.core.errors import printable
 from accelcal_cli.core.settings import STILLNESS
 from accelcal_cli.evaluate.methods import true_errors
 from accelcal_cli.evaluate.stillness import RAW, Comparison, Found, compare
+from accelcal_cli.output.report import rounded
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 Row = dict[str, Any]
@@ -40,12 +34,12 @@ FIGURES = {
 
 
 @click.command("stillness")
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
-@reading_options
-@fitting_options
+@options.reading_options
+@options.fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING by every rule of stillness and compare the results.
 
@@ -53,25 +47,17 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     calibration leaves on the points of every rule. For a simulated recording with STEM.truth.json
     beside it, also the largest error of a gain term and of an offset.
     """
-    if values["as_json"] and values["as_csv"]:
-        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
-    results: dict[str, list[Row]] = {}
-    failed = 0
-    for path in recordings:
-        try:
-            with progress_bars(path.name, quiet=values["quiet"]) as bars:
-                results[printable(path)] = _one(path, values, bars)
-        except AccelcalError as error:
-            exit_codes.say(str(error))
-            failed = error.exit_code
-    if results:
-        click.echo(_shown(results, values))
-    return exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
+    refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
 
+    def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Row]]:
+        chosen, chunk_samples = options.fitting_settings(values), values["chunk_samples"]
+        compared = compare(path, options.read_options(values), chosen, chunk_samples, bars)
+        return printable(path), rows(compared)
 
-def _one(path: Path, values: dict[str, Any], bars: ProgressMaker) -> list[Row]:
-    chosen, chunk_samples = fitting_settings(values), values["chunk_samples"]
-    return rows(compare(path, read_options(values), chosen, chunk_samples, bars))
+    found, code = each_recording(recordings, work, quiet=values["quiet"])
+    if found:
+        click.echo(_shown(dict(found), values))
+    return code
 
 
 def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
@@ -90,7 +76,7 @@ def _cells(path: str, row: Row) -> list[Any]:
 def rows(comparison: Comparison) -> list[Row]:
     """A row for raw data and for each rule; None where there is nothing to say."""
     on = {
-        rule: {name: _rounded(error) for name, error in errors.items()}
+        rule: {name: rounded(error) for name, error in errors.items()}
         for rule, errors in comparison.errors_mg().items()
     }
     rows_of_rules = [_row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.found]
@@ -110,15 +96,11 @@ def _row(result: Found, comparison: Comparison) -> Row:
         "postures": result.postures,
         "outcome": str(result.judgement.outcome),
         "model": None if calibration is None else calibration.model,
-        "before_mg": None if holdout is None else _rounded(holdout.before.mean),
-        "after_mg": None if holdout is None else _rounded(holdout.after.mean),
+        "before_mg": None if holdout is None else rounded(holdout.before.mean),
+        "after_mg": None if holdout is None else rounded(holdout.after.mean),
         "gain_error": None if errors is None else round(errors.gain, 8),
-        "offset_error_mg": None if errors is None else _rounded(errors.offset_mg),
+        "offset_error_mg": None if errors is None else rounded(errors.offset_mg),
     }
-
-
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)
 
 
 def text(shown: list[Row]) -> str:
@@ -126,17 +108,12 @@ def text(shown: list[Row]) -> str:
     known = any(row.get("gain_error") is not None for row in shown)
     columns = [name for name in FIGURES if known or name not in ("gain_error", "offset_error_mg")]
     first = [
-        [row["rule"], *(_shown_as(row[name], FIGURES[name]) for name in columns)]
+        [row["rule"], *(number(row[name], FIGURES[name]) for name in columns)]
         for row in shown
         if row["rule"] != RAW
     ]
     cross = [
-        [row["rule"], *(_shown_as(error, ".3f") for error in row["on_points_of_mg"].values())]
-        for row in shown
+        [row["rule"], *(number(error, ".3f") for error in row["on_points_of_mg"].values())] for row in shown
     ]
     head = ["rule", *(name.replace("_", " ") for name in columns)]
     return f"{aligned(head, first)}\n\n{aligned(['mg on the points of', *STILLNESS], cross)}"
-
-
-def _shown_as(value: Any, form: str) -> str:
-    return "-" if value is None else format(value, form)

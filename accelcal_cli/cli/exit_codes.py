@@ -23,6 +23,13 @@ INTERRUPTED = 130
 STDERR = 2
 
 
+def of_all(codes: list[int]) -> int:
+    """The exit code of a command that did several things: its own for a single one."""
+    if len(codes) == 1:
+        return codes[0]
+    return SOME_FAILED if any(codes) else OK
+
+
 class InterruptedBySignalError(BaseException):
     """A signal that ends the command: unwinds the stack, so that temporaries are removed."""
 

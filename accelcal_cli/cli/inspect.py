@@ -10,15 +10,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import (
-    FILE,
-    damage_option,
-    method_options,
-    read_options,
-    reading_options,
-    settings,
-)
+from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import stdin
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.settings import DEFAULT, Settings
@@ -30,12 +22,12 @@ QUICK = "gauss-newton"
 
 
 @click.command("inspect")
-@click.argument("recordings", nargs=-1, required=True, type=FILE)
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
 @click.option("--full", is_flag=True, help="Read everything, not just pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
-@reading_options
-@damage_option
-@method_options
+@options.reading_options
+@options.damage_option
+@options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
@@ -43,10 +35,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="name - once")
-    codes = [_one(path, values) for path in recordings]
-    if len(codes) == 1:
-        return codes[0]
-    return exit_codes.SOME_FAILED if any(codes) else exit_codes.OK
+    return exit_codes.of_all([_one(path, values) for path in recordings])
 
 
 def _one(path: Path, values: dict[str, Any]) -> int:
@@ -64,7 +53,7 @@ def _look(path: Path, values: dict[str, Any]) -> Inspection:
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(spooled(stdin())) if path == STDIN else path
         try:
-            inspection = inspect(source, read_options(values), _settings(values), full=values["full"])
+            inspection = inspect(source, options.read_options(values), _settings(values), full=values["full"])
         except AccelcalError as error:
             error.path = path if error.path == source else error.path
             raise
@@ -73,7 +62,7 @@ def _look(path: Path, values: dict[str, Any]) -> Inspection:
 
 def _settings(values: dict[str, Any]) -> Settings:
     """As for `calibrate`; a look at pieces is fitted by a quicker optimizer if none is named."""
-    wanted = settings(values)
+    wanted = options.settings(values)
     look = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
     return replace(wanted, optimizer=QUICK) if look else wanted
 
@@ -82,6 +71,8 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     """An inspection for people."""
     about = shown["recording"]
     device = " ".join(value for value in about["device"].values() if value) or "unknown"
+    zone = " (device clock)" if about["timezone"] is None else f" ({about['timezone']})"
+    extras = ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
     windows = f"{shown['read']['still_windows']} of {inspection.windows.complete}"
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
     lines = [
@@ -90,9 +81,9 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  device       {device}",
         f"  rate         {about['sample_rate_hz']:g} Hz{_measured(inspection)}",
         f"  scale        {about['lsb_per_g']:.10g} counts per g{_range(about['range_g'])}",
-        f"  start        {about['start_time'] or 'unknown'}{_zone(about['timezone'])}",
+        f"  start        {about['start_time'] or 'unknown'}{zone}",
         f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
-        f"  also holds   {_extras(about)}",
+        f"  also holds   {extras}",
         f"  read         {scope}: {windows} windows still",
         f"  problems     {_problems(shown)}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
@@ -110,20 +101,12 @@ def _range(range_g: float | None) -> str:
     return "" if range_g is None else f", range +-{range_g:g} g"
 
 
-def _zone(zone: str | None) -> str:
-    return " (device clock)" if zone is None else f" ({zone})"
-
-
 def _hours(seconds: float | None) -> str:
     return "unknown" if seconds is None else f"{seconds / 3600:.2f} h"
 
 
 def _samples(samples: int | None) -> str:
     return "" if samples is None else f", {samples} samples"
-
-
-def _extras(about: dict[str, Any]) -> str:
-    return ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
 
 
 def _clock(clock: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import click
 
@@ -106,6 +106,30 @@ def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[Progr
         yield make
 
 
+Found = TypeVar("Found")
+
+
+def each_recording(
+    recordings: Sequence[Path], work: Callable[[Path, ProgressMaker], Found], *, quiet: bool
+) -> tuple[list[Found], int]:
+    """What comes of every recording that can be read, and the exit code; a failure is printed."""
+    results, failed = [], 0
+    for path in recordings:
+        try:
+            with progress_bars(path.name, quiet=quiet) as bars:
+                results.append(work(path, bars))
+        except AccelcalError as error:
+            exit_codes.say(str(error))
+            failed = error.exit_code
+    return results, exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
+
+
+def refuse_both(*, as_json: bool, as_csv: bool) -> None:
+    """Raise UsageError where JSON and CSV are asked for."""
+    if as_json and as_csv:
+        raise UsageError("--json and --csv cannot be combined", hint="give one of them")
+
+
 Work = Callable[[Job, ProgressMaker, Path | None], Result]
 """Makes one recording's result; the path is where its bytes are, if not at the job's source."""
 
@@ -127,10 +151,7 @@ def run_jobs(
         values: the options `quiet`, `verbose` and `as_json`.
         written: the output that a result's line names.
     """
-    codes = [_one(job, work, values, written) for job in jobs]
-    if len(codes) == 1:
-        return codes[0]
-    return exit_codes.SOME_FAILED if any(codes) else exit_codes.OK
+    return exit_codes.of_all([_one(job, work, values, written) for job in jobs])
 
 
 def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result], Path | None]) -> int:

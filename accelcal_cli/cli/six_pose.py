@@ -8,16 +8,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.options import (
-    FILE,
-    damage_option,
-    gravity_options,
-    printing_options,
-    read_options,
-    reading_options,
-    setting_option,
-    with_given,
-)
+from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.jobs import Request, Result, plan_report
@@ -25,19 +16,21 @@ from accelcal_cli.six_pose.run import six_pose
 
 
 @click.command("six-pose")
-@click.argument("recording", type=FILE)
+@click.argument("recording", type=options.FILE)
 @click.option(
-    "--poses", type=FILE, help="CSV with start,end,ax,ay,az of each pose.  [default: find the six faces]"
+    "--poses",
+    type=options.FILE,
+    help="CSV with start,end,ax,ay,az of each pose.  [default: find the six faces]",
 )
-@click.option("-o", "--output", type=FILE, help="Name of the report (JSON).")
-@click.option("-d", "--output-dir", type=FILE, help="Folder for the report.")
-@printing_options
-@setting_option(PoseSettings, "segment_seconds")
-@setting_option(PoseSettings, "stillness_threshold_g")
-@setting_option(PoseSettings, "face_degrees")
-@reading_options
-@damage_option
-@gravity_options
+@click.option("-o", "--output", type=options.FILE, help="Name of the report (JSON).")
+@click.option("-d", "--output-dir", type=options.FILE, help="Folder for the report.")
+@options.printing_options
+@options.setting_option(PoseSettings, "segment_seconds")
+@options.setting_option(PoseSettings, "stillness_threshold_g")
+@options.setting_option(PoseSettings, "face_degrees")
+@options.reading_options
+@options.damage_option
+@options.gravity_options
 def command(recording: Path, **values: Any) -> int:
     """Calibrate from a session in which the device rested on its six faces; `-` reads standard input.
 
@@ -48,8 +41,8 @@ def command(recording: Path, **values: Any) -> int:
     inputs = [] if values["poses"] is None else [values["poses"]]
     job = plan_report(recording, values["output_dir"], values["output"], *inputs)
     request = Request(
-        options=read_options(values),
-        settings=with_given(PoseSettings(), values),
+        options=options.read_options(values),
+        settings=options.with_given(PoseSettings(), values),
         poses=values["poses"],
         report_only=True,
         chunk_samples=values["chunk_samples"],

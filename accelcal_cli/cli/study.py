@@ -239,6 +239,4 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         table = printable(study.out / f"{study.shard.basename}.csv")
         number = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
         exit_codes.say(f"{number}; see {table}")
-    if len(observer.codes) == 1 and not unfinished:
-        return observer.codes[0]
-    return exit_codes.SOME_FAILED if any(observer.codes) or unfinished else exit_codes.OK
+    return exit_codes.SOME_FAILED if unfinished else exit_codes.of_all(observer.codes)

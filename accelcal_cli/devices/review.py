@@ -14,19 +14,7 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli import __version__
-from accelcal_cli.devices.table import (
-    OFFSETS,
-    OWN,
-    PARAMETERS,
-    DeviceKey,
-    Floats,
-    Records,
-    Usage,
-    mask,
-    read,
-    usages,
-    with_error,
-)
+from accelcal_cli.devices import table
 from accelcal_cli.devices.trends import (
     DAMAGED_FROM_PERCENT,
     FEWEST_DEVICES,
@@ -76,10 +64,10 @@ class DeviceReview:
         worst_lost_percent: the most that one of its recordings lost.
     """
 
-    key: DeviceKey
+    key: table.DeviceKey
     rows: range
     firmware: tuple[str, ...]
-    counts: dict[Usage, int]
+    counts: dict[table.Usage, int]
     damaged: int
     begin: str | None
     end: str | None
@@ -89,26 +77,26 @@ class DeviceReview:
     trends: tuple[Trend, ...]
     reasons: tuple[Reason, ...] = field(default=())
 
-    def counted(self, *wanted: Usage) -> int:
+    def counted(self, *wanted: table.Usage) -> int:
         """How many recordings had one of these usages."""
         return sum(self.counts.get(use, 0) for use in wanted)
 
     @property
     def recordings(self) -> int:
         """Its recordings, copies counted once."""
-        return sum(self.counts.values()) - self.counted(Usage.COPY)
+        return sum(self.counts.values()) - self.counted(table.Usage.COPY)
 
     @property
     def refused(self) -> int:
         """Recordings that could not be calibrated by themselves."""
-        return self.counted(Usage.REFUSED, Usage.BORROWED)
+        return self.counted(table.Usage.REFUSED, table.Usage.BORROWED)
 
     @property
     def verdict(self) -> Verdict:
         """The worst that the reasons say."""
         if self.reasons:
             return Verdict.SERVICE if any(one.certain for one in self.reasons) else Verdict.WATCH
-        known = bool(self.trends) or self.counted(Usage.GOOD) > 0
+        known = bool(self.trends) or self.counted(table.Usage.GOOD) > 0
         return Verdict.GOOD if known else Verdict.UNKNOWN
 
 
@@ -160,25 +148,25 @@ def reasons(device: DeviceReview, others: DeviceGroup, rules: Rules) -> tuple[Re
 
 
 def _drifts(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
-    limits = dict(zip(PARAMETERS, rules.drifts().tolist(), strict=True))
+    limits = dict(zip(table.PARAMETERS, rules.drifts().tolist(), strict=True))
     found = [(trend, trend.drift) for trend in device.trends if trend.drift is not None]
     for trend, drift in sorted(found, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
         size = abs(drift.per_month)
         if size > limits[trend.parameter] and drift.probability < PERHAPS:
-            shown = f"{with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
+            shown = f"{table.with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
             text = f"{trend.parameter.label} drifts by {shown} a month"
             doubt = "" if drift.significant else f" (not certain from {trend.number} recordings)"
             yield Reason("drift", text + doubt, drift.significant)
 
 
 def _levels(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
-    limits = dict(zip(PARAMETERS, rules.levels().tolist(), strict=True))
+    limits = dict(zip(table.PARAMETERS, rules.levels().tolist(), strict=True))
     for trend in sorted(device.trends, key=lambda one: -abs(one.value) / limits[one.parameter]):
         beyond = abs(trend.value) - limits[trend.parameter]
         if beyond > 0:
             unit = trend.parameter.unit
             limit = f"limit {limits[trend.parameter]:g} {unit}"
-            text = f"{trend.parameter.label} is {with_error(trend.value, trend.error)} {unit} ({limit})"
+            text = f"{trend.parameter.label} is {table.with_error(trend.value, trend.error)} {unit} ({limit})"
             yield Reason("level", text, beyond > SIGNIFICANT * trend.error)
 
 
@@ -190,7 +178,7 @@ def _outlying(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterat
         text = (
             f"held-out error {device.held_out_mg:.1f} mg, of devices of its kind {others.held_out_mg:.1f} mg"
         )
-        yield Reason("held out", text, device.counted(*OWN) >= REPEATED)
+        yield Reason("held out", text, device.counted(*table.OWN) >= REPEATED)
 
 
 def _refused(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterator[Reason]:
@@ -231,9 +219,9 @@ class Review:
         kinds: what is usual among devices of a model and format.
     """
 
-    records: Records
+    records: table.Records
     referred: Referred
-    usage: list[Usage]
+    usage: list[table.Usage]
     devices: tuple[DeviceReview, ...]
     kinds: dict[tuple[str, str], DeviceGroup]
     rules: Rules
@@ -248,31 +236,36 @@ def review(out: Path, rules: Rules, now_s: float) -> Review:
     Raises:
         UsageError, UnreadableError: see `table.read`.
     """
-    return judged(read(out, now_s), rules)
+    return judged(table.read(out, now_s), rules)
 
 
-def judged(records: Records, rules: Rules) -> Review:
+def judged(records: table.Records, rules: Rules) -> Review:
     """Judge the devices of recordings."""
-    usage = usages(records)
-    referred = at_one_temperature(records, mask(usage, Usage.USED, Usage.UNDATED), rules.reference_c)
+    usage = table.usages(records)
+    referred = at_one_temperature(
+        records, table.mask(usage, table.Usage.USED, table.Usage.UNDATED), rules.reference_c
+    )
     levels = trends(referred.records, usage, rules)
     devices = [_reviewed(records, referred, usage, index, one) for index, one in enumerate(levels)]
-    kinds = {kind: device_group(one for one in devices if one.key.kind == kind) for kind in _kinds(devices)}
+    kinds = {
+        kind: device_group(one for one in devices if one.key.kind == kind)
+        for kind in sorted({one.key.kind for one in devices})
+    }
     devices = [replace(one, reasons=reasons(one, kinds[one.key.kind], rules)) for one in devices]
     order = tuple(Verdict)
     devices.sort(key=lambda one: order.index(one.verdict))
     return Review(records, referred, usage, tuple(devices), kinds, rules)
 
 
-def _kinds(devices: list[DeviceReview]) -> list[tuple[str, str]]:
-    return sorted({one.key.kind for one in devices})
-
-
 def _reviewed(
-    records: Records, referred: Referred, usage: list[Usage], index: int, of_device: tuple[Trend, ...]
+    records: table.Records,
+    referred: Referred,
+    usage: list[table.Usage],
+    index: int,
+    of_device: tuple[Trend, ...],
 ) -> DeviceReview:
     rows = records.rows(index)
-    single = [row for row in rows if usage[row] is not Usage.COPY]
+    single = [row for row in rows if usage[row] is not table.Usage.COPY]
     dated = [row for row in single if np.isfinite(records.days[row])]
     starts = records.text["start_time"]
     lost = [float(value) for value in np.nan_to_num(records.number["lost_percent"][single])]
@@ -292,8 +285,8 @@ def _reviewed(
     )
 
 
-def _held_out(records: Records, usage: list[Usage], rows: list[int]) -> float | None:
-    errors = [float(records.number["after_mg"][row]) for row in rows if usage[row] in OWN]
+def _held_out(records: table.Records, usage: list[table.Usage], rows: list[int]) -> float | None:
+    errors = [float(records.number["after_mg"][row]) for row in rows if usage[row] in table.OWN]
     known = [error for error in errors if np.isfinite(error)]
     return median(known) if known else None
 
@@ -302,7 +295,7 @@ DEVICE = ("serial", "device_model", "format", "device_firmware")
 TEMPERATURES = ("reference_c", "one_temperature_c")
 SAID = ("path", "start_time", "outcome")
 ERRORS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "lost_percent")
-AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in PARAMETERS[OFFSETS])
+AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in table.PARAMETERS[table.OFFSETS])
 
 
 def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
@@ -374,7 +367,7 @@ def row(review: Review, device: DeviceReview, at: int) -> dict[str, Any]:
 
 def columns() -> list[str]:
     """Names of a row's columns, in their order."""
-    parameters = [name for one in PARAMETERS for name in (one.column, f"se_{one.column}")]
+    parameters = [name for one in table.PARAMETERS for name in (one.column, f"se_{one.column}")]
     moved = [name for one in AT_ONE for name in (one, f"se_{one}")]
     return [*DEVICE, "verdict", *SAID, "use", "model", *ERRORS, *parameters, *TEMPERATURES, *moved, "message"]
 
@@ -383,18 +376,18 @@ def _parameters(review: Review, at: int) -> dict[str, float | None]:
     """Parameters with their standard errors, and the offsets at the device's one temperature."""
     records, moved = review.records, review.referred.records
     columns: dict[str, float | None] = {}
-    for index, parameter in enumerate(PARAMETERS):
+    for index, parameter in enumerate(table.PARAMETERS):
         columns[parameter.column] = _number(records.values[:, index], at)
         columns[f"se_{parameter.column}"] = _number(records.errors[:, index], at)
     columns["reference_c"] = _number(records.number["reference_c"], at)
     device = int(records.first.searchsorted(at, side="right")) - 1
     columns["one_temperature_c"] = _number(review.referred.temperature_c, device)
-    for name, index in zip(AT_ONE, range(12)[OFFSETS], strict=True):
+    for name, index in zip(AT_ONE, range(12)[table.OFFSETS], strict=True):
         columns[name] = _number(moved.values[:, index], at)
         columns[f"se_{name}"] = _number(moved.errors[:, index], at)
     return columns
 
 
-def _number(held: Floats, at: int) -> float | None:
+def _number(held: table.Floats, at: int) -> float | None:
     value = float(held[at])
     return value if isfinite(value) else None

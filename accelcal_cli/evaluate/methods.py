@@ -21,8 +21,7 @@ from accelcal_cli.core.points import Calibration, Fit, Model, PointSet
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
-from accelcal_cli.pipeline.method import Procedure, fitting, make_method
-from accelcal_cli.pipeline.survey import open_marked, survey
+from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
 
 TRUTH_SUFFIX = ".truth.json"
 TABLE_3_OF_F = (

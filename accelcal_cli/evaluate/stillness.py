@@ -22,8 +22,7 @@ from accelcal_cli.evaluate.methods import Truth, truth_beside
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
-from accelcal_cli.pipeline.method import fitting, make_method
-from accelcal_cli.pipeline.survey import open_marked, survey
+from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
 
 RAW = "raw"
 """Instead of a rule: no calibration."""

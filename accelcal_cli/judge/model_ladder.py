@@ -18,15 +18,7 @@ from accelcal_cli.core.fixed import FRACTION_BITS, ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Coverage, Holdout, Trial
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.judge.errors import (
-    clustered_error,
-    deviations_mg,
-    interval95,
-    mean,
-    per_posture,
-    summary,
-    uncertainty,
-)
+from accelcal_cli.judge import errors
 
 FitFunction = Callable[[PointSet, Model], Fit]
 
@@ -118,10 +110,10 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Hold
         fitted, unseen = points.select(fold != left_out), points.select(fold == left_out)
         where, weights, block = label[fold == left_out], unseen.weights, sample.block[fold == left_out]
         parameters = fit(fitted, model).parameters
-        before |= per_posture(deviations_mg(unseen, IDENTITY), weights, where)
-        left = deviations_mg(unseen, parameters)
-        after |= per_posture(left, weights, where)
-        blocks |= per_posture(left, weights, block)
+        before |= errors.per_posture(errors.deviations_mg(unseen, IDENTITY), weights, where)
+        left = errors.deviations_mg(unseen, parameters)
+        after |= errors.per_posture(left, weights, where)
+        blocks |= errors.per_posture(left, weights, block)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
     method = f"{number} folds of whole postures"
     posture = dict(zip(sample.block.tolist(), label.tolist(), strict=True))
@@ -131,8 +123,8 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Hold
 
 def control(points: PointSet, parameters: tuple[int, ...]) -> Holdout:
     """F's second set of points, none of which was fitted (eq. 21); every point is a posture."""
-    before = deviations_mg(points, IDENTITY).tolist()
-    after = deviations_mg(points, parameters).tolist()
+    before = errors.deviations_mg(points, IDENTITY).tolist()
+    after = errors.deviations_mg(points, parameters).tolist()
     pairs = tuple(zip(before, after, strict=True))
     return of_postures("control points (second set)", len(points), pairs, tuple(enumerate(after)))
 
@@ -145,8 +137,8 @@ def of_postures(
 ) -> Holdout:
     """The summary of (before, after) [mg] of each posture, of so many points."""
     before, after = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
-    errors = (summary(before), summary(after), interval95(after))
-    return Holdout(method, number, len(pairs), *errors, pairs, blocks)
+    summaries = errors.summary(before), errors.summary(after)
+    return Holdout(method, number, len(pairs), *summaries, errors.interval95(after), pairs, blocks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,7 +185,7 @@ def _doubt(points: PointSet, model: Model, fit: FitFunction, settings: Settings)
     """Why a model that fits the held-out postures may still be wrong elsewhere on the sphere."""
     if not model.free:
         return None
-    known = uncertainty(points, fit(points, model).parameters, model)
+    known = errors.uncertainty(points, fit(points, model).parameters, model)
     if known is None:
         return "the points do not determine it"
     if settings.model == "auto" and known.worst_direction_mg >= settings.max_error_mg:
@@ -263,4 +255,4 @@ def _ties(trial: Trial, best: Trial) -> bool:
     assert trial.holdout is not None and best.holdout is not None
     simple, full = trial.holdout.blocks, best.holdout.blocks
     differences = [a - b for (_, a), (_, b) in zip(simple, full, strict=True)]
-    return mean(differences) <= clustered_error(differences, [posture for posture, _ in full])
+    return errors.mean(differences) <= errors.clustered_error(differences, [posture for posture, _ in full])

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.fixed import LIMIT, ONE
-from accelcal_cli.core.points import IDENTITY, Fit, Model, Operations, PointSet
+from accelcal_cli.core.points import IDENTITY, Fit, Model, Operations, Optimizer, PointSet
 
 Real = NDArray[np.floating[Any]]
 ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
@@ -122,6 +122,22 @@ def as_integers(p: Real) -> tuple[int, ...]:
     return tuple(round(float(value) * ONE) for value in p)
 
 
+def least_squares(columns: Real, values: Real, weights: Real, singular: float) -> Real:
+    """Weighted least squares of (n,) values on (n, m) columns, (m,).
+
+    Args:
+        singular: singular values below this part of the largest one are taken for zero.
+
+    Raises:
+        DivergedError: the points do not determine the parameters.
+    """
+    root = np.sqrt(weights)
+    solution, _, rank, _ = np.linalg.lstsq(columns * root[:, np.newaxis], values * root, rcond=singular)
+    if rank < columns.shape[1]:
+        raise DivergedError("the points do not determine the parameters")
+    return np.asarray(solution)
+
+
 RISE_TOLERANCE = 2.0**-12
 """A rise of the cost counts from one part in 4096, as in fixed point."""
 
@@ -151,19 +167,28 @@ class Settings:
 PAPER = Settings(max_iterations=50, smallest_step=0.0)
 
 
-def descend(points: PointSet, model: Model, settings: Settings, kind: type[np.floating[Any]]) -> Fit:
-    """Fit the free parameters of a model in numbers of one kind.
+def gradient_descent(precision: str, kind: type[np.floating[Any]], smallest_step: float) -> Optimizer:
+    """The optimizer that descends in numbers of one kind.
 
-    Raises:
-        DivergedError: the descent overflows or has not converged after all its iterations.
+    Args:
+        smallest_step: by default; a step below half the last bit of the result rounds to nothing.
     """
-    if not model.free or not len(points):
-        return nothing_to_fit()
-    held = as_floats(points, kind)
-    with no_overflow():
-        if settings.smallest_step:
-            return _accelerated(held, model, settings)
-        return _forward(held, model, settings)
+    default = Settings(max_iterations=20_000, smallest_step=smallest_step)
+
+    def fit(points: PointSet, model: Model, settings: Settings = default) -> Fit:
+        if not model.free or not len(points):
+            return nothing_to_fit()
+        descent = _accelerated if settings.smallest_step else _forward
+        converted = as_floats(points, kind)
+        with no_overflow():
+            return descent(converted, model, settings)
+
+    return Optimizer(
+        name=kind.__name__,
+        title=f"gradient descent in {precision} precision (Farago, Maczak, Gingl 2024)",
+        fit=fit,
+        settings={"default": default, "paper": PAPER},
+    )
 
 
 def _rates(settings: Settings, model: Model, kind: np.dtype[Any]) -> Real:

@@ -9,19 +9,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float import (
-    FloatPoints,
-    Real,
-    as_floats,
-    as_integers,
-    cost,
-    evaluate,
-    gradient,
-    ideal,
-    no_overflow,
-    nothing_to_fit,
-    scipy_optimize,
-)
+from accelcal_cli.optimize import _float
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,27 +38,29 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
         UsageError: SciPy is not installed.
     """
     if not model.free or not len(points):
-        return nothing_to_fit()
-    minimize, free = scipy_optimize("bfgs").minimize, list(model.free)
+        return _float.nothing_to_fit()
+    minimize, free = _float.scipy_optimize("bfgs").minimize, list(model.free)
     options = {"gtol": settings.gradient_tolerance, "maxiter": settings.max_iterations}
-    with no_overflow():
-        target = partial(_cost_and_gradient, as_floats(points), free)
-        found = minimize(target, ideal()[free], jac=True, method="BFGS", options=options)
+    with _float.no_overflow():
+        target = partial(_cost_and_gradient, _float.as_floats(points), free)
+        found = minimize(target, _float.ideal()[free], jac=True, method="BFGS", options=options)
     if not float(np.abs(found.jac).max()) < settings.accepted_gradient:
         raise DivergedError(f"the fit has not converged after {int(found.nit)} iterations")
-    return Fit(as_integers(_all(found.x, free)), int(found.nit), "small gradient", Operations())
+    return Fit(_float.as_integers(_all(found.x, free)), int(found.nit), "small gradient", Operations())
 
 
-def _all(x: Real, free: list[int]) -> Real:
-    p = ideal()
+def _all(x: _float.Real, free: list[int]) -> _float.Real:
+    p = _float.ideal()
     p[free] = x
     return p
 
 
-def _cost_and_gradient(points: FloatPoints, free: list[int], x: Real) -> tuple[float, Real]:
+def _cost_and_gradient(
+    points: _float.FloatPoints, free: list[int], x: _float.Real
+) -> tuple[float, _float.Real]:
     p = _all(x, free)
-    state = evaluate(points, p)
-    return float(cost(points, state)), gradient(points, state, p)[free]
+    state = _float.evaluate(points, p)
+    return float(_float.cost(points, state)), _float.gradient(points, state, p)[free]
 
 
 OPTIMIZER = Optimizer(

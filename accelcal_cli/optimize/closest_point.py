@@ -14,15 +14,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float import (
-    FloatPoints,
-    Real,
-    as_floats,
-    as_integers,
-    ideal,
-    no_overflow,
-    nothing_to_fit,
-)
+from accelcal_cli.optimize import _float
 
 MODELS = ("0", "6", "6T")
 
@@ -57,15 +49,15 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     if model.name not in MODELS:
         raise DivergedError(f"optimizer closest-point does not fit model {model.name}")
     if not model.free or not len(points):
-        return nothing_to_fit()
-    with no_overflow():
-        return _iterate(as_floats(points), model.has_temperature, settings)
+        return _float.nothing_to_fit()
+    with _float.no_overflow():
+        return _iterate(_float.as_floats(points), model.has_temperature, settings)
 
 
-def _iterate(points: FloatPoints, warm: bool, settings: Settings) -> Fit:
+def _iterate(points: _float.FloatPoints, has_temperature: bool, settings: Settings) -> Fit:
     """a = line[0] + line[1] v + line[2] tau on each axis, refined round by round."""
     line = np.array([[0.0] * 3, [1.0] * 3, [0.0] * 3])
-    one, warmth = np.ones(len(points.v)), [points.tau] if warm else []
+    one, warmth = np.ones(len(points.v)), [points.tau] if has_temperature else []
     weights, spread = points.weights, np.inf
     for iteration in range(1, settings.max_iterations + 1):
         here = line[0] + line[1] * points.v + np.outer(points.tau, line[2])
@@ -80,22 +72,21 @@ def _iterate(points: FloatPoints, warm: bool, settings: Settings) -> Fit:
         squared = ((moved - target) ** 2).sum(axis=1)
         before, spread = spread, float(weights @ squared / weights.sum())
         if abs(before - spread) < settings.tolerance:
-            return Fit(as_integers(_parameters(line)), iteration, "small change", Operations())
+            return Fit(_float.as_integers(_parameters(line)), iteration, "small change", Operations())
         weights = points.weights / np.maximum(np.sqrt(squared), settings.nearest_g)
     raise DivergedError(f"the fit has not converged after {settings.max_iterations} iterations")
 
 
-def _regression(regressors: list[Real], target: Real, weights: Real, singular: float) -> Real:
+def _regression(
+    regressors: list[_float.Real], target: _float.Real, weights: _float.Real, singular: float
+) -> _float.Real:
     """Intercept, slope and temperature coefficient of one axis; the last is 0 where it is not asked for."""
-    columns, root = np.stack(regressors, axis=1), np.sqrt(weights)
-    found, _, rank, _ = np.linalg.lstsq(columns * root[:, np.newaxis], target * root, rcond=singular)
-    if rank < columns.shape[1]:
-        raise DivergedError("the points do not determine the parameters")
+    found = _float.least_squares(np.stack(regressors, axis=1), target, weights, singular)
     return np.append(found, np.zeros(3 - len(found)))
 
 
-def _parameters(line: Real) -> Real:
-    p = ideal()
+def _parameters(line: _float.Real) -> _float.Real:
+    p = _float.ideal()
     p[:3], p[6:9], p[9:12] = line[1], line[0] / line[1], line[2] / line[1]
     return p
 

@@ -9,18 +9,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float import (
-    FloatPoints,
-    Real,
-    as_floats,
-    as_integers,
-    cost,
-    evaluate,
-    ideal,
-    no_overflow,
-    nothing_to_fit,
-    scipy_optimize,
-)
+from accelcal_cli.optimize import _float
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +44,13 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
         UsageError: SciPy is not installed.
     """
     if not model.free or not len(points):
-        return nothing_to_fit()
-    search, free = scipy_optimize("differential-evolution").differential_evolution, list(model.free)
+        return _float.nothing_to_fit()
+    search, free = _float.scipy_optimize("differential-evolution").differential_evolution, list(model.free)
     reach = np.repeat(settings.reach, 3)[free]
-    with no_overflow():
+    with _float.no_overflow():
         found = search(
-            partial(_costs, as_floats(points), free),
-            list(zip(ideal()[free] - reach, ideal()[free] + reach, strict=True)),
+            partial(_costs, _float.as_floats(points), free),
+            list(zip(_float.ideal()[free] - reach, _float.ideal()[free] + reach, strict=True)),
             seed=settings.seed,
             popsize=settings.population,
             tol=settings.tolerance,
@@ -73,18 +62,18 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
         )
     if not found.success:
         raise DivergedError(f"the fit has not converged after {int(found.nit)} generations")
-    p = ideal()
+    p = _float.ideal()
     p[free] = found.x
-    if (np.abs(p - ideal())[free] > 0.999 * reach).any():
+    if (np.abs(p - _float.ideal())[free] > 0.999 * reach).any():
         raise DivergedError("the search ends at the edge of its box")
-    return Fit(as_integers(p), int(found.nit), "equal costs", Operations())
+    return Fit(_float.as_integers(p), int(found.nit), "equal costs", Operations())
 
 
-def _costs(points: FloatPoints, free: list[int], x: Real) -> Real:
+def _costs(points: _float.FloatPoints, free: list[int], x: _float.Real) -> _float.Real:
     """Costs of (number of parameters, k) candidates, (k,)."""
-    p = np.tile(ideal(), (x.shape[1], 1))
+    p = np.tile(_float.ideal(), (x.shape[1], 1))
     p[:, free] = x.T
-    return cost(points, evaluate(points, p))
+    return _float.cost(points, _float.evaluate(points, p))
 
 
 OPTIMIZER = Optimizer(

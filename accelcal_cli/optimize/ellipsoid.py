@@ -13,15 +13,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float import (
-    FloatPoints,
-    Real,
-    as_floats,
-    as_integers,
-    ideal,
-    no_overflow,
-    nothing_to_fit,
-)
+from accelcal_cli.optimize import _float
 
 MODELS = ("0", "3", "6")
 
@@ -49,39 +41,32 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     if model.name not in MODELS:
         raise DivergedError(f"optimizer ellipsoid does not fit model {model.name}")
     if not model.free or not len(points):
-        return nothing_to_fit()
+        return _float.nothing_to_fit()
     solve = _ellipsoid if 0 in model.free else _sphere
-    with no_overflow():
-        return Fit(as_integers(solve(as_floats(points), settings)), 1, "solved", Operations())
+    with _float.no_overflow():
+        return Fit(_float.as_integers(solve(_float.as_floats(points), settings)), 1, "solved", Operations())
 
 
-def _ellipsoid(points: FloatPoints, settings: Settings) -> Real:
+def _ellipsoid(points: _float.FloatPoints, settings: Settings) -> _float.Real:
     """From sum (q_i v_i^2 + l_i v_i) = 1: o_i = l_i / 2 q_i, and k_i^2 = q_i / (1 + sum q_i o_i^2)."""
-    found = _solve(points, np.hstack([points.v**2, points.v]), np.ones(len(points.v)), settings)
+    columns = np.hstack([points.v**2, points.v])
+    found = _float.least_squares(columns, np.ones(len(points.v)), points.weights, settings.singular)
     square, linear = found[:3], found[3:]
     if float(square.min()) <= 0:
         raise DivergedError("the points lie on no ellipsoid")
-    p = ideal()
+    p = _float.ideal()
     p[6:9] = linear / (2 * square)
     p[:3] = np.sqrt(square / (1 + float(square @ p[6:9] ** 2)))
     return p
 
 
-def _sphere(points: FloatPoints, settings: Settings) -> Real:
+def _sphere(points: _float.FloatPoints, settings: Settings) -> _float.Real:
     """From |v|^2 + sum l_i v_i = c: o_i = l_i / 2. The radius that c stands for is left aside."""
     columns = np.hstack([points.v, -np.ones((len(points.v), 1))])
-    found = _solve(points, columns, -(points.v**2).sum(axis=1), settings)
-    p = ideal()
+    found = _float.least_squares(columns, -(points.v**2).sum(axis=1), points.weights, settings.singular)
+    p = _float.ideal()
     p[6:9] = found[:3] / 2
     return p
-
-
-def _solve(points: FloatPoints, columns: Real, values: Real, settings: Settings) -> Real:
-    root = np.sqrt(points.weights)
-    found, _, rank, _ = np.linalg.lstsq(columns * root[:, np.newaxis], values * root, rcond=settings.singular)
-    if rank < columns.shape[1]:
-        raise DivergedError("the points do not determine the parameters")
-    return np.asarray(found)
 
 
 OPTIMIZER = Optimizer(

@@ -116,7 +116,7 @@ def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) ->
     k = [int(value) for value in parameters[:6]]
     sums = scale + _turned_back(k, plain) + _turned_back(k, warm)
     weight = int(points.weights.sum())
-    return [_mean_of_four(value, weight) for value in sums]
+    return [rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums]
 
 
 def _sums_of_products(left: Fixed, right: Fixed) -> list[int]:
@@ -134,10 +134,6 @@ def _turned_back(k: list[int], force: list[int]) -> list[int]:
         (k[1] * y + k[5] * z) >> FRACTION_BITS,
         (k[2] * z) >> FRACTION_BITS,
     ]
-
-
-def _mean_of_four(total: int, weight: int) -> int:
-    return rounded_quotient(4 * total * WEIGHT_ONE, weight)
 
 
 RATE_BITS = 24

@@ -4,25 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelcal_cli.core.points import Fit, Model, Optimizer, PointSet
-from accelcal_cli.optimize._float import PAPER, Settings, descend
+from accelcal_cli.optimize._float import gradient_descent
 
-DEFAULT = Settings(max_iterations=20_000, smallest_step=2.0**-23)
-"""A step below half the last bit of the result rounds to nothing."""
-
-
-def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
-    """Fit the free parameters of a model.
-
-    Raises:
-        DivergedError: the descent overflows or does not converge.
-    """
-    return descend(points, model, settings, np.float32)
-
-
-OPTIMIZER = Optimizer(
-    name="float32",
-    title="gradient descent in single precision (Farago, Maczak, Gingl 2024)",
-    fit=fit,
-    settings={"default": DEFAULT, "paper": PAPER},
-)
+OPTIMIZER = gradient_descent("single", np.float32, smallest_step=2.0**-23)
+DEFAULT, PAPER, fit = OPTIMIZER.settings["default"], OPTIMIZER.settings["paper"], OPTIMIZER.fit

@@ -16,15 +16,7 @@ import numpy as np
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float import (
-    ENTRIES,
-    FloatPoints,
-    Real,
-    as_floats,
-    as_integers,
-    no_overflow,
-    nothing_to_fit,
-)
+from accelcal_cli.optimize import _float
 
 SMALLEST_CHANGE = 1 / ONE
 """A change below the result's last bit counts as none; guards the division of eq. 8 by zero."""
@@ -63,31 +55,31 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
             does not converge.
     """
     if not model.free or not len(points):
-        return nothing_to_fit()
-    with no_overflow():
-        return _iterate(as_floats(points), model, settings)
+        return _float.nothing_to_fit()
+    with _float.no_overflow():
+        return _iterate(_float.as_floats(points), model, settings)
 
 
-def _basis(model: Model, form: Form) -> Real:
+def _basis(model: Model, form: Form) -> _float.Real:
     """Directions in which S (nine entries by rows), o and s may move, (15, number)."""
     columns = [_entries(form, index) for index in model.free if index < 6]
     if form == "full" and 3 in model.free:
-        columns += [_unit(3 * column + row) for row, column in ENTRIES[3:]]
+        columns += [_unit(3 * column + row) for row, column in _float.ENTRIES[3:]]
     columns += [_unit(index + 3) for index in model.free if index >= 6]
     return np.stack(columns, axis=1)
 
 
-def _entries(form: Form, index: int) -> Real:
-    row, column = ENTRIES[index]
+def _entries(form: Form, index: int) -> _float.Real:
+    row, column = _float.ENTRIES[index]
     unit = _unit(3 * row + column)
     return np.maximum(unit, _unit(3 * column + row)) if form == "symmetric" else unit
 
 
-def _unit(index: int) -> Real:
+def _unit(index: int) -> _float.Real:
     return np.asarray(np.eye(15)[index])
 
 
-def _iterate(points: FloatPoints, model: Model, settings: Settings) -> Fit:
+def _iterate(points: _float.FloatPoints, model: Model, settings: Settings) -> Fit:
     basis = _basis(model, settings.form)
     now = np.concatenate([np.eye(3).ravel(), np.zeros(6)])
     for iteration in range(1, settings.max_iterations + 1):
@@ -96,12 +88,13 @@ def _iterate(points: FloatPoints, model: Model, settings: Settings) -> Fit:
             raise DivergedError("the points do not determine the parameters")
         change = settings.damping * (basis @ step)
         before, now = now, now - change
-        if _settled(change, (now + before) / 2, settings.tolerance):
-            return Fit(as_integers(_lower(now)), iteration, "small change", Operations())
+        small = np.maximum(settings.tolerance * np.abs((now + before) / 2), SMALLEST_CHANGE)
+        if (np.abs(change) <= small).all():
+            return Fit(_float.as_integers(_lower(now)), iteration, "small change", Operations())
     raise DivergedError(f"the fit has not converged after {settings.max_iterations} iterations")
 
 
-def _step(points: FloatPoints, basis: Real, now: Real) -> tuple[Real, int]:
+def _step(points: _float.FloatPoints, basis: _float.Real, now: _float.Real) -> tuple[_float.Real, int]:
     """H^-1 J of eq. 6 in the directions of the basis, with the Gauss-Newton H, and H's rank."""
     s, offset, slope = now[:9].reshape(3, 3), now[9:12], now[12:]
     shifted = points.v + offset + points.tau[:, np.newaxis] * slope
@@ -115,16 +108,12 @@ def _step(points: FloatPoints, basis: Real, now: Real) -> tuple[Real, int]:
     return np.asarray(step), int(rank)
 
 
-def _settled(change: Real, mean: Real, tolerance: float) -> bool:
-    return bool((np.abs(change) <= np.maximum(tolerance * np.abs(mean), SMALLEST_CHANGE)).all())
-
-
-def _lower(now: Real) -> Real:
+def _lower(now: _float.Real) -> _float.Real:
     """The twelve parameters with the lower-triangular K of the same metric."""
     s = now[:9].reshape(3, 3)
     upper = np.linalg.cholesky((s.T @ s)[::-1, ::-1])
     k = upper.T[::-1, ::-1]
-    return np.concatenate([[k[row, column] for row, column in ENTRIES], now[9:]])
+    return np.concatenate([[k[row, column] for row, column in _float.ENTRIES], now[9:]])
 
 
 OPTIMIZER = Optimizer(

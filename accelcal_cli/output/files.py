@@ -45,12 +45,14 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises:
         OutputError: the file cannot be written.
     """
-    _refuse_special(path)
+    if exists(path) and not path.is_file():  # a rename would replace a device, a pipe or a folder
+        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
     temporary = _name_beside(path)
     try:
         _create(temporary)
         yield temporary
-        _flush(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
         temporary.replace(path)
         _flush_folder(path.parent)
     except OSError as error:
@@ -59,14 +61,16 @@ def replacing(path: Path) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
-def _refuse_special(path: Path) -> None:
-    """Raise OutputError for a device, a pipe or a folder: a rename would replace it."""
+def exists(path: Path) -> bool:
+    """Whether an output is there already.
+
+    Raises:
+        OutputError: its name cannot be one.
+    """
     try:
-        special = path.exists() and not path.is_file()
+        return path.exists()
     except OSError as error:
         raise output_error(error, path) from error
-    if special:
-        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
 
 
 def beside(path: Path) -> Path:
@@ -141,11 +145,6 @@ def _temporaries(folder: Path) -> list[str]:
     return names
 
 
-def _flush(path: Path) -> None:
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
-
-
 def _flush_folder(folder: Path) -> None:
     """Make the rename itself durable, where folders can be opened."""
     with contextlib.suppress(OSError):
@@ -196,13 +195,9 @@ def written_by_us(path: Path) -> bool:
     return bool(metadata_of(path))
 
 
-def refuse_foreign(path: Path) -> None:
-    """Raise OutputError if a Parquet file exists that accelcal did not write."""
-    try:
-        exists = path.exists()
-    except OSError as error:
-        raise output_error(error, path) from error
-    if exists and not written_by_us(path):
+def refuse_foreign(path: Path, *, known: bool) -> None:
+    """Raise OutputError if a file exists that is not known to be ours."""
+    if not known and exists(path):
         raise OutputError(
             "exists and was not written by accelcal",
             path=path,

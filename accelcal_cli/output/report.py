@@ -168,13 +168,7 @@ def trial_json(trial: Trial) -> dict[str, Any]:
 
 def problem_json(problem: Problem) -> dict[str, Any]:
     """One entry of `file_health.problems`."""
-    return {
-        "code": problem.code,
-        "message": problem.message,
-        "byte_offset": problem.byte_offset,
-        "sample": problem.sample,
-        "count": problem.count,
-    }
+    return {name: getattr(problem, name) for name in ("code", "message", "byte_offset", "sample", "count")}
 
 
 def damage_json(facts: Facts) -> dict[str, Any]:
@@ -209,6 +203,11 @@ def notes_json(recording: Recording, facts: Facts) -> list[str]:
     """The recording's notes, and the change of its zone."""
     change = facts.zone_change
     return [*recording.notes, *(() if change is None else (change.note(),))]
+
+
+def rounded(value: float | None) -> float | None:
+    """Round to four decimals, if there is a value."""
+    return None if value is None else round(value, 4)
 
 
 def significant(value: float, digits: int = 4) -> float:
@@ -410,7 +409,7 @@ class ReportInput(JudgedInput):
 def build(data: ReportInput) -> dict[str, Any]:
     """The report without `provenance`: the same for the same input, settings and version."""
     raw = data.facts.still_error_mg
-    windows = {**asdict(data.windows), "raw_error_mg": None if raw is None else round(raw, 4)}
+    windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
     return document(_recording(data), _health(data), windows, data) | data.taken
 
 

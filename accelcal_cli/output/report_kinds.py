@@ -16,19 +16,12 @@ from typing import Any
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.output.report import (
-    FileHealth,
-    JudgedInput,
-    ReportRecording,
-    WindowUse,
-    document,
-    summary_json,
-)
+from accelcal_cli.output import report as reports
 from accelcal_cli.output.report_reading import Document
 
 
 @dataclass(frozen=True, slots=True)
-class PointsInput(JudgedInput):
+class PointsInput(reports.JudgedInput):
     """All that such a report is made of.
 
     Attributes:
@@ -48,10 +41,10 @@ class PointsInput(JudgedInput):
 
 def build_points(data: PointsInput) -> dict[str, Any]:
     """The report without `provenance`."""
-    recording = ReportRecording(
+    recording = reports.ReportRecording(
         path=printable(data.path), sha256=data.sha256, bytes=data.bytes, format="points", samples=data.rows
     )
-    return document(recording, FileHealth(), _windows(data), data)
+    return reports.document(recording, reports.FileHealth(), _windows(data), data)
 
 
 def _windows(data: PointsInput) -> dict[str, Any]:
@@ -62,8 +55,8 @@ def _windows(data: PointsInput) -> dict[str, Any]:
         "implausible": data.implausible,
         "constant_left_out": 0,
         "used": data.rows - data.implausible,
-        "raw_error_mg": None if data.raw_error_mg is None else round(data.raw_error_mg, 4),
-        "after_error_mg": None if data.after_error_mg is None else round(data.after_error_mg, 4),
+        "raw_error_mg": reports.rounded(data.raw_error_mg),
+        "after_error_mg": reports.rounded(data.after_error_mg),
     }
 
 
@@ -85,7 +78,7 @@ class Member:
 
 
 @dataclass(frozen=True, slots=True)
-class PoolInput(JudgedInput):
+class PoolInput(reports.JudgedInput):
     """All that the report of a pool is made of, save the provenance.
 
     Attributes:
@@ -99,13 +92,13 @@ class PoolInput(JudgedInput):
     example: Recording
     bytes: int
     samples: int
-    windows: WindowUse
+    windows: reports.WindowUse
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
     """The report without `provenance`."""
     windows = {**asdict(data.windows), "raw_error_mg": None}
-    report = document(_pool_recording(data), FileHealth(), windows, data)
+    report = reports.document(_pool_recording(data), reports.FileHealth(), windows, data)
     device = data.example.device
     section = {
         "serial": device.serial,
@@ -115,9 +108,9 @@ def build_pool(data: PoolInput) -> dict[str, Any]:
     return {**report, "pool": section}
 
 
-def _pool_recording(data: PoolInput) -> ReportRecording:
+def _pool_recording(data: PoolInput) -> reports.ReportRecording:
     example, members = data.example, data.members
-    return ReportRecording(
+    return reports.ReportRecording(
         path=printable(f"pool of {len(members)} recordings of device {example.device.serial}"),
         sha256=hashlib.sha256("".join(one.sha256 for one in members).encode()).hexdigest(),
         bytes=data.bytes,
@@ -139,7 +132,10 @@ def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str
     relative = Path(os.path.relpath(pool.path, report.parent)).as_posix()
     own = None
     if holdout is not None:
-        errors = {"before_mg": summary_json(holdout.before), "after_mg": summary_json(holdout.after)}
+        errors = {
+            "before_mg": reports.summary_json(holdout.before),
+            "after_mg": reports.summary_json(holdout.after),
+        }
         own = {"points": holdout.points, "postures": holdout.postures, **errors}
     pooled = pool.report["pool"]
     section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}

@@ -11,17 +11,10 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from accelcal_cli.core import points
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import (
-    IDENTITY,
-    MODELS,
-    PARAMETER_NAMES,
-    UPPER_NAMES,
-    Calibration,
-    TemperatureScale,
-)
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, fault, report_schema
@@ -145,7 +138,7 @@ class Coefficients:
     """
 
     document: Document
-    calibration: Calibration
+    calibration: points.Calibration
     origin: Origin
     by_content: bool = False
 
@@ -192,7 +185,7 @@ def _origin(report: Mapping[str, Any]) -> Origin:
     return Origin(applied["recording_path"], applied["recording_sha256"], device, applied["accelcal_version"])
 
 
-def calibration_of(section: Mapping[str, Any]) -> Calibration:
+def calibration_of(section: Mapping[str, Any]) -> points.Calibration:
     """The calibration of a report's `calibration` section, from its fixed-point integers.
 
     Raises:
@@ -200,8 +193,8 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
     """
     try:
         fixed_point, gravity_section, model = section["fixed_point"], section["gravity"], section["model"]
-        integers = {name: fixed_point["parameters"][name] for name in PARAMETER_NAMES}
-        upper = {name: fixed_point["parameters"].get(name, 0) for name in UPPER_NAMES}
+        integers = {name: fixed_point["parameters"][name] for name in points.PARAMETER_NAMES}
+        upper = {name: fixed_point["parameters"].get(name, 0) for name in points.UPPER_NAMES}
         scale = _scale(fixed_point["temperature_reference_mc"], fixed_point["temperature_span_c"])
         gravity = Gravity(gravity_section["latitude"], gravity_section["altitude"])
         gravity.local_g()
@@ -212,19 +205,19 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
     yx, zx, zy = upper.values()
-    calibration = Calibration(model, tuple(integers.values()), scale, gravity, (yx, zx, zy))
+    calibration = points.Calibration(model, tuple(integers.values()), scale, gravity, (yx, zx, zy))
     _check_model(calibration)
     return calibration
 
 
-def _scale(reference_mc: Any, span_c: Any) -> TemperatureScale | None:
+def _scale(reference_mc: Any, span_c: Any) -> points.TemperatureScale | None:
     if reference_mc is None and span_c is None:
         return None
     if type(reference_mc) is not int or reference_mc < ABSOLUTE_ZERO_MC:
         raise ValueError(f"calibration.fixed_point.temperature_reference_mc cannot be {reference_mc!r}")
     if isinstance(span_c, bool) or not isinstance(span_c, int | float) or not 0 < span_c < 1e6:
         raise ValueError(f"calibration.fixed_point.temperature_span_c cannot be {span_c!r}")
-    return TemperatureScale(reference_mc, float(span_c))
+    return points.TemperatureScale(reference_mc, float(span_c))
 
 
 def _check_integers(named: dict[str, Any]) -> None:
@@ -233,25 +226,27 @@ def _check_integers(named: dict[str, Any]) -> None:
             raise ValueError(f"calibration.fixed_point.parameters.{name} is no 32-bit integer")
 
 
-def _check_model(calibration: Calibration) -> None:
+def _check_model(calibration: points.Calibration) -> None:
     """A parameter that the model does not have keeps its ideal value."""
-    if not isinstance(calibration.model, str) or calibration.model not in (*MODELS, FULL_GAIN):
+    if not isinstance(calibration.model, str) or calibration.model not in (*points.MODELS, FULL_GAIN):
         raise ValueError(f"calibration.model is {calibration.model!r}, which this version does not know")
     full, base = calibration.model == FULL_GAIN, calibration.model.removesuffix("T")
     if calibration.model != base + ("T" if calibration.temperature else ""):
         raise ValueError(f"model {calibration.model} and the temperature scale contradict each other")
-    free = range(9) if full else MODELS[calibration.model].free
+    free = range(9) if full else points.MODELS[calibration.model].free
     fixed = [
         name
-        for index, name in enumerate(PARAMETER_NAMES)
-        if index not in free and calibration.parameters[index] != IDENTITY[index]
+        for index, name in enumerate(points.PARAMETER_NAMES)
+        if index not in free and calibration.parameters[index] != points.IDENTITY[index]
     ]
-    fixed += [name for name, value in zip(UPPER_NAMES, calibration.upper, strict=True) if value and not full]
+    fixed += [
+        name for name, value in zip(points.UPPER_NAMES, calibration.upper, strict=True) if value and not full
+    ]
     if fixed:
         raise ValueError(f"model {calibration.model} has no parameter {fixed[0]}, but fixed_point gives one")
 
 
-def contradiction(section: Mapping[str, Any], calibration: Calibration) -> str | None:
+def contradiction(section: Mapping[str, Any], calibration: points.Calibration) -> str | None:
     """Which number of a `calibration` section is not what its own integers say, if any."""
     expected = coefficients_json(calibration)
     for name, value in expected.items():
@@ -260,7 +255,7 @@ def contradiction(section: Mapping[str, Any], calibration: Calibration) -> str |
     return None
 
 
-def implausible(calibration: Calibration) -> str | None:
+def implausible(calibration: points.Calibration) -> str | None:
     """Why no sensor can have such a calibration, or None."""
     stretch = np.linalg.svd(calibration.gain(), compute_uv=False)
     if not (stretch.min() >= STRETCH[0] and stretch.max() <= STRETCH[1]):

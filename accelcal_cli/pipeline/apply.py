@@ -24,9 +24,9 @@ from accelcal_cli.output.report_reading import COPIED, Coefficients, check_secti
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.method import Method, make_method
 from accelcal_cli.pipeline.outputs import prepare
 from accelcal_cli.pipeline.report_settings import settings_from_report
+from accelcal_cli.pipeline.survey import Method, make_method
 
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that decide the values themselves."""

@@ -20,14 +20,20 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import give_back_freed_memory
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.verdict import advised, damage_verdict
-from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.method import Method, fitting, make_method, optimizer_json
-from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
+from accelcal_cli.pipeline.survey import (
+    FactsObserver,
+    Method,
+    fitting,
+    make_method,
+    open_marked,
+    optimizer_json,
+    survey,
+)
 
 SURVEYED_AT_ONCE = 4
 """Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
@@ -97,7 +103,7 @@ class Judge:
 
     def optimizer(self) -> dict[str, Any]:
         """The report's `optimizer`; raises UsageError for an unknown one."""
-        return optimizer_json(named_optimizer(self.settings.optimizer), self.settings)
+        return optimizer_json(self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """Judge what the first pass found."""

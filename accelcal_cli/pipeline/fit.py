@@ -10,10 +10,9 @@ from accelcal_cli.core.points import IDENTITY, PointSet
 from accelcal_cli.core.settings import EffectiveSettings, Settings
 from accelcal_cli.judge.errors import deviations_mg, mean
 from accelcal_cli.judge.verdict import judge
-from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report_kinds import PointsInput, build_points
 from accelcal_cli.pipeline.jobs import sha256
-from accelcal_cli.pipeline.method import fitting, optimizer_json
+from accelcal_cli.pipeline.survey import fitting, optimizer_json
 
 NOT_NEAR = "no point is anywhere near 1 g; x, y and z must be in g"
 NO_POINTS = "the table holds no points"
@@ -45,7 +44,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
         after_error_mg=None if parameters is None else _error_mg(given.rows, parameters),
         settings=EffectiveSettings(settings, True, {"format": "points"}),
         judgement=verdict,
-        optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
+        optimizer=optimizer_json(settings),
     )
     return build_points(data)
 

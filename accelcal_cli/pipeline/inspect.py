@@ -20,8 +20,7 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
-from accelcal_cli.pipeline.method import fitting, make_method
-from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
+from accelcal_cli.pipeline.survey import FactsObserver, fitting, make_method, open_marked, survey
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15

@@ -17,7 +17,7 @@ from typing import Any
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.output.files import metadata_of, output_error, refuse_foreign, write_text, written_by_us
+from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 
@@ -42,35 +42,14 @@ def prepare(job: Job, *, force: bool) -> None:
             ) from error
     if force:
         return
-    refuse_foreign(job.parquet)
+    refuse_foreign(job.parquet, known=written_by_us(job.parquet))
     refuse_foreign_report(job.report)
-    _refuse_foreign(job.integers, known=load(job.integers) is not None)
+    refuse_foreign(job.integers, known=load(job.integers) is not None)
 
 
 def refuse_foreign_report(path: Path) -> None:
     """Raise OutputError if a file is in the way that is not a report of ours."""
-    _refuse_foreign(path, known=load_report(path) is not None)
-
-
-def _refuse_foreign(path: Path, *, known: bool) -> None:
-    if not known and exists(path):
-        raise OutputError(
-            "exists and was not written by accelcal",
-            path=path,
-            hint="move it away, or use --force to replace it",
-        )
-
-
-def exists(path: Path) -> bool:
-    """Whether an output is there already.
-
-    Raises:
-        OutputError: its name cannot be one.
-    """
-    try:
-        return path.exists()
-    except OSError as error:
-        raise output_error(error, path) from error
+    refuse_foreign(path, known=load_report(path) is not None)
 
 
 def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:

@@ -18,13 +18,13 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.verdict import SEEN, held_out, worse
-from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, calibration_of, check_sections
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.method import (
+from accelcal_cli.pipeline.outputs import prepare
+from accelcal_cli.pipeline.survey import (
     CellProcedure,
     Method,
     fitting,
@@ -32,7 +32,6 @@ from accelcal_cli.pipeline.method import (
     make_method,
     optimizer_json,
 )
-from accelcal_cli.pipeline.outputs import prepare
 
 FEWEST = 2
 """Recordings of a pool."""
@@ -135,7 +134,7 @@ def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> 
         settings=request.effective_settings(request.options.layout),
         judgement=fitted.verdict,
         windows=fitted.windows,
-        optimizer=optimizer_json(named_optimizer(settings.optimizer), settings),
+        optimizer=optimizer_json(settings),
     )
 
 

@@ -36,7 +36,9 @@ def simulate(
     path = base.with_name(base.name + encoder.suffix)
     truth_path = base.with_name(base.name + ".truth.json")
     companion = None if encoder.companion is None else base.with_name(base.name + encoder.companion.suffix)
-    _refuse_existing([path, truth_path, *([companion] if companion else [])], force=force)
+    for target in (path, truth_path, companion):
+        if target is not None and target.exists() and not force:
+            raise OutputError("exists already", path=target, hint="use --force to replace it")
     truth = Truth()
     recording = describe(plan, path, format_name)
     with replacing(path) as temporary:
@@ -59,12 +61,6 @@ def _counted(chunks: Iterator[Chunk], progress: Progress) -> Iterator[Chunk]:
     for chunk in chunks:
         yield chunk
         progress(chunk.first_sample + len(chunk))
-
-
-def _refuse_existing(paths: list[Path], *, force: bool) -> None:
-    for path in paths:
-        if path.exists() and not force:
-            raise OutputError("exists already", path=path, hint="use --force to replace it")
 
 
 def _truth_json(plan: Plan, truth: Truth, format_name: str) -> dict[str, Any]:

@@ -1,28 +1,39 @@
-"""The first pass over a recording: every chunk and every still window, once, to all observers.
+"""The first pass over a recording: how its stillness is found and judged, and what else is found on the way.
 
-What is to be found out along a recording is an `Observer`. Still windows reach the observers in batches of
-a few thousand; what comes of them does not depend on how they are batched, nor on the length of the chunks.
+`make_method` gives segmenter and procedure, by the settings' profile. `survey` shows every chunk and every
+still window, once, to all observers: what is to be found out along a recording is an `Observer`, and a
+procedure is one, too. Still windows reach the observers in batches of a few thousand; what comes of them does
+not depend on how they are batched, nor on the length of the chunks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from accelcal_cli.collect.cells import norms_g
+from accelcal_cli.collect.cells import CellCollector, norms_g
 from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
-from accelcal_cli.core.points import Windows, joined_windows
+from accelcal_cli.core.points import Optimizer, PointSet, WindowCounts, Windows, joined_windows
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
-from accelcal_cli.core.results import Facts, Gap, Jumps
+from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps
+from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import open_recording
+from accelcal_cli.judge.model_ladder import FitFunction
+from accelcal_cli.judge.verdict import NO_STILLNESS, judge, judge_paper
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.report import WindowUse
 from accelcal_cli.pipeline.jobs import Progress
+from accelcal_cli.segment import chosen_rule, window_length
 from accelcal_cli.segment.segmenter import Segmenter
+
+if TYPE_CHECKING:  # few runs use profile `paper`
+    from accelcal_cli.collect.subsets import PaperCollector
 
 BATCH_WINDOWS = 4096
 MAX_GAPS = 1000
@@ -43,6 +54,165 @@ class Observer:
     def result(self) -> Any:
         """What was found; call after the last chunk."""
         raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitting:
+    """How points are fitted and judged.
+
+    Attributes:
+        fit: the optimizer with its numbers for the settings' profile.
+        models: names of the models that it can fit.
+    """
+
+    settings: Settings
+    fit: FitFunction
+    models: tuple[str, ...]
+
+
+def fitting(settings: Settings) -> Fitting:
+    """The fitting of the settings; raises UsageError for an unknown optimizer."""
+    optimizer = named_optimizer(settings.optimizer)
+    numbers = _numbers(optimizer, settings)
+    return Fitting(settings, lambda points, model: optimizer.fit(points, model, numbers), optimizer.models)
+
+
+def optimizer_json(settings: Settings) -> dict[str, Any]:
+    """The report's `optimizer` object, before the fit; raises UsageError for an unknown optimizer."""
+    optimizer = named_optimizer(settings.optimizer)
+    numbers = asdict(_numbers(optimizer, settings))
+    return {"name": optimizer.name, "arithmetic": optimizer.arithmetic, "settings": numbers}
+
+
+def _numbers(optimizer: Optimizer, settings: Settings) -> Any:
+    """The optimizer's own numbers for the settings' profile."""
+    return optimizer.settings.get(settings.profile, optimizer.settings["default"])
+
+
+class Procedure(Observer):
+    """Takes still windows in, and judges what they hold."""
+
+    def result(self) -> PointSet:
+        """The points that are fitted."""
+        raise NotImplementedError
+
+    def judge(self, how: Fitting) -> Judgement:
+        """The verdict on all windows so far."""
+        raise NotImplementedError
+
+    def window_use(self, counts: WindowCounts) -> WindowUse:
+        """Windows by fate, of so many from the segmenter."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Method:
+    """How one recording's stillness is found and judged.
+
+    Attributes:
+        rest_lsb: raw counts that rest should measure.
+    """
+
+    segmenter: Segmenter
+    procedure: Procedure
+    rest_lsb: float
+
+
+def make_method(recording: Recording, settings: Settings) -> Method:
+    """The method of the settings for one recording."""
+    length = window_length(settings, recording.rate_hz)
+    segmenter = Segmenter(length, chosen_rule(settings, recording.lsb_per_g, length))
+    lsb_per_g = local_lsb_per_g(recording, settings)
+    return Method(segmenter, _procedure(recording, settings, lsb_per_g), lsb_per_g)
+
+
+def _procedure(recording: Recording, settings: Settings, lsb_per_g: float) -> Procedure:
+    if settings.profile == "paper":
+        from accelcal_cli.collect.subsets import PaperCollector
+
+        return PaperProcedure(PaperCollector(lsb_per_g, settings))
+    temperature = settings.temperature and recording.has_temperature
+    return CellProcedure(CellCollector(lsb_per_g, settings, temperature=temperature))
+
+
+def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
+    """Raw counts in one local g: what rest should measure."""
+    return recording.lsb_per_g * float(settings.gravity.local_g())
+
+
+class CellProcedure(Procedure):
+    """The default: orientation cells, model ladder, posture-blocked hold-out."""
+
+    def __init__(self, collector: CellCollector) -> None:
+        self.collector = collector
+
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        self.collector.add(windows)
+
+    def result(self) -> PointSet:
+        """One point a cell."""
+        return self.collector.points()
+
+    def judge(self, how: Fitting) -> Judgement:
+        """Choose a model and judge it."""
+        return judge(self.result(), how.settings, how.fit, how.models, self._why_none(how.settings))
+
+    def _why_none(self, settings: Settings) -> str:
+        """Why there are no points, if there are none."""
+        counts = self.collector.counts()
+        if settings.adaptive is not None:
+            return "no rest comes near the quietest window of the recording; use another rule of --stillness"
+        if counts.implausible:
+            return "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
+        if counts.constant:
+            return "still windows hold nothing but constant values: the device did not measure"
+        return NO_STILLNESS
+
+    def window_use(self, counts: WindowCounts) -> WindowUse:
+        """Windows by fate."""
+        cells = self.collector.counts()
+        constant = 0 if cells.constant_used else cells.constant
+        return window_use(counts, cells.implausible, constant)
+
+
+class PaperProcedure(Procedure):
+    """Profile `paper`: F's nine subsets, nine parameters, control points."""
+
+    def __init__(self, collector: PaperCollector) -> None:
+        self.collector = collector
+
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        self.collector.add(windows)
+
+    def result(self) -> PointSet:
+        """The points of the first set."""
+        return self.collector.fit.points()
+
+    def judge(self, how: Fitting) -> Judgement:
+        """Fit the first set, judge by the second."""
+        control, missing = self.collector.control, self.collector.fit.missing()
+        return judge_paper(self.result(), control.points(), missing, how.settings, how.fit, how.models)
+
+    def window_use(self, counts: WindowCounts) -> WindowUse:
+        """Windows by fate; few of the still ones are used."""
+        return window_use(counts, self.collector.implausible, 0)
+
+
+def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:
+    """Windows by fate, from the segmenter's counts and the collector's."""
+    return WindowUse(
+        complete=counts.complete,
+        moving=counts.moving,
+        filled=counts.filled,
+        clipped=counts.clipped,
+        recovered=counts.recovered,
+        joined=counts.joined,
+        implausible=implausible,
+        constant_left_out=constant,
+        used=counts.still - implausible - constant,
+    )
 
 
 def survey(
@@ -199,7 +369,7 @@ class FactsObserver(Observer):
             self.has_temperature,
             self.has_gyroscope,
             self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
-            self._utc_offset_s(),
+            utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
             self._lost_bytes,
             self._used_bytes,
             Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
@@ -209,10 +379,6 @@ class FactsObserver(Observer):
     @property
     def _dated(self) -> bool:
         return all(problem.code != "no_start_time" for problem in self.problems)
-
-    def _utc_offset_s(self) -> int | None:
-        """Of the device's clock at the start; None for a recording without a date."""
-        return utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None
 
     def _zone_change(self) -> ZoneChange | None:
         zone = self.recording.timezone

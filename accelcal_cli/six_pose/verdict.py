@@ -16,7 +16,7 @@ from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Calibration, Fit, Ope
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.judge.errors import coverage, interval95, mean, summary
-from accelcal_cli.output.report import significant, summary_json
+from accelcal_cli.output.report import rounded, significant, summary_json
 from accelcal_cli.six_pose.poses import Integers3, Matrix3, Pose, PoseError, Session, SixPoseFit, VectorErrors
 
 EQUATION = "z = K a + O"
@@ -187,10 +187,10 @@ def _pose(session: Session, pose: Pose, error: PoseError) -> dict[str, Any]:
         "reference_g": _in_g(pose.reference),
         "raw_mg": round(error.raw, 4),
         "residual_mg": round(error.residual, 4),
-        "held_out_mg": _rounded(error.held_out),
-        "held_out_norm_mg": _rounded(error.held_out_norm),
-        "held_out_tilt_degrees": _rounded(error.tilt_degrees),
-        "repeat_mg": _rounded(error.repeat),
+        "held_out_mg": rounded(error.held_out),
+        "held_out_norm_mg": rounded(error.held_out_norm),
+        "held_out_tilt_degrees": rounded(error.tilt_degrees),
+        "repeat_mg": rounded(error.repeat),
     }
 
 
@@ -202,10 +202,6 @@ def _in_g(values: Integers3) -> list[float]:
     return [to_float(value) for value in values]
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 4)
-
-
 def known_json(session: Session, fit: SixPoseFit, outcome: Outcome, vectors: VectorErrors) -> dict[str, Any]:
     """The `known_orientations` object; K and O are null where they were refused."""
     refused = outcome is Outcome.REFUSED
@@ -215,12 +211,12 @@ def known_json(session: Session, fit: SixPoseFit, outcome: Outcome, vectors: Vec
         "O": None if refused else list(fit.o),
         "standard_errors": None if refused else _errors(fit.k_errors, fit.o_errors),
         "holdout_vector_mg": {"before": summary_json(vectors.before), "after": summary_json(vectors.after)},
-        "repeat_spread_mg": _rounded(vectors.repeat_spread),
+        "repeat_spread_mg": rounded(vectors.repeat_spread),
         "orientations": session.orientations,
         "missing_faces": list(session.missing),
         "left_out": {
             "between_faces": len(session.between),
-            "between_faces_norm_mg": _rounded(fit.between_norm_mg),
+            "between_faces_norm_mg": rounded(fit.between_norm_mg),
             "short": session.short,
         },
     }

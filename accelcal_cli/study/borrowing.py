@@ -186,12 +186,9 @@ def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
     return [task(*pair) for pair in found.items()]
 
 
+@guarded
 def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
-    """Try one donor after another; whatever happens is a result."""
-    return guarded(task, lambda: _borrowed(task, report_progress))
-
-
-def _borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
+    """Try one donor after another."""
     item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
     poorer = task.own_row["outcome"] != Outcome.REFUSED
     reports = [donor.report for donor in task.donors]

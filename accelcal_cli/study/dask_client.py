@@ -152,11 +152,11 @@ DONE = "done"
 
 
 @dataclass(slots=True)
-class ClusterOptions:
-    """What a cluster is asked to do.
+class Cluster:
+    """The workers of a scheduler.
 
     Attributes:
-        told: address of the scheduler, or name of its scheduler file.
+        address: of the scheduler, or name of its scheduler file.
         work: what is done with a task.
         requirements: what a worker must be.
         limit: how many tasks the cluster is given at a time; None for as many as its workers have threads.
@@ -174,6 +174,18 @@ class ClusterOptions:
     on_progress: ProgressDelta = lambda _task, _fraction: None
     notify: Notify = lambda _text: None
     lost: Callable[[Any, str], None] = lambda _task, _owner: None
+
+    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
+        """See `Executor`.
+
+        Raises:
+            UsageError: distributed is not installed.
+            ClusterError: the scheduler cannot be reached or is lost, or a worker is unsuitable.
+            OutputError: a worker cannot write where the outputs go.
+        """
+        if tasks:
+            with connected(self.address, self.notify) as client:
+                yield from DaskSession(self, client, deque(tasks)).run()
 
 
 @dataclass(slots=True)
@@ -196,7 +208,7 @@ class DaskSession:
     No more tasks are submitted than can begin: if a worker is lost, distributed blames all that it held.
     """
 
-    options: ClusterOptions
+    cluster: Cluster
     client: Any
     waiting: deque[Any]
     name: str = field(default_factory=lambda: f"accelcal-{secrets.token_hex(6)}")
@@ -212,7 +224,7 @@ class DaskSession:
         try:
             while self.waiting or self.running:
                 self._count_workers()
-                while self.waiting and len(self.running) < (self.options.limit or max(1, self.threads)):
+                while self.waiting and len(self.running) < (self.cluster.limit or max(1, self.threads)):
                     self._submit(self.waiting.popleft(), tries=1)
                 yield from self._listen()
                 yield from self._overdue()
@@ -230,12 +242,12 @@ class DaskSession:
         except Exception as error:
             raise self._lost(error) from error
         if threads == 0 and self.threads != 0:
-            self.options.notify(f"{self.options.address} has no workers yet; waiting")
+            self.cluster.notify(f"{self.cluster.address} has no workers yet; waiting")
         self.threads = threads
 
     def _lost(self, reason: object) -> ClusterError:
         return ClusterError(
-            f"the connection to the scheduler {self.options.address} was lost ({reason})",
+            f"the connection to the scheduler {self.cluster.address} was lost ({reason})",
             hint="finished recordings are kept: run the command again",
         )
 
@@ -243,7 +255,7 @@ class DaskSession:
         self.number += 1
         key = f"{self.name}-{self.number}"
         try:
-            content = serialized_task(self.options.work, task, self.options.requirements)
+            content = serialized_task(self.cluster.work, task, self.cluster.requirements)
             future = self.client.submit(pickle.loads, content, key=key, pure=False)
         except Exception as error:
             raise self._lost(error) from error
@@ -270,7 +282,7 @@ class DaskSession:
             self._progress(running, value)
 
     def _progress(self, running: _Running, fraction: float) -> None:
-        self.options.on_progress(running.task, fraction - running.fraction)
+        self.cluster.on_progress(running.task, fraction - running.fraction)
         running.fraction = fraction
 
     def _done(self, key: str, running: _Running) -> Iterator[Finished]:
@@ -317,10 +329,10 @@ class DaskSession:
 
     def _clear(self, running: _Running, owners: list[str]) -> None:
         for owner in owners:
-            self.options.lost(running.task, owner)
+            self.cluster.lost(running.task, owner)
 
     def _overdue(self) -> Iterator[Finished]:
-        limit = self.options.timeout_s
+        limit = self.cluster.timeout_s
         if limit is None:
             return
         for key, running in list(self.running.items()):
@@ -340,20 +352,3 @@ class DaskSession:
                 key, kind, _ = self.events.get(timeout=left)
                 if kind == ENDED:
                     begun.discard(key)
-
-
-@dataclass(slots=True)
-class Cluster(ClusterOptions):
-    """The workers of a scheduler."""
-
-    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
-        """See `Executor`.
-
-        Raises:
-            UsageError: distributed is not installed.
-            ClusterError: the scheduler cannot be reached or is lost, or a worker is unsuitable.
-            OutputError: a worker cannot write where the outputs go.
-        """
-        if tasks:
-            with connected(self.address, self.notify) as client:
-                yield from DaskSession(self, client, deque(tasks)).run()

@@ -190,22 +190,19 @@ def calibrate_in_user_folder(
 
 def in_user_folder(cwd: Path, task: CalibrationTask) -> CalibrationTask:
     """The task with absolute paths."""
-    job, options = task.item.job, task.request.options
+    job, common = task.item.job, task.common
+    options = common.request.options
     there = replace(job, source=cwd / job.source, parquet=cwd / job.parquet, report=cwd / job.report)
     layout = None if options.layout is None else cwd / options.layout
-    return replace(
-        task,
-        item=replace(task.item, job=there),
-        out=cwd / task.out,
-        request=replace(task.request, options=replace(options, layout=layout)),
-        named=job.source,
-    )
+    request = replace(common.request, options=replace(options, layout=layout))
+    common = replace(common, out=cwd / common.out, request=request)
+    return replace(task, item=replace(task.item, job=there), common=common, named=job.source)
 
 
 def _as_named(cwd: Path, task: CalibrationTask, message: str) -> str:
     """A message with the folders as the user named them."""
-    layout = task.request.options.layout
-    folders = [task.item.source.parent, task.out, *([] if layout is None else [layout.parent])]
+    layout = task.common.request.options.layout
+    folders = [task.item.source.parent, task.common.out, *([] if layout is None else [layout.parent])]
     for folder in folders:
         message = message.replace(_start(cwd / folder), _start(folder))
     return message

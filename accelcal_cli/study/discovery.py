@@ -22,15 +22,7 @@ from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
 from accelcal_cli.formats import all_formats, named_format
 from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
-from accelcal_cli.pipeline.jobs import (
-    INTEGERS_SUFFIX,
-    PARQUET_SUFFIX,
-    REPORT_SUFFIX,
-    Job,
-    file_stamp,
-    real,
-    stem,
-)
+from accelcal_cli.pipeline import jobs
 from accelcal_cli.study.records import Item
 from accelcal_cli.study.summary import COLUMNS
 
@@ -80,7 +72,7 @@ def _summary(path: Path) -> bool:
         return False
 
 
-OURS = (PARQUET_SUFFIX, REPORT_SUFFIX, INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
+OURS = (jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
 TABLES = "csv"
 """The one format whose suffixes other files often have."""
 
@@ -116,8 +108,8 @@ def below_out(where: Where) -> list[Item]:
     """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
     found, every = [], replace(where, include=(), exclude=())
     for folder, place in _places(where):
-        if real(folder) in real(where.out).parents and where.out.is_dir():
-            way = real(where.out).relative_to(real(folder))
+        if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
+            way = jobs.real(where.out).relative_to(jobs.real(folder))
             found += [
                 item
                 for item in _folder(every, folder / way, f"{place}{way.as_posix()}/")
@@ -142,7 +134,7 @@ def _places(where: Where) -> list[tuple[Path, str]]:
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
     if len(where.folders) == 1:
         return [(where.folders[0], "")]
-    names = [real(folder).name for folder in where.folders]
+    names = [jobs.real(folder).name for folder in where.folders]
     twice = sorted(name for name in set(names) if names.count(name) > 1)
     if twice:
         raise UsageError(
@@ -152,15 +144,15 @@ def _places(where: Where) -> list[tuple[Path, str]]:
 
 
 def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
-    out = real(where.out)
+    out = jobs.real(where.out)
     unlisted: list[OSError] = []
     for here, folders, names in os.walk(folder, onerror=unlisted.append):
         base = Path(here)
-        inside = real(base) != out
+        inside = jobs.real(base) != out
         folders[:] = sorted(
-            name for name in folders if name[0] != "." and not (inside and real(base / name) == out)
+            name for name in folders if name[0] != "." and not (inside and jobs.real(base / name) == out)
         )
-        if base != folder and real(base) == out:
+        if base != folder and jobs.real(base) == out:
             folders.clear()
             continue
         for name in names:
@@ -197,11 +189,15 @@ def _plain(path: Path) -> bool:
 
 
 def _item(where: Where, path: Path, name: str) -> Item:
-    target = (where.out / name).parent / stem(path)
-    job = Job(
-        path, target.with_name(target.name + PARQUET_SUFFIX), target.with_name(target.name + REPORT_SUFFIX)
+    target = (where.out / name).parent / jobs.stem(path)
+    job = jobs.Job(
+        path,
+        target.with_name(target.name + jobs.PARQUET_SUFFIX),
+        target.with_name(target.name + jobs.REPORT_SUFFIX),
     )
-    return Item(name, job, tuple(file_stamp(one) for one in (path, named_layout(path), folder_layout(path))))
+    return Item(
+        name, job, tuple(jobs.file_stamp(one) for one in (path, named_layout(path), folder_layout(path)))
+    )
 
 
 def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:

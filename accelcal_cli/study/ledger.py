@@ -101,11 +101,7 @@ class Ledger:
             replacing(self.path) as temporary,
             temporary.open("w", encoding="utf-8") as file,
         ):
-            file.writelines(_line(entry) for entry in sorted(entries, key=_key))
-
-
-def _key(entry: Entry) -> tuple[str, str]:
-    return entry.name, entry.round
+            file.writelines(_line(entry) for entry in sorted(entries, key=lambda one: (one.name, one.round)))
 
 
 def _line(entry: Entry) -> str:

@@ -100,12 +100,9 @@ def _name(line: Row) -> str:
     return f"{PREFIX}{re.sub(r'[^A-Za-z0-9_-]', '_', line['device_serial'])[:40]}-{digest}"
 
 
+@guarded
 def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
-    """Fit a pool and write its report; whatever happens is an answer."""
-    return guarded(task, lambda: _make_pool(task, report_progress))
-
-
-def _make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
+    """Fit a pool and write its report."""
     request = task.common.request
     if not request.force:
         refuse_foreign_report(task.item.job.report)
@@ -161,12 +158,9 @@ def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     return found
 
 
+@guarded
 def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
-    """Apply a pool's coefficients to one of its recordings; whatever happens is an answer."""
-    return guarded(task, lambda: _pooled(task, report_progress))
-
-
-def _pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
+    """Apply a pool's coefficients to one of its recordings."""
     item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
     found = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
     if isinstance(found, str):

@@ -16,19 +16,11 @@ from accelcal_cli import __version__
 from accelcal_cli.core import system
 from accelcal_cli.core.errors import printable
 from accelcal_cli.output.files import sweep, sweep_of
+from accelcal_cli.study import records
 from accelcal_cli.study.dask_client import Cluster, Notify
 from accelcal_cli.study.dask_worker import WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.study.plan import Study
 from accelcal_cli.study.process_pool import ProcessPool
-from accelcal_cli.study.records import (
-    Entry,
-    Executor,
-    Finished,
-    Item,
-    ProgressDelta,
-    RecordingState,
-    TaskFunction,
-)
 from accelcal_cli.study.task import BUG, Common, Task, TaskResult, calibrated
 
 PRELOAD = "accelcal_cli.study.preload"
@@ -36,8 +28,12 @@ MANY = 1 << 20
 
 
 def executor_for(
-    study: Study, work: TaskFunction, recordings: int, on_progress: ProgressDelta, notify: Notify
-) -> Executor:
+    study: Study,
+    work: records.TaskFunction,
+    recordings: int,
+    on_progress: records.ProgressDelta,
+    notify: Notify,
+) -> records.Executor:
     """Processes of this machine for so many recordings, or the cluster that was named.
 
     A cluster finds the own results; what a device's recordings have in common is found here.
@@ -55,11 +51,6 @@ def workers_of(study: Study, recordings: int) -> int:
     """Processes of this machine that work at a time on so many recordings."""
     wanted = study.jobs if study.dask is None else None
     return min(wanted or system.workers(recordings), max(1, recordings))
-
-
-def threads_of(study: Study, recordings: int = MANY) -> int:
-    """Threads for one recording, so that all that work at a time fit the CPUs; a cluster counts its own."""
-    return 1 if study.dask is not None else system.threads(workers_of(study, recordings))
 
 
 def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
@@ -81,13 +72,13 @@ def tidy(task: Task, lost: str | None = None) -> None:
 class StudyObserver(Protocol):
     """Who is informed while a study runs."""
 
-    def begin(self, items: Sequence[Item]) -> None:
+    def begin(self, items: Sequence[records.Item]) -> None:
         """Before these recordings are worked on."""
 
     def advance(self, bytes_done: float) -> None:
         """So many more bytes are done."""
 
-    def finished(self, item: Item, result: TaskResult) -> None:
+    def finished(self, item: records.Item, result: TaskResult) -> None:
         """A recording's last result is there: it is done, was done before, or failed."""
 
     def note(self, text: str) -> None:
@@ -103,8 +94,8 @@ class StudyState:
         pools: what became of each pool of recordings, by its own name.
     """
 
-    standing: dict[str, RecordingState] = field(default_factory=dict)
-    pools: dict[str, Entry] = field(default_factory=dict)
+    standing: dict[str, records.RecordingState] = field(default_factory=dict)
+    pools: dict[str, records.Entry] = field(default_factory=dict)
 
 
 class RoundTask(Task, Protocol):
@@ -114,7 +105,7 @@ class RoundTask(Task, Protocol):
     def names(self) -> tuple[str, ...]:
         """Recordings whose result may change with it."""
 
-    def stands(self, entry: Entry) -> bool:
+    def stands(self, entry: records.Entry) -> bool:
         """Whether an earlier entry of the round is what would come of it now."""
 
 
@@ -131,19 +122,20 @@ class Round:
     """
 
     name: str
-    work: TaskFunction
+    work: records.TaskFunction
     tasks: Callable[[Study, StudyState], Sequence[RoundTask]]
     of_pools: bool = False
 
 
-def common_of(study: Study) -> Common:
-    """What all tasks of a study share."""
-    return Common(study.out, replace(study.request, threads=threads_of(study)), study.asked())
+def common_of(study: Study, recordings: int = MANY) -> Common:
+    """What tasks on so many recordings share; a cluster counts its threads itself."""
+    threads = 1 if study.dask is not None else system.threads(workers_of(study, recordings))
+    return Common(study.out, replace(study.request, threads=threads), study.asked())
 
 
 def results(
-    study: Study, work: TaskFunction, tasks: Sequence[Any], observer: StudyObserver
-) -> Iterator[tuple[Item, TaskResult]]:
+    study: Study, work: records.TaskFunction, tasks: Sequence[Any], observer: StudyObserver
+) -> Iterator[tuple[records.Item, TaskResult]]:
     """Have tasks done, the largest first, so that the last to end is a small one."""
     if not tasks:
         return
@@ -157,7 +149,7 @@ def results(
             yield one.task.item, _result(one)
 
 
-def _result(ended: Finished) -> TaskResult:
+def _result(ended: records.Finished) -> TaskResult:
     if ended.fault is None:
         result: TaskResult = ended.result
         return result

@@ -17,7 +17,7 @@ from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
 from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
 from accelcal_cli.study.records import OWN, Entry, Item, RecordingState
-from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, results, threads_of
+from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
 from accelcal_cli.study.summary import Summary
 from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
 
@@ -50,19 +50,17 @@ class RoundPlanner:
         What is not to be touched keeps what it has: it is never among the first.
         """
         todo, taken = [], []
+        latest, asked = self.ledger.latest, self.study.asked()
         for task in tasks:
             waits = not self.untouched.isdisjoint(task.names)
             if waits:
                 self.untouched |= set(task.names)
-            entry = self._latest(one, task) if waits else self._standing(one, task)
+            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
             if entry is not None:
                 taken.append((task, entry))
             elif not waits:
                 todo.append(task)
         return todo, taken
-
-    def _latest(self, one: Round, task: RoundTask) -> Entry | None:
-        return self.ledger.latest(task.item.name, self.study.asked(), one.name)
 
     def _standing(self, one: Round, task: RoundTask) -> Entry | None:
         """What an earlier run made of a task, if that is what would come of it now."""
@@ -165,9 +163,8 @@ class StudyRun:
         return [*(one.own for one in standing), *later, *self.known.pools.values()]
 
     def _calibrate(self, items: Sequence[Item]) -> None:
-        study, asked = self.study, self.study.asked()
-        request = replace(study.request, threads=threads_of(study, len(items)))
-        tasks = [CalibrationTask(item, study.out, request, asked) for item in items]
+        common = common_of(self.study, len(items))
+        tasks = [CalibrationTask(item, common) for item in items]
         for item, result in results(self.study, calibrated, tasks, self._observer):
             self.worked.add(item.name)
             self._ledger.add(result.entry)

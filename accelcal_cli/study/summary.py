@@ -57,15 +57,8 @@ COLUMNS = (
 
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     """The row of a recording that gave no report."""
-    said = {
-        "path": printable(item.name),
-        "outcome": FAILED,
-        "exit_code": code,
-        "message": message,
-        "bytes": item.size,
-        "accelcal_version": __version__,
-    }
-    return dict.fromkeys(COLUMNS) | said
+    said = {"outcome": FAILED, "message": message, "bytes": item.size, "accelcal_version": __version__}
+    return dict.fromkeys(COLUMNS) | {"path": printable(item.name), "exit_code": code} | said
 
 
 def of_report(
@@ -76,21 +69,10 @@ def of_report(
     Args:
         outputs: `parquet` and `report`, their names under OUT.
     """
-    said = {
-        "path": printable(item.name),
-        "outcome": report["outcome"],
-        "exit_code": code,
-        "message": report["message"],
-        "accelcal_version": report["accelcal_version"],
-    }
-    parts = (
-        _recording(report),
-        _errors(report),
-        _coverage(report),
-        _calibration(report["calibration"]),
-        outputs,
-    )
-    return dict.fromkeys(COLUMNS) | said | {name: value for part in parts for name, value in part.items()}
+    known = {"path": printable(item.name), "exit_code": code}
+    said = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
+    found = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
+    return dict.fromkeys(COLUMNS) | known | said | found | outputs
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
@@ -118,11 +100,7 @@ def _errors(report: dict[str, Any]) -> dict[str, Any]:
     if held is None:
         return {}
     low, high = held["ci95_mg"]
-    told = {
-        "before_mg": held["before_mg"]["mean"],
-        "postures": held["postures"],
-        "points": held["points"],
-    }
+    told = {"before_mg": held["before_mg"]["mean"], "postures": held["postures"], "points": held["points"]}
     if report["calibration"] is None:
         return told
     after = {"after_mg": held["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
@@ -212,7 +190,8 @@ def write(summary: Summary, out: Path, name: str) -> None:
         OutputError: one cannot be written.
     """
     with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
-        pq.write_table(_table(summary.rows), file, compression="zstd")
+        columns = [pa.array([row[column] for row in summary.rows], _kind(column)) for column in COLUMNS]
+        pq.write_table(pa.Table.from_arrays(columns, COLUMNS), file, compression="zstd")
     write_text(out / f"{name}.csv", _csv(summary.rows))
     write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
 
@@ -221,11 +200,6 @@ def _kind(name: str) -> pa.DataType:
     if name in TEXT:
         return pa.string()
     return pa.int64() if name in WHOLE else pa.float64()
-
-
-def _table(rows: list[dict[str, Any]]) -> pa.Table:
-    columns = [pa.array([row[name] for row in rows], _kind(name)) for name in COLUMNS]
-    return pa.Table.from_arrays(columns, COLUMNS)
 
 
 def _csv(rows: list[dict[str, Any]]) -> str:

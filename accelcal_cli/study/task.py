@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol, TypeVar
 
 from accelcal_cli.core.errors import AccelcalError, OutputError, printable
 from accelcal_cli.core.results import Outcome
@@ -54,15 +55,11 @@ class CalibrationTask:
     """One recording to calibrate.
 
     Attributes:
-        out: folder of the study's outputs.
-        asked: see `Entry`.
         named: how the user named the recording, if its path is another where the work is done.
     """
 
     item: Item
-    out: Path
-    request: Request
-    asked: str
+    common: Common
     named: Path | None = None
 
     @property
@@ -70,15 +67,10 @@ class CalibrationTask:
         """The item's job, with the name that its report gives the recording."""
         return self.item.job if self.named is None else replace(self.item.job, source=self.named)
 
-    @property
-    def common(self) -> Common:
-        """What it shares with others."""
-        return Common(self.out, self.request, self.asked)
-
     def failure(self, code: int, message: str, *, again: bool) -> Entry:
         """See `Task`."""
-        item = self.item
-        return Entry(item.name, item.stamps, self.asked, summary.failed(item, code, message), again=again)
+        item, row = self.item, summary.failed(self.item, code, message)
+        return Entry(item.name, item.stamps, self.common.asked, row, again=again)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,31 +89,37 @@ class TaskResult:
     trace: str | None = None
 
 
+AnyTask = TypeVar("AnyTask", bound="Task")
+Work = Callable[[AnyTask, ProgressCallback], TaskResult]
+
+
+def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
+    """Work that returns a result whatever happens."""
+
+    @functools.wraps(work)
+    def guarded_work(task: AnyTask, report_progress: ProgressCallback) -> TaskResult:
+        keep_freed_memory()
+        try:
+            return work(task, report_progress)
+        except AccelcalError as error:
+            again = isinstance(error, OutputError)
+            return TaskResult(task.failure(error.exit_code, str(error), again=again))
+        except MemoryError:
+            message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
+            return TaskResult(task.failure(BUG, message, again=True))
+        except Exception as error:
+            message = " ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split())
+            return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
+
+    return guarded_work
+
+
+@guarded
 def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
-    """Calibrate one recording; whatever happens is an answer."""
-    return guarded(task, lambda: _calibrated(task, report_progress))
-
-
-def guarded(task: Task, work: Callable[[], TaskResult]) -> TaskResult:
-    """The work's answer, or what befell it."""
-    keep_freed_memory()
-    try:
-        return work()
-    except AccelcalError as error:
-        again = isinstance(error, OutputError)
-        return TaskResult(task.failure(error.exit_code, str(error), again=again))
-    except MemoryError:
-        message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
-        return TaskResult(task.failure(BUG, message, again=True))
-    except Exception as error:
-        message = " ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split())
-        return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
-
-
-def _calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
-    result = calibrate(task.job, task.request, StageProgress(report_progress).stage, task.item.source)
+    """Calibrate one recording."""
+    result = calibrate(task.job, task.common.request, StageProgress(report_progress).stage, task.item.source)
     line, outputs = row_of(task.item, task.common, result), outputs_of(task.item, task.common, result)
-    entry = Entry(task.item.name, task.item.stamps, task.asked, line, outputs)
+    entry = Entry(task.item.name, task.item.stamps, task.common.asked, line, outputs)
     return TaskResult(entry, result.up_to_date, problems_of(result))
 
 

@@ -26,8 +26,7 @@ from accelcal_cli.core.formats import Format, ReadOptions
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.formats import all_formats
-from accelcal_cli.pipeline.method import make_method
-from accelcal_cli.pipeline.survey import FactsObserver, open_marked, survey
+from accelcal_cli.pipeline.survey import FactsObserver, make_method, open_marked, survey
 from tests.formats.expected import Expected
 
 MUTANTS = int(os.environ.get("ACCELCAL_FUZZ", "50"))

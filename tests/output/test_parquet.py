@@ -109,8 +109,8 @@ def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:
     pd.DataFrame({"x": [1]}).to_parquet(foreign)
     text.write_text("mine")
     assert written_by_us(ours)
-    refuse_foreign(ours)
-    refuse_foreign(tmp_path / "absent.parquet")
+    refuse_foreign(ours, known=written_by_us(ours))
+    refuse_foreign(tmp_path / "absent.parquet", known=False)
     for path in (foreign, text):
         with pytest.raises(OutputError, match="not written by accelcal"):
-            refuse_foreign(path)
+            refuse_foreign(path, known=written_by_us(path))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -11,7 +12,7 @@ from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.report import calibration_json
-from accelcal_cli.pipeline.method import optimizer_json
+from accelcal_cli.pipeline.survey import optimizer_json
 from tests.judge.made import NINE, spread
 
 
@@ -23,7 +24,8 @@ def described(name: str) -> dict[str, Any]:
         return optimizer.fit(held, model, optimizer.settings["default"])
 
     found = calibration_json(
-        judge(spread(NINE), DEFAULT, fit, optimizer.models), optimizer_json(optimizer, DEFAULT)
+        judge(spread(NINE), DEFAULT, fit, optimizer.models),
+        optimizer_json(replace(DEFAULT, optimizer=optimizer.name)),
     )
     assert found is not None
     made: dict[str, Any] = found["optimizer"]
@@ -50,5 +52,8 @@ def test_what_is_not_counted_has_no_predicted_seconds() -> None:
 
 
 def test_every_optimizer_says_what_it_computes_with() -> None:
-    found = {item.name: optimizer_json(item, DEFAULT)["arithmetic"] for item in all_optimizers()}
+    found = {
+        item.name: optimizer_json(replace(DEFAULT, optimizer=item.name))["arithmetic"]
+        for item in all_optimizers()
+    }
     assert {name for name, kind in found.items() if kind == "integer"} == {"fixed16", "fixed32"}

@@ -13,7 +13,7 @@ from accelcal_cli.study.plan import Study, plan
 from accelcal_cli.study.pooling import make_pool, pool_tasks, pooled, pooled_tasks
 from accelcal_cli.study.records import RecordingState
 from accelcal_cli.study.rounds import StudyState
-from accelcal_cli.study.task import CalibrationTask, calibrated
+from accelcal_cli.study.task import CalibrationTask, Common, calibrated
 from tests.device_recordings import week
 
 SAID = "changed while it was read"
@@ -29,7 +29,7 @@ def known(folder: Path) -> tuple[Study, StudyState]:
     found = plan(study, Ledger(study.out / "study.ledger"))
     held = StudyState()
     for item in found.todo:
-        entry = calibrated(CalibrationTask(item, study.out, study.request, study.asked()), told).entry
+        entry = calibrated(CalibrationTask(item, Common(study.out, study.request, study.asked())), told).entry
         held.standing[item.name] = RecordingState(item, entry, entry)
     return study, held
 

@@ -15,7 +15,7 @@ from accelcal_cli.study.discovery import Where, files
 from accelcal_cli.study.plan import Shard, Study
 from accelcal_cli.study.process_pool import ProcessPool
 from accelcal_cli.study.rounds import executor_for, tidy
-from accelcal_cli.study.task import CalibrationTask, calibrated
+from accelcal_cli.study.task import CalibrationTask, Common, calibrated
 from tests.cli.studies import study_folder
 
 
@@ -56,7 +56,7 @@ def test_what_a_lost_process_left_is_removed_and_no_more(tmp_path: Path) -> None
     ]
     for name in (*lost, *kept):
         (out / name).touch()
-    tidy(CalibrationTask(item, out, Request(), ""))
+    tidy(CalibrationTask(item, Common(out, Request(), "")))
     assert {path.name for path in out.iterdir()} == {*lost, *kept}
-    tidy(CalibrationTask(item, out, Request(), ""), "there.12")
+    tidy(CalibrationTask(item, Common(out, Request(), "")), "there.12")
     assert {path.name for path in out.iterdir()} == set(kept)

@@ -21,7 +21,7 @@ from accelcal_cli.study.dask_worker import (
     unsuitable,
 )
 from accelcal_cli.study.discovery import Where, files
-from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
+from accelcal_cli.study.task import CalibrationTask, Common, TaskResult, calibrated
 from tests.cli.studies import results, study_folder
 from tests.conftest import ROOT
 
@@ -30,7 +30,7 @@ NAMES = ("a.raw", "b.raw")
 
 def tasks(folder: Path, out: Path, request: Request | None = None) -> list[CalibrationTask]:
     found = files(Where((folder,), out, exclude=("*.txt", "*.json")))
-    return [CalibrationTask(item, out, request or Request(), "asked") for item in found]
+    return [CalibrationTask(item, Common(out, request or Request(), "asked")) for item in found]
 
 
 def not_told(_part: float) -> None:
