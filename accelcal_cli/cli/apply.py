@@ -39,7 +39,7 @@ from accelcal_cli.pipeline.jobs import Request, plan
 @click.option(
     "--no-temperature",
     is_flag=True,
-    help="Apply them as at their reference temperature.",
+    help="Use the coefficients at their reference temperature.",
 )
 @printing_options
 @reading_options

@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, and whose Parquet files are already there.
+"""Files that appear complete or not at all, and whether a Parquet file that exists is one of ours.
 
 What a Parquet file of ours says of itself is read without loading pyarrow where there is no file.
 """
@@ -66,7 +66,7 @@ def _refuse_special(path: Path) -> None:
     except OSError as error:
         raise output_error(error, path) from error
     if special:
-        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
+        raise OutputError("is not a regular file and is not replaced", path=path, hint="give another name")
 
 
 def beside(path: Path) -> Path:

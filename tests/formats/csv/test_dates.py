@@ -82,7 +82,7 @@ def test_years_of_two_digits_need_the_users_word(tmp_path: Path) -> None:
 
 def test_dates_that_are_none(tmp_path: Path) -> None:
     lines = "".join(f"31/31/2024 00:00:0{row // 10}.{row % 10},0,0,1\n" for row in range(40))
-    with pytest.raises(UnreadableError, match=r"'31/31/2024' and its like are no dates; .*--rate"):
+    with pytest.raises(UnreadableError, match=r"'31/31/2024' and the like are not dates; .*--rate"):
         read(written(tmp_path, "time,x,y,z\n" + lines))
 
 
