@@ -97,7 +97,7 @@ def test_no_file_a_folder_and_a_recording(tmp_path: Path) -> None:
     big = tmp_path / "big.json"
     with big.open("wb") as file:
         file.truncate((64 << 20) + 1)
-    assert "too long" in refused(big)
+    assert "too large" in refused(big)
 
 
 def test_every_cut_of_a_report_is_refused(report: Path) -> None:
