@@ -7,7 +7,7 @@ PLAIN  := $(VENV)/.installed
 READY  := $(VENV)/.ready
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 DEMO   := demo
-# else each process that a test starts compiles the package, and each worker all tests, once more
+# otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: setup demo test nightly fuzz lint bench bench-peers snakemake sample-data figure clean
@@ -59,7 +59,7 @@ bench_data/peers/.ready:
 	bench_data/peers/bin/python -m pip install --quiet actipy scikit-digital-health pyarrow
 	touch $@
 
-# runs examples/Snakefile with the real program and compares with a study in one piece
+# runs examples/Snakefile with the real program and compares the result with that of a study run as a whole
 SNAKE := bench_data/snakemake
 snakemake: $(READY) $(SNAKE)/.ready
 	rm -rf $(SNAKE)/parts $(SNAKE)/whole

@@ -1,4 +1,4 @@
-"""A report against the recording it was made of: fitted again, and compared bit for bit; nothing is written.
+"""A report checked against its recording: made again and compared bit for bit; nothing is written.
 
 `inputs` of a report (layout, poses, coefficients, pool) are looked for where they were and beside it. The
 calibrated Parquet file beside a report is compared with the report, and on demand value by value.
@@ -264,7 +264,7 @@ def check_parquet(
     if path is None or written is None:
         if values:
             raise UsageError(
-                "no calibrated Parquet file lies beside it", path=document.path, hint="leave --values out"
+                "no calibrated Parquet file lies beside it", path=document.path, hint="omit --values"
             )
         return None
     metadata, names = metadata_of(path), ("accelcal_version", "calibration", "recording")
@@ -355,7 +355,7 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
     for path in unchanged or [path for path in existing if path is not beside]:
         return report_reading.read_coefficients(path, by_content=by_content)
     raise UsageError(
-        f"was made with the coefficients of {named or then}, which is not there",
+        f"was made with the coefficients in {named or then}, which is missing",
         path=document.path,
         hint="name the file with --coefficients",
     )
@@ -374,10 +374,10 @@ def pool_of(document: Document) -> Document | None:
     used = document.report["pool"]
     path = document.path.parent / used.get("path", "")
     if not path.is_file():
-        raise UsageError(f"was made with the pool {path}, which is not there", path=document.path)
+        raise UsageError(f"was made with the pool {path}, which is missing", path=document.path)
     pool = read_document(path)
     if pool.content_sha256 != used.get("sha256"):
-        raise UsageError(f"was made with the pool {path}, which was changed since", path=document.path)
+        raise UsageError(f"was made with the pool {path}, which has changed since", path=document.path)
     return pool
 
 
@@ -390,7 +390,7 @@ def refuse_kind(document: Document) -> None:
     used = document.report.get("settings")
     if isinstance(used, dict) and "input" not in used:
         raise UsageError(
-            "does not say how its recording was read, and cannot be made again",
+            "does not say how its recording was read, and cannot be reproduced",
             path=document.path,
             hint="name a report of calibrate, apply, fit or six-pose",
         )
@@ -400,7 +400,7 @@ def refuse_other(document: Document, recording: Path) -> None:
     """Raise UsageError for a recording that is not the report's, byte for byte."""
     if sha256(recording) != document.report["recording"]["sha256"]:
         raise UsageError(
-            f"is not the recording of {document.path}, or was changed since: its SHA-256 is another",
+            f"is not the recording of {document.path}, or has changed since: its SHA-256 differs",
             path=recording,
             hint=f"that report is of {document.report['recording']['path']}",
         )

@@ -1,1 +1,1 @@
-"""The command layer: the only room that knows click, the terminal and exit codes."""
+"""The command layer: the only layer that knows click, the terminal and exit codes."""

@@ -30,7 +30,7 @@ from accelcal_cli.pipeline.jobs import Request, plan
 @click.option(
     "--no-temperature",
     is_flag=True,
-    help="Apply them as at their reference temperature.",
+    help="Use the coefficients at their reference temperature.",
 )
 @options.printing_options
 @options.reading_options

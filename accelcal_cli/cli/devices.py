@@ -132,16 +132,16 @@ def _finite(value: float, form: str) -> str:
 
 
 LIMITS = {
-    "offset_mg": "Offset of an axis.",
-    "scale_percent": "Scale error of an axis.",
-    "misalignment_percent": "Misalignment between two axes.",
-    "slope_mg_per_c": "Temperature slope of an offset.",
-    "drift_mg": "Drift of an offset per month, or of a slope over 10 C.",
-    "drift_percent": "Drift of scale or misalignment per month.",
-    "outlying": "Robust standard deviations of the held-out error above other devices of its kind.",
-    "refused_percent": "Share of recordings refused or borrowed.",
-    "damaged_percent": "Share of recordings that lost bytes to damage.",
-    "least_days": "Shortest time span in days from which a drift is estimated.",
+    "offset_mg": "Limit for the offset of an axis.",
+    "scale_percent": "Limit for the scale error of an axis.",
+    "misalignment_percent": "Limit for the misalignment between two axes.",
+    "slope_mg_per_c": "Limit for the temperature slope of an offset.",
+    "drift_mg": "Limit for the drift of an offset per month, or of a slope over 10 C.",
+    "drift_percent": "Limit for the drift of scale or misalignment per month.",
+    "outlying": "Limit for the held-out error above that of similar devices, in robust standard deviations.",
+    "refused_percent": "Limit for the share of recordings refused or borrowed.",
+    "damaged_percent": "Limit for the share of recordings that lost bytes to damage.",
+    "least_days": "Shortest time span, in days, over which a drift is estimated.",
 }
 """Help of the options that set the limits of the rules."""
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from accelcal_cli.cli.main import LazyGroup
 
 PARTS = {
-    "simulation": "Every optimizer on sensors with known errors (Table 2 of the paper).",
-    "methods": "Every optimizer on the same points of each recording (Table 3 of the paper).",
-    "stillness": "Every rule of stillness on the same recordings.",
-    "gravity": "Standard against local gravity (Table 8 of Grammenos et al. 2018).",
+    "simulation": "Every optimizer on sensors with known errors (Table 2 in the paper).",
+    "methods": "Every optimizer on the same points of each recording (Table 3 in the paper).",
+    "stillness": "Every stillness rule on the same recordings.",
+    "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",
 }
 """Each lives in the module evaluate_NAME and binds `command`."""
 
@@ -16,5 +16,5 @@ command = LazyGroup(
     "evaluate",
     parts=PARTS,
     modules="accelcal_cli.cli.evaluate_",
-    help="Compare this implementation with the tables of the papers.",
+    help="Compare this implementation with the tables in the papers.",
 )

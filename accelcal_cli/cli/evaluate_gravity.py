@@ -31,11 +31,11 @@ from accelcal_cli.output.report import significant
 @click.option("--optimizer", "label", default="fixed32", show_default=True, metavar="NAME[:paper]",
               help="Optimizer, with the paper's settings for NAME:paper.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
-              help="Seed of everything random.")  # fmt: skip
+              help="Seed for all random numbers.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 def command(label: str, as_json: bool, **values: Any) -> None:
-    """Calibrate sensors that rest at local gravity, with standard and with local gravity.
+    """Calibrate sensors at rest in local gravity, assuming standard and then local gravity.
 
     Table 8 of Grammenos, Mascolo, Crowcroft 2018 (section 5.2): the residual of the cost function.
     """

@@ -34,7 +34,7 @@ PUBLISHED = (
 @options.reading_options
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Fit the same points of each RECORDING with every optimizer and judge all by the same hold-out.
+    """Fit the same points of each RECORDING with every optimizer and judge them all by the same hold-out.
 
     Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
     paper), operations are additions and multiplications where they are counted, ms is the time of

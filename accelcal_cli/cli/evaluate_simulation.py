@@ -88,10 +88,10 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
     if any(scores.method.model.name == "6" for scores in every):
         yield from (
             "",
-            "six: fits scale and offset alone, which the misalignment biases; the bound is that of all nine.",
+            "six: fits only scale and offset, which the misalignment biases; the bound is for all nine.",
         )
     if any(scores.failures for scores in every):
-        yield from ("", "Failed fits (left out of their row and of its bound):")
+        yield from ("", "Failed fits (excluded from their row and its bound):")
     for table in tables:
         for scores in table.scores:
             for reason, times in scores.failures.items():
@@ -108,9 +108,9 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
 @click.option("--selection", type=click.Choice(get_args(Selection)), default="subsets", show_default=True,
               help="subsets: chosen by the paper's collector; random: any points.")  # fmt: skip
 @click.option("--optimizer", "labels", multiple=True, metavar="NAME[:paper]",
-              help=f"May be repeated; `all` for every one.  [default: {' '.join(USUAL)}]")  # fmt: skip
+              help=f"May be repeated; `all` for all optimizers.  [default: {' '.join(USUAL)}]")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
-              help="Seed of everything random.")  # fmt: skip
+              help="Seed for all random numbers.")  # fmt: skip
 @click.option("--json", "as_what", flag_value="json", help="Print a JSON object.")
 @click.option("--csv", "as_what", flag_value="csv", help="Print CSV, a row for each parameter.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")

@@ -41,7 +41,7 @@ FIGURES = {
 @options.reading_options
 @options.fitting_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
-    """Calibrate each RECORDING by every rule of stillness and compare the results.
+    """Calibrate each RECORDING by every stillness rule and compare the results.
 
     Shows what each rule found and the held-out error on its own points, then the mean error that each
     calibration leaves on the points of every rule. For a simulated recording with STEM.truth.json

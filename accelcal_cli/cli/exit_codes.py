@@ -45,7 +45,7 @@ def run_safely(command: Callable[[], Any]) -> int:
         code = command()
         sys.stdout.flush()
         if lost is not None and lost.lines:
-            raise OutputError("standard output is closed: what should have been printed is lost")
+            raise OutputError("standard output is closed: the output was lost")
     except click.ClickException as error:
         error.show()
         code = error.exit_code
@@ -53,7 +53,7 @@ def run_safely(command: Callable[[], Any]) -> int:
         say(str(error))
         code = error.exit_code
     except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
-        say("interrupted; nothing half-written was left")
+        say("interrupted; no incomplete output was left behind")
         code = INTERRUPTED
     except BrokenPipeError:
         _silence_stdout()

@@ -34,7 +34,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     Reads the headers and samples pieces spread over the file; --full reads everything.
     """
     if recordings.count(STDIN) > 1:
-        raise UsageError("standard input can be read only once", hint="name - once")
+        raise UsageError("standard input can be read only once", hint="give - only once")
     return exit_codes.of_all([_one(path, values) for path in recordings])
 
 

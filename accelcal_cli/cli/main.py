@@ -42,7 +42,7 @@ class LazyGroup(click.Group):
 
 
 COMMANDS = {
-    "calibrate": "Calibrate recordings: calibrated Parquet and a report for each.",
+    "calibrate": "Calibrate recordings; write Parquet and a report for each.",
     "study": "Calibrate a folder of recordings, in parallel; resume an interrupted run.",
     "devices": "Show how a study's devices drift, and which to service.",
     "six-pose": "Calibrate a sensor from a session on its six faces.",
@@ -51,7 +51,7 @@ COMMANDS = {
     "apply": "Apply known coefficients to recordings of the same device.",
     "verify": "Reproduce a report from its recording, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",
-    "evaluate": "Compare this implementation with the tables of the papers.",
+    "evaluate": "Compare this implementation with the tables in the papers.",
     "simulate": "Write a recording with known errors.",
 }
 """Each lives in the module of its name (`_` for `-`) and binds `command`."""

@@ -133,7 +133,7 @@ def _settings_options(*names: str) -> list[Callable[[Any], Any]]:
 
 
 _READ_TYPES: dict[str, Any] = {"columns": ColumnNames(), "layout": FILE}
-"""Types of reading options that their Settings do not tell."""
+"""Types of reading options that their Settings do not state."""
 
 _PLACES = [
     click.argument("recordings", nargs=-1, required=True, type=FILE),
@@ -145,7 +145,9 @@ _PLACES = [
 _PRINTING = [
     click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object per line."),
     click.option(
-        "--force", is_flag=True, help="Redo what is up to date; overwrite what accelcal did not write."
+        "--force",
+        is_flag=True,
+        help="Redo outputs that are up to date; overwrite files that accelcal did not write.",
     ),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr."),
     click.option("-v", "--verbose", is_flag=True, help="Print more on stderr."),
@@ -201,7 +203,7 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
     utc_offset_s(values["timezone"], 0)
     for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
         if text is not None and not _utf8(text):
-            raise UsageError(f"{printable(text)!r} is not UTF-8", hint="name columns by number, or rename it")
+            raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
 
 
@@ -233,7 +235,7 @@ def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
     chosen = profile if name is None else with_stillness(profile, name)
     if values["stillness_threshold_g"] is not None and chosen.stillness_threshold_g is None:
         raise UsageError(
-            f"--stillness {chosen.stillness} has no threshold of max - min",
+            f"--stillness {chosen.stillness} has no limit on max - min",
             hint="omit --stillness-threshold-g, or use --stillness both or range",
         )
     if chosen.adaptive is None or seconds is None:

@@ -178,7 +178,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
 def stdin() -> BinaryIO:
     """Standard input; raises UsageError where there is none."""
     if sys.stdin is None:
-        raise UsageError("standard input is closed", hint="name a file")
+        raise UsageError("standard input is closed", hint="give the name of a file")
     return sys.stdin.buffer
 
 

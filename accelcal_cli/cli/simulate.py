@@ -21,29 +21,31 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 @click.argument("out", type=FILE)
 @click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
-@click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length.")
+@click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length in days.")
 @click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True, metavar="HZ",
               help="Sampling rate.")  # fmt: skip
 @click.option(
-    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of movement and noise."
+    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed for movement and noise."
 )
-@click.option("--truth", type=click.IntRange(0), help="Seed of the sensor's errors.  [default: --seed]")
+@click.option(
+    "--truth", type=click.IntRange(0), help="Seed for the sensor's errors.  [default: that of --seed]"
+)
 @click.option(
     "--errors",
     type=Within(0, 100),
     default=1.0,
     show_default=True,
-    help="Factor on all sensor errors; 0 for a perfect sensor.",
+    help="Factor applied to all sensor errors; 0 for a perfect sensor.",
 )
 @click.option(
     "--misalignment",
     type=Within(-100, 100),
     default=1.0,
     show_default=True,
-    help="Factor on the misalignment.",
+    help="Factor applied to the misalignment.",
 )
 @click.option("--temp-slope", type=Within(-1000, 1000), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
-              help="Change of offset per degree Celsius, mg.")  # fmt: skip
+              help="Change of the offsets in mg per degree Celsius.")  # fmt: skip
 @click.option("--noise-mg", type=Within(0, 100_000), default=3.0, show_default=True,
               help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--lsb-per-g", type=Within(1, 1_000_000), default=256.0, show_default=True,
@@ -57,8 +59,8 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 def command(out: Path, **values: Any) -> None:
     """Write a recording of simulated wrist wear to OUT and the truth about it to OUT.truth.json.
 
-    Nights in a few sleep postures, desk, walking, chores, the watch on the table, a temperature
-    swing, noise and quantisation; scale, misalignment and offset errors are drawn with a seed.
+    It has nights in a few sleep postures, desk work, walking, chores, the device left on a table, a
+    temperature swing, noise and quantisation. Scale, misalignment and offset errors are drawn at random.
     """
     plan = _plan(values)
     known = {encoder.name for encoder in all_encoders()}
@@ -74,7 +76,7 @@ def command(out: Path, **values: Any) -> None:
 
 def _plan(values: dict[str, Any]) -> Plan:
     if values["range_g"] * values["lsb_per_g"] > 32_768:
-        raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="lower one of them")
+        raise UsageError("--range-g times --lsb-per-g does not fit in 16 bits", hint="reduce one of them")
     truth = values["seed"] if values["truth"] is None else values["truth"]
     gain, offset = draw_gain_and_offset(truth, values["errors"], values["misalignment"])
     sensor = Sensor(

@@ -163,12 +163,14 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     """Calibrate all recordings in each FOLDER and its subfolders, in parallel.
 
     The outputs mirror the folder structure below the folder given with -d, where study.csv, study.parquet and
-    study.json are written, too. A second run processes only what is new, changed or unfinished. One line is
+    study.json are also written. A second run processes only what is new, changed or unfinished. One line is
     printed for each recording, as by `calibrate`; with -q only failures and refusals are shown.
     """
     study = _study(folders, values)
     if not values["quiet"] and (number := overlooked(study)):
-        exit_codes.say(f"ignored, because below {printable(study.out)}: {counted(number, 'recording')}")
+        exit_codes.say(
+            f"ignored, because they are below {printable(study.out)}: {counted(number, 'recording')}"
+        )
     if values["dry_run"]:
         return _preview(study, values)
     if (

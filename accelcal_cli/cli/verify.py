@@ -22,7 +22,9 @@ SHOWN_KEYS = 5
 @click.command("verify")
 @click.argument("report", type=FILE)
 @click.argument("recording", type=FILE)
-@click.option("--values", is_flag=True, help="Also compare every value of the Parquet beside the report.")
+@click.option(
+    "--values", is_flag=True, help="Also compare every value of the Parquet file beside the report."
+)
 @click.option(
     "--layout",
     type=FILE,
@@ -36,7 +38,7 @@ SHOWN_KEYS = 5
 @click.option(
     "--coefficients",
     type=FILE,
-    help="Coefficients that a report of `apply` used, if they have moved.",
+    help="Coefficient file that a report of `apply` used, if it has moved.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
@@ -114,10 +116,10 @@ def _comment(report: Path, verified: Verified) -> None:
     name = printable(report)
     if verified.missing:
         exit_codes.say(
-            f"{name}: does not name {', '.join(verified.missing)}; this version's defaults were used"
+            f"{name}: does not state {', '.join(verified.missing)}; this version's defaults were used"
         )
     if verified.unknown:
-        exit_codes.say(f"{name}: names {', '.join(verified.unknown)}, which this version does not know")
+        exit_codes.say(f"{name}: states {', '.join(verified.unknown)}, which this version does not know")
     if verified.parquet is not None:
         exit_codes.say(f"{printable(verified.parquet.path)}: {_parquet_comment(verified.parquet)}")
 
@@ -126,7 +128,7 @@ def _parquet_comment(check: ParquetCheck) -> str:
     if check.differs:
         return f"its metadata differ from the report in {', '.join(check.differs[:SHOWN_KEYS])}"
     if check.values is None:
-        return "carries the calibration of the report; its values were not compared (--values does)"
+        return "carries the calibration of the report; its values were not compared (use --values)"
     if check.values.first_row is None:
         return f"carries the calibration of the report, and all {check.values.rows} rows are identical"
     return f"column {check.values.column} differs from row {check.values.first_row} on (counted from 0)"

@@ -1,1 +1,1 @@
-"""What flows between the rooms: records, errors, clocks. Imports nothing else of the package."""
+"""What flows between the layers: records, errors, clocks. Imports nothing else of the package."""

@@ -57,7 +57,7 @@ class ReadOptions:
     )
     layout: Path | None = setting(None, option=Option("--layout", "Layout file (TOML) of a raw dump."))
     sensor: str | None = setting(
-        None, option=Option("--sensor", "Sensor to read, in a file with several.", "NAME")
+        None, option=Option("--sensor", "Sensor to read from a file with several.", "NAME")
     )
 
 

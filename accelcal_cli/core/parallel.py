@@ -1,4 +1,4 @@
-"""Threads: the one place where they are started.
+"""The one place where threads are started.
 
 `prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a
 time, `BackgroundCalls` makes calls one after another beside the work of the caller, `BackgroundWriter`

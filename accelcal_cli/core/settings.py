@@ -1,4 +1,4 @@
-"""Every tunable of the method: name, unit, default, bounds, source, and the option that sets it. One place.
+"""The one place for every setting of the method: name, unit, default, bounds, source, and its option.
 
 Command-line options (cli/options.py) and the checks of settings that are read back from a report
 (pipeline/report_settings.py) are made from what is declared here.
@@ -203,7 +203,7 @@ class Settings:
         None,
         1e-3,
         1000,
-        Option("--precision", "Round values to steps of at most MG: smaller files.", "MG", "exact"),
+        Option("--precision", "Round values to steps of at most MG, for smaller files.", "MG", "exact"),
     )
     latitude: float | None = setting(
         None, -90, 90, Option("--latitude", "Latitude of the place where the recording was made.", "DEGREES")

@@ -41,7 +41,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """Why a device is to be serviced, or watched if that is not certain."""
+    """Why a device should be serviced, or watched if that is not certain."""
 
     rule: str
     text: str
@@ -175,9 +175,7 @@ def _outlying(device: DeviceReview, others: DeviceGroup, rules: Rules) -> Iterat
         return
     spread = max(others.spread_mg, LEAST_SPREAD_MG)
     if device.held_out_mg > others.held_out_mg + rules.outlying * spread:
-        text = (
-            f"held-out error {device.held_out_mg:.1f} mg, of devices of its kind {others.held_out_mg:.1f} mg"
-        )
+        text = f"held-out error {device.held_out_mg:.1f} mg (similar devices: {others.held_out_mg:.1f} mg)"
         yield Reason("held out", text, device.counted(*table.OWN) >= REPEATED)
 
 

@@ -1,7 +1,7 @@
 """Level and drift of each parameter of each device: weighted least squares of all devices at once.
 
 Offsets are first brought to one temperature, so that recordings with and without slopes can be compared.
-`Rules` holds every limit beyond which a device is to be serviced, with its source.
+`Rules` holds every limit beyond which a device should be serviced, with its source.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from accelcal_cli.devices.table import (
 SIGNIFICANT = 3.0
 """Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
 PERHAPS = 0.05
-"""A drift that is not certain is told if it is less probable than this by chance; our choice."""
+"""A drift that is not certain is reported if it is less probable than this by chance; our choice."""
 SLOPE_SPAN_C = 10.0
-"""A drift of a temperature slope counts by what it does over so many degrees; our choice."""
+"""A drift of a temperature slope counts by what it does over this many degrees; our choice."""
 FEWEST_DEVICES = 5
 """Devices of one kind among which one can lie outside; our choice."""
 LEAST_SPREAD_MG = 0.5
@@ -99,7 +99,7 @@ class Rules:
 
 
 FEWEST = 3
-"""Recordings of which a drift is told: two give a line, but nothing that says how good it is."""
+"""Recordings needed to report a drift: two give a line, but nothing that says how good it is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,1 +1,1 @@
-"""The papers' tables against this implementation."""
+"""This implementation compared with the papers' tables."""

@@ -58,7 +58,7 @@ class Plan:
         """Raise UsageError where nine subsets cannot share the points."""
         if self.selection == "subsets" and self.number % SUBSETS:
             raise UsageError(
-                f"{self.number} points cannot be shared among nine subsets",
+                f"{self.number} points cannot be divided equally among nine subsets",
                 hint="use a multiple of 9, or --selection random",
             )
 

@@ -176,7 +176,7 @@ def truth_beside(recording: Path) -> Truth | None:
         raise UnreadableError(
             f"does not hold the truth of a simulated recording ({error})",
             path=path,
-            hint="move it away, or write it anew with accelcal simulate",
+            hint="move it away, or write it again with accelcal simulate",
         ) from error
 
 

@@ -350,7 +350,7 @@ class Residuals:
     """What is left after fits that assume one gravity, means over the cases.
 
     Attributes:
-        assumed_m_s2: gravity that the fit was told.
+        assumed_m_s2: gravity that the fit assumes.
         against_assumed, against_true: E = mean of (|A|^2 - g^2)^2 over the fitted points [m4/s8].
         norm_error_mg: mean error of |a| over directions of the sphere, without noise [mg].
         fitted: number of cases.

@@ -46,7 +46,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
     best = max(scored, key=lambda score: (score[0], score[1]))
     if best[0] == 0:
         raise UnreadableError(
-            "no known format fits its content",
+            "its content matches no known format",
             path=path,
             byte_offset=0,
             hint="name one with --format, or describe a raw dump with --layout",

@@ -87,7 +87,7 @@ class ByteSource(Closing):
         """
         if self._untrue:
             raise UnreadableError(
-                "the gzip data are damaged: somewhere its values are not what was packed",
+                "the gzip data is damaged: some values are not what was compressed",
                 path=self.path,
                 byte_offset=self.disk_position(),
                 hint="copy it again from its source",

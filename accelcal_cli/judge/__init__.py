@@ -1,1 +1,1 @@
-"""Judging a calibration by data that it did not see."""
+"""Judging a calibration by data that the fit did not see."""

@@ -1,4 +1,4 @@
-"""The model ladder: which model do postures support that its fit has not seen?
+"""The model ladder: which model is supported by postures that its fit has not seen?
 
 Points are grouped into postures, and postures into folds, exactly in integers; the held-out error is what a
 calibration does to the postures of the fold that it has not seen.

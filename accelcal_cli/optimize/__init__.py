@@ -1,4 +1,4 @@
-"""One file an optimizer, found by listing this folder."""
+"""One file for each optimizer, found by listing this folder."""
 
 from __future__ import annotations
 

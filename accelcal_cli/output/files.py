@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, and whose Parquet files are already there.
+"""Files that appear complete or not at all, and whether a Parquet file that exists is one of ours.
 
 What a Parquet file of ours says of itself is read without loading pyarrow where there is no file.
 """

@@ -264,7 +264,7 @@ def _size(value: Any, schema: dict[str, Any], where: str) -> str | None:
 
 def _text(value: Any, schema: dict[str, Any], where: str) -> str | None:
     if len(value) < schema.get("minLength", 0) or not re.search(schema.get("pattern", ""), value):
-        return f"{where} is {value[:80]!r}, which it cannot be"
+        return f"{where} is {value[:80]!r}, which is not valid"
     return None
 
 

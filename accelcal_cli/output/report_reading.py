@@ -72,12 +72,12 @@ def _bytes(path: Path) -> bytes:
             f"cannot be read ({error.strerror or error})", path=path, hint="check the path and permissions"
         ) from error
     if len(data) > LARGEST_BYTES:
-        raise UnreadableError("is too long for a report", path=path, hint=NAME_ONE)
+        raise UnreadableError("is too large for a report", path=path, hint=NAME_ONE)
     return data
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is no JSON number")
+    raise ValueError(f"{name} is not a JSON number")
 
 
 def check_sections(document: Document, names: tuple[str, ...]) -> None:
@@ -97,7 +97,7 @@ def check_sections(document: Document, names: tuple[str, ...]) -> None:
 
 def damaged(document: Document, what: str) -> UnreadableError:
     """The error of a report that was not written so."""
-    hint = "calibrate its recording again: the report was not written so"
+    hint = "calibrate its recording again: accelcal did not write this report as it is now"
     return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
 
 
@@ -223,7 +223,7 @@ def _scale(reference_mc: Any, span_c: Any) -> points.TemperatureScale | None:
 def _check_integers(named: dict[str, Any]) -> None:
     for name, value in named.items():
         if type(value) is not int or not -LIMIT < value < LIMIT:
-            raise ValueError(f"calibration.fixed_point.parameters.{name} is no 32-bit integer")
+            raise ValueError(f"calibration.fixed_point.parameters.{name} is not a 32-bit integer")
 
 
 def _check_model(calibration: points.Calibration) -> None:

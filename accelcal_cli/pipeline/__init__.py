@@ -1,2 +1,2 @@
-"""Carrying data from room to room: the only place where readers, segmenter, collector, optimizer,
+"""Carrying data from layer to layer: the only place where readers, segmenter, collector, optimizer,
 judge and writers meet."""

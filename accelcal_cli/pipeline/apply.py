@@ -1,4 +1,4 @@
-"""Known coefficients onto a recording: whose they are, what they do to its stillness, what the report says.
+"""Known coefficients applied to a recording: whose they are, how well they fit it, what the report says.
 
 `apply` applies those of one report; `borrow` those of the first of a device's other recordings that prove
 themselves. Whose coefficients they are is the donor, what they are applied to the recipient.
@@ -31,7 +31,7 @@ from accelcal_cli.pipeline.survey import Method, make_method
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that decide the values themselves."""
 
-ANY_DEVICE = "use --any-device to apply them all the same"
+ANY_DEVICE = "use --any-device to apply them anyway"
 SHOWN_HASH = 12
 UNSEEN = "coefficients of another recording: all points are held out"
 REREAD = "coefficients of the same file read otherwise: points may have been fitted"
@@ -181,7 +181,7 @@ def _refuse_changes(donor: Coefficients, recording: Recording, wanted: Settings)
     raise UsageError(
         f"the coefficients are this recording's own, and were found without {option}",
         path=recording.path,
-        hint=f"leave {option} out, or calibrate it again with it",
+        hint=f"omit {option}, or calibrate the recording again with it",
     )
 
 
@@ -189,20 +189,21 @@ def _refuse_other_device(donor: Coefficients, recording: Recording, relation: Re
     theirs, ours = donor.origin.device.serial, recording.device.serial
     if relation is Relation.REREAD:
         raise UsageError(
-            "the coefficients are of this very file, but the report is not, or the file was read otherwise",
+            "the coefficients were found from this file, but the report is of another one, "
+            "or the file was read differently",
             path=recording.path,
-            hint=f"give its own report and the reading options of then, or {ANY_DEVICE}",
+            hint=f"give its own report and the reading options used for it, or {ANY_DEVICE}",
         )
     if theirs and theirs == ours:
         return
     if theirs and ours:
-        text = f"was recorded by device {ours}, the coefficients are those of device {theirs}"
+        text = f"was recorded by device {ours}, but the coefficients belong to device {theirs}"
     elif theirs:
-        text = f"does not say which device recorded it, the coefficients are those of device {theirs}"
+        text = f"does not say which device recorded it, but the coefficients belong to device {theirs}"
     elif ours:
-        text = f"was recorded by device {ours}, the coefficients do not say whose they are"
+        text = f"was recorded by device {ours}, but the coefficients do not say which device they belong to"
     else:
-        text = "neither it nor the coefficients say of which device they are"
+        text = "neither the recording nor the coefficients say which device they come from"
     raise UsageError(printable(text), path=recording.path, hint=ANY_DEVICE)
 
 
@@ -251,7 +252,7 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
         raise UsageError(
             "has no temperature, but the coefficients have slopes",
             path=recording.path,
-            hint=f"--no-temperature uses them as at {calibration.reference_c():.1f} C",
+            hint=f"--no-temperature uses them as they are at {calibration.reference_c():.1f} C",
         )
 
 

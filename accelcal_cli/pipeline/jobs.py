@@ -165,7 +165,7 @@ def check_unchanged(path: Path, before: FileStamp | None) -> None:
         raise UnreadableError(
             "changed while it was read",
             path=path,
-            hint="try again when it is complete (study --settle SECONDS leaves it until then)",
+            hint="try again when it is complete (study --settle SECONDS waits until then)",
         )
 
 
@@ -195,7 +195,7 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
             raise OutputError(
                 f"standard input cannot be stored ({error.strerror or error})",
                 path=path,
-                hint="set TMPDIR to a disk with more room",
+                hint="set TMPDIR to a disk with more space",
             ) from error
         yield path
 

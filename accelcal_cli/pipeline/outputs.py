@@ -1,4 +1,4 @@
-"""A job's outputs: whose those are that exist already, whether they still hold, and reports with provenance.
+"""A job's outputs: whose the existing ones are, whether they are up to date, and reports with provenance.
 
 The provenance (who made a result, when, with what) is the one part of a report that may differ between runs.
 """

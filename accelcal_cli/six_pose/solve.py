@@ -90,8 +90,8 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
     if number < FEWEST or condition > settings.max_condition:
         few = counted(number, "pose") if number < FEWEST else "the poses"
         raise DivergedError(
-            f"{few}{_which(session)} cannot determine twelve parameters: that takes four whose matrix [a 1] "
-            "has rank 4, and a fifth to judge by",
+            f"{few}{_which(session)} cannot determine twelve parameters: that needs four whose matrix [a 1] "
+            "has rank 4, and a fifth to judge the fit by",
             hint=f"{_missing(session)}{_LONGER}",
         )
 
@@ -102,7 +102,8 @@ def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
     judged = {pose.number for pose, error in pairs if error.held_out is not None}
     if len(judged) < FEWEST_CHECKED:
         raise DivergedError(
-            f"the poses{_which(session)} only just determine twelve parameters and leave none to judge by",
+            f"the poses{_which(session)} only just determine twelve parameters "
+            "and leave none to judge the fit by",
             hint=f"{_missing(session)}{_LONGER}",
         )
 

@@ -1,4 +1,4 @@
-"""The verdict on a calibration from known orientations, by orientations that it has not seen.
+"""The verdict on a calibration from known orientations, by orientations that the fit has not seen.
 
 Also the report's sections on known orientations: the poses, and the model in its authors' convention.
 """

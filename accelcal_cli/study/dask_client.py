@@ -324,7 +324,7 @@ class DaskSession:
         if not running.owners and running.tries == 1:
             self._submit(running.task, tries=2)
             return
-        fault = "every worker that tried it was lost, perhaps for want of memory"
+        fault = "every worker that tried it was lost, perhaps for lack of memory"
         yield Finished(running.task, fault=fault, retry=True)
 
     def _clear(self, running: _Running, owners: list[str]) -> None:
@@ -340,7 +340,7 @@ class DaskSession:
                 del self.running[key]
                 with contextlib.suppress(OSError):
                     self.client.cancel([running.future], force=True)
-                yield Finished(running.task, fault=f"took more than {limit / 60:g} minutes and was ended")
+                yield Finished(running.task, fault=f"took more than {limit / 60:g} minutes and was stopped")
 
     def _cancel_all(self) -> None:
         """Cancel what runs, and wait a moment for it to be gone, so that nothing half-written is left."""

@@ -138,7 +138,7 @@ def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
         have = f"{here} has accelcal {accelcal_cli.__version__}, not {requirements.version}"
         return ClusterError(have, hint="install the same version on every machine")
     if requirements.code != code():
-        have = f"{here} has accelcal {requirements.version}, too, but its code differs"
+        have = f"{here} also has accelcal {requirements.version}, but its code differs"
         return ClusterError(have, hint="install the same build on every machine")
     if (hidden := _hidden(requirements)) is not None:
         return ClusterError(
@@ -170,7 +170,9 @@ def _unwritable(mark: Path, here: str) -> AccelcalError | None:
     try:
         beside(mark).unlink(missing_ok=True)
     except OutputError as error:
-        return OutputError(f"{here}: {error.message}", path=mark.parent, hint="let its user write there")
+        return OutputError(
+            f"{here}: {error.message}", path=mark.parent, hint="give its user permission to write there"
+        )
     return None
 
 

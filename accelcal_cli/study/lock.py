@@ -147,7 +147,7 @@ def _stale(path: Path, owner: dict[str, Any]) -> bool:
 
 
 def _started(process: int) -> str | None:
-    """When a process began, so that a number that was given again is not taken for it; None if not told.
+    """When a process began, so that a number that was given again is not taken for it; None if not known.
 
     The 22nd field of `/proc/PID/stat` (proc(5)), counted from the last parenthesis, and the boot.
     """

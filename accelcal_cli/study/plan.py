@@ -1,4 +1,4 @@
-"""What a study is to do (`Study`; `Shard` for a part of it), what was done before, and what is left."""
+"""What a study should do (`Study`; `Shard` for a part of it), what was done before, and what is left."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Study:
     Attributes:
         jobs: workers; None for as many as CPUs and memory allow, or as the cluster has.
         timeout_s: the longest one recording may take.
-        settle_s: what was changed within so many seconds is left for later.
+        settle_s: files modified within this many seconds are skipped for now.
         newer_than_s: what was last changed before [s since 1970] is not begun.
         retry_failed: try again what failed and has not changed.
         collect: begin nothing; sum up what the shards have done.

@@ -1,4 +1,4 @@
-"""Worker processes of this machine, each with one task at a time; a worker that dies costs its task alone.
+"""Worker processes of this machine, each with one task at a time; a worker that dies loses only its own task.
 
 On Linux workers are forked from a server that has imported everything once. It listens in a folder of our
 own: that of multiprocessing would stay behind if the process is killed, and its path may be too long for the
@@ -177,7 +177,9 @@ class ProcessPool:
             self._busy.remove(worker)
             _end([worker])
             assert self.timeout_s is not None
-            yield Finished(worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was ended")
+            yield Finished(
+                worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was stopped"
+            )
 
     def _overdue(self, worker: _Worker) -> bool:
         return self.timeout_s is not None and time.monotonic() - worker.began > self.timeout_s
@@ -214,12 +216,12 @@ def _lost_worker(worker: _Worker) -> Finished:
     worker.pipe.close()
     if code == SERVER_GONE:
         return Finished(
-            worker.task, fault="its process ended, and the one that could say why, too", retry=True
+            worker.task, fault="its process ended, and so did the one that could say why", retry=True
         )
     code = -signal.SIGTERM if code == TERMINATED else code
     if code is not None and code < 0:
         name = signal.Signals(-code).name
-        reason = ", perhaps for want of memory" if name == "SIGKILL" else ""
+        reason = ", perhaps for lack of memory" if name == "SIGKILL" else ""
         retry = name in ("SIGKILL", "SIGTERM", "SIGHUP")
         return Finished(worker.task, fault=f"its process was ended by {name}{reason}", retry=retry)
     return Finished(worker.task, fault=f"its process ended unexpectedly (code {code})")

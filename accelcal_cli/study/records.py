@@ -116,7 +116,7 @@ class Finished:
 
 
 class Executor(Protocol):
-    """Does tasks, several at a time; what befalls one befalls it alone."""
+    """Does tasks, several at a time; the failure of one does not affect the others."""
 
     def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
         """Do all tasks; yields each as it ends. Nothing is left running when the iteration is given up."""

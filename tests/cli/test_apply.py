@@ -166,7 +166,7 @@ def test_a_report_of_apply_passes_the_coefficients_on_with_their_origin(
     assert used["recording_sha256"] == report_of(first)["recording"]["sha256"]
     ran = run(capsys, "apply", "--coefficients", by_way, tmp_path / "donor.raw", "-d", tmp_path / "out")
     assert ran.code == 2
-    assert_one_line(ran, "of this very file")
+    assert_one_line(ran, "found from this file")
 
 
 def test_json_standard_input_and_several_recordings(tmp_path: Path, capsys: Capture) -> None:

@@ -32,7 +32,7 @@ def test_its_coefficients_are_applied_where_the_user_says_so(
     other = week(tmp_path / "other.raw", seed=2, poses=15)
     ran = run(capsys, "apply", "--coefficients", fitted, other)
     assert ran.code == 2
-    assert_one_line(ran, "do not say whose they are", "--any-device")
+    assert_one_line(ran, "do not say which device they belong to", "--any-device")
     ran = run(capsys, "apply", "--coefficients", fitted, other, "--any-device")
     assert (ran.code, ran.err) == (0, "")
     report = json.loads((tmp_path / "other.calibration.json").read_text())

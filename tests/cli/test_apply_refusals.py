@@ -41,9 +41,9 @@ def set_serial(report: dict, serial: str | None) -> None:
 @pytest.mark.parametrize(
     ("theirs", "ours", "parts"),
     [
-        ("A1", "B2", ["device B2", "those of device A1"]),
+        ("A1", "B2", ["device B2", "belong to device A1"]),
         ("A1", None, ["does not say which device", "A1"]),
-        (None, "B2", ["device B2", "do not say whose"]),
+        (None, "B2", ["device B2", "do not say which device"]),
         (None, None, ["neither"]),
         ("", None, ["neither"]),
     ],
@@ -68,7 +68,7 @@ def test_an_unknown_device_passes_for_the_very_same_recording(tmp_path: Path, ca
     ran = apply(capsys, coefficients, copy)
     assert (ran.code, ran.lines[0].split("\t")[1]) == (0, "calibrated")
     layout.write_text(layout.read_text().replace("range_g = 8.0", "range_g = 4.0"))
-    refuse(capsys, 2, ["copy.raw", "of this very file", "otherwise"], coefficients, copy)
+    refuse(capsys, 2, ["copy.raw", "found from this file", "differently"], coefficients, copy)
 
 
 def test_equal_serials_of_other_models_pass_with_a_note(tmp_path: Path, capsys: Capture) -> None:
@@ -133,7 +133,7 @@ def test_slopes_are_applied_as_calculated_from_the_equation(tmp_path: Path, caps
 def test_its_own_coefficients_cannot_be_changed_on_the_way(tmp_path: Path, capsys: Capture) -> None:
     coefficients, path = donor(tmp_path, warm=True), tmp_path / "donor.raw"
     for words in (("--no-temperature",), ("--latitude", 50)):
-        parts = [str(path), words[0], "calibrate it again"]
+        parts = [str(path), words[0], "calibrate the recording again"]
         refuse(capsys, 2, parts, coefficients, path, "-d", tmp_path / "out", *words)
 
 

@@ -78,7 +78,7 @@ def test_a_closed_standard_output_is_told_and_the_outputs_stay(tmp_path: Path) -
     ran = closed("calibrate", good)
     assert (ran.code, ran.err) == (
         5,
-        "accelcal: standard output is closed: what should have been printed is lost\n",
+        "accelcal: standard output is closed: the output was lost\n",
     )
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         "good.calibrated.parquet",

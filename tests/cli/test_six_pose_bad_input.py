@@ -36,7 +36,7 @@ def only(folder: Path, *names: str) -> bool:
         (["+x"], "1 pose (+x) cannot determine twelve parameters"),
         (["+x", "-x", "+y", "-y"], "missing: +z, -z"),
         (["+x", "+y", "+z"], "missing: -x, -y, -z"),
-        (["+x", "-x", "+y", "+z"], "leave none to judge by; missing: -y, -z"),
+        (["+x", "-x", "+y", "+z"], "leave none to judge the fit by; missing: -y, -z"),
         ([(0.6, 0.8, 0)] * 2, "no still state lies within 15 degrees of a face; 2 lie between faces"),
     ],
 )

@@ -32,7 +32,7 @@ def test_the_first_run_and_later_ones_find_the_same(tmp_path: Path, capsys: Capt
 def test_recordings_below_the_outputs_are_left_out_and_that_is_said(tmp_path: Path, capsys: Capture) -> None:
     folder = study_folder(tmp_path / "in")
     (folder / "south/notes.txt").write_text("none of them\n")
-    said = f"accelcal: ignored, because below {folder / 'south'}: 1 recording"
+    said = f"accelcal: ignored, because they are below {folder / 'south'}: 1 recording"
     for words in (["--dry-run"], [], []):
         ran = run(capsys, "study", folder, "-d", folder / "south", *words)
         assert (ran.code, ran.err.splitlines()[0]) == (0, said)

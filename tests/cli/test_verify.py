@@ -130,8 +130,8 @@ def test_settings_of_another_version_are_told(tmp_path: Path, capsys: Capture) -
     assert found["versions"] == {"report": "0.0.9", "this": __version__}
     assert found["settings_assumed"] == ["cells_per_g", "input.sensor"]
     assert found["settings_unknown"] == ["magic"]
-    assert "does not name cells_per_g, input.sensor" in ran.err
-    assert "names magic" in ran.err
+    assert "does not state cells_per_g, input.sensor" in ran.err
+    assert "states magic" in ran.err
     edit(report, lambda held: held["settings"].update(cells_per_g=10))
     assert verify(capsys, report, path)[0].code == 1
 

@@ -80,7 +80,7 @@ def test_a_parquet_of_another_calibration_and_none_at_all(tmp_path: Path, capsys
     parquet.unlink()
     assert verify(capsys, report, path)[0].code == 0
     ran, _ = verify(capsys, report, path, "--values")
-    assert (ran.code, "leave --values out" in ran.err) == (2, True)
+    assert (ran.code, "omit --values" in ran.err) == (2, True)
 
 
 def test_a_named_output_is_found_beside_its_report(tmp_path: Path, capsys: Capture) -> None:

@@ -65,7 +65,7 @@ def test_a_packed_table_is_read(tmp_path: Path) -> None:
         ("x,y,z,temp\n1,0,0,hot\n", "line 2: temp is 'hot', not a number within +-1000"),
         ("x,y,z,weight\n1,0,0,1\n1,0,0,0\n", "line 3: has no weight above zero"),
         ("x,y,z,posture\n1,0,0,\n", "line 2: has no posture"),
-        ("x,y,z\n1,0,0\n1,0,0,7,8\n", "no table of points"),
+        ("x,y,z\n1,0,0\n1,0,0,7,8\n", "not a table of points"),
         ("x,y,z\n1,'0\n", "line 2: y is"),
     ],
 )

@@ -100,7 +100,7 @@ def test_an_outlying_held_out_error(tmp_path: Path) -> None:
     found = units(tmp_path, [*good_devices(8), *bad, *once])
     assert told(found["bad"]) == [("held out", True)]
     assert told(found["once"]) == [("held out", False)]
-    assert found["bad"].reasons[0].text == "held-out error 6.0 mg, of devices of its kind 2.1 mg"
+    assert found["bad"].reasons[0].text == "held-out error 6.0 mg (similar devices: 2.1 mg)"
     assert told(units(tmp_path, [*good_devices(3), *bad])["bad"]) == []
     assert told(units(tmp_path, [*good_devices(8), *(row | {"format": "csv"} for row in bad)])["bad"]) == []
 

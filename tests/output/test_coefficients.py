@@ -81,7 +81,7 @@ def test_the_origin_is_the_reports_recording(report: Path) -> None:
         (b'{"accelcal_version": "9", "schema_version": 2}', "schema version 2 (of accelcal '9')"),
         (b'{"accelcal_version": "9", "schema_version": true}', "schema version True"),
         (b'{"accelcal_version": "9", "schema_version": 1}', "recording is missing"),
-        (b'{"accelcal_version": "9", "schema_version": NaN}', "NaN is no JSON number"),
+        (b'{"accelcal_version": "9", "schema_version": NaN}', "NaN is not a JSON number"),
         (b'{"accelcal_version": ' + b"9" * 5000 + b"}", "damaged JSON"),
     ],
 )
@@ -97,7 +97,7 @@ def test_no_file_a_folder_and_a_recording(tmp_path: Path) -> None:
     big = tmp_path / "big.json"
     with big.open("wb") as file:
         file.truncate((64 << 20) + 1)
-    assert "too long" in refused(big)
+    assert "too large" in refused(big)
 
 
 def test_every_cut_of_a_report_is_refused(report: Path) -> None:
@@ -174,7 +174,7 @@ def parameters(**changed: int) -> Callable[[dict], None]:
         (model("3T"), "model 3T has no parameter kxx"),
         (model("6T"), "model 6T has no parameter kxy"),
         (parameters(kyx=5), "model 9T has no parameter kyx"),
-        (parameters(kxx=ONE * 4), "kxx is no 32-bit integer"),
+        (parameters(kxx=ONE * 4), "kxx is not a 32-bit integer"),
         (parameters(ox=0), "calibration.offset_g is not what calibration.fixed_point says"),
         (parameters(sx=0), "calibration.temperature is not what calibration.fixed_point says"),
         (

@@ -1,4 +1,4 @@
-"""Known coefficients onto a recording: whose they are, what is applied, what is refused, what is borrowed."""
+"""Known coefficients applied to a recording: whose they are, what is applied, refused and borrowed."""
 
 from __future__ import annotations
 
@@ -70,8 +70,8 @@ def test_a_recording_and_its_own_coefficients(tmp_path: Path) -> None:
     ("serial", "message"),
     [
         ("A1", None),
-        ("B2", "was recorded by device B2, the coefficients are those of device A1"),
-        (None, "does not say which device recorded it, the coefficients are those of device A1"),
+        ("B2", "was recorded by device B2, but the coefficients belong to device A1"),
+        (None, "does not say which device recorded it, but the coefficients belong to device A1"),
     ],
 )
 def test_another_device_is_refused_unless_any_will_do(
@@ -101,7 +101,7 @@ def test_its_own_coefficients_hold_only_as_they_were_found(tmp_path: Path, chang
     assert (
         refusal.value.message == f"the coefficients are this recording's own, and were found without {option}"
     )
-    assert refusal.value.hint == f"leave {option} out, or calibrate it again with it"
+    assert refusal.value.hint == f"omit {option}, or calibrate the recording again with it"
 
 
 def test_stillness_is_found_as_in_the_donor_but_judged_by_the_default(tmp_path: Path) -> None:
@@ -143,7 +143,7 @@ def test_slopes_are_dropped_where_temperature_is_not_wanted(tmp_path: Path) -> N
         need_temperature(warm.calibration, described(path), has=False)
     assert refusal.value.message == "has no temperature, but the coefficients have slopes"
     at_c = f"{scale.reference_mc / 1000:.1f} C"
-    assert refusal.value.hint == f"--no-temperature uses them as at {at_c}"
+    assert refusal.value.hint == f"--no-temperature uses them as they are at {at_c}"
 
 
 def test_the_sentence_says_whose_they_are_what_they_did_and_what_differs(tmp_path: Path) -> None:

@@ -99,7 +99,7 @@ def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
         assert list(out.glob(".p0.calibrated.parquet.*.tmp"))
         process.send_signal(number)
         left = ended(process)
-    assert (left.code, left.err) == (130, "accelcal: interrupted; nothing half-written was left\n")
+    assert (left.code, left.err) == (130, "accelcal: interrupted; no incomplete output was left behind\n")
     assert not list(out.iterdir())
 
 
@@ -122,7 +122,7 @@ def test_what_takes_too_long_is_ended(scheduler: Path, folder: Path, tmp_path: P
     with endless(scheduler):
         late = ran(folder.parent, *words, "--dask", scheduler)
         assert late.code == 70
-        assert f"in/{LONG}: took more than 0.001 minutes and was ended" in late.err
+        assert f"in/{LONG}: took more than 0.001 minutes and was stopped" in late.err
         soon(lambda: not list(tmp_path.rglob("*.tmp")))
 
 

@@ -87,7 +87,7 @@ def test_a_task_that_kills_its_workers_fails_alone(
     found = done(executor, kill, *others)
     assert [found[one].result for one in others] == others
     killed = found[kill]
-    assert killed.fault == "every worker that tried it was lost, perhaps for want of memory"
+    assert killed.fault == "every worker that tried it was lost, perhaps for lack of memory"
     assert killed.retry
     assert set(lost) == {kill}
 
@@ -114,7 +114,7 @@ def test_what_takes_too_long_is_ended_and_the_next_is_done(
     executor = Cluster(str(scheduler), work, requirements, limit=1, timeout_s=90.0)
     executor.on_progress = lambda _task, part: clock.pass_(3600.0 * (part == 0.5))
     found = done(executor, ("hang", 0.5), ("echo", 1))
-    assert found["hang", 0.5].fault == "took more than 1.5 minutes and was ended"
+    assert found["hang", 0.5].fault == "took more than 1.5 minutes and was stopped"
     assert found["echo", 1].result == ("echo", 1)
 
 

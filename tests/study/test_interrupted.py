@@ -83,7 +83,7 @@ def test_interrupted_it_leaves_nothing_half_written(folder: Path, tmp_path: Path
         process.send_signal(number)
         _, said = process.communicate()
     assert process.returncode == 130
-    assert said.decode() == "accelcal: interrupted; nothing half-written was left\n"
+    assert said.decode() == "accelcal: interrupted; no incomplete output was left behind\n"
     soon(lambda: not session(process.pid))
     assert not [path for path in out.rglob("*") if path.suffix in (".tmp", ".lock")]
 
@@ -98,7 +98,7 @@ def test_interrupted_at_the_terminal_while_workers_start_it_says_so_in_one_line(
         os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130
-    assert said.decode() == "accelcal: interrupted; nothing half-written was left\n"
+    assert said.decode() == "accelcal: interrupted; no incomplete output was left behind\n"
     soon(lambda: not session(process.pid))
 
 

@@ -1,4 +1,4 @@
-"""The pool: what befalls one worker is its task's alone."""
+"""The pool: the failure of one worker affects only its task."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_task_that_takes_too_long_is_ended_and_the_next_is_done(clock: Clock) 
         work, 1, timeout_s=90.0, on_progress=lambda _task, part: clock.pass_(3600.0 * (part == 0.5))
     )
     found = done(pool, ("hang", 0.5), ("echo", 1))
-    assert found["hang", 0.5].fault == "took more than 1.5 minutes and was ended"
+    assert found["hang", 0.5].fault == "took more than 1.5 minutes and was stopped"
     assert found["echo", 1].result == ("echo", 1)
 
 

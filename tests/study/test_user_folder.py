@@ -119,6 +119,6 @@ def test_the_same_version_with_other_code_is_refused(tmp_path: Path) -> None:
     requirements = WorkerRequirements(
         accelcal_cli.__version__, "other", (tmp_path,), tmp_path / "x", "x", patience_s=0
     )
-    assert f"has accelcal {accelcal_cli.__version__}, too, but its code differs" in str(
+    assert f"also has accelcal {accelcal_cli.__version__}, but its code differs" in str(
         unsuitable(requirements)
     )

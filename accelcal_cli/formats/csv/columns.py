@@ -146,7 +146,7 @@ def _pick(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
         return int(wanted)
     listed = ", ".join(dialect.names or ()) or "none has a name"
     raise UsageError(
-        f"{option} {wanted!r} is no column of this file",
+        f"{option} {wanted!r} is not a column of this file",
         path=path,
         hint=f"its columns are 0 to {dialect.columns - 1} ({listed})",
     )
@@ -203,7 +203,7 @@ def _if_commas(dialect: Dialect) -> str:
     doubtful = dialect.normaliser.delimiter == "," and dialect.columns in (6, 7, 8)
     if not doubtful or not all(re.fullmatch(r"-?\d+", cell.strip()) for cell in cells):
         return ""
-    return "; where commas are its decimals too, export it with another delimiter or decimal point"
+    return "; if it also uses commas as decimals, export it with another delimiter or decimal point"
 
 
 def _may_be_time(dialect: Dialect, column: int) -> bool:

@@ -170,7 +170,7 @@ class LineCheck:
         for column in sorted(self.used):
             if not self._fits(cells[column], column):
                 what = "time" if column == self.time else "number"
-                return f"column {column} holds {shortened(cells[column])!r}, which is no {what}"
+                return f"column {column} holds {shortened(cells[column])!r}, which is not a {what}"
         return None
 
     def _fits(self, cell: str, column: int) -> bool:

@@ -136,7 +136,7 @@ def find_time_format(
     zones = {bool(stamp and stamp["zone"]) for stamp in stamps}
     if len(zones) == 2:
         raise UnreadableError(
-            "some times have a zone and some have none",
+            "some times have a zone and some do not",
             path=path,
             line=line,
             hint="write all of them with Z or an offset, or none",
@@ -166,7 +166,7 @@ def _number_format(
     raise UnreadableError(
         f"the time column rises by {step:g} a row, which {known}",
         path=path,
-        hint="give the right --rate, or --time-column none with --rate where it only counts rows",
+        hint="give the right --rate, or --time-column none with --rate if it only counts rows",
     )
 
 
@@ -224,7 +224,9 @@ def find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> P
     pace = _shared(stamps[starts], sizes) if len(sizes) and np.median(sizes) >= 2 else _single(stamps)
     if pace is None and user_hz is None:
         raise UnreadableError(
-            "the times of its rows do not tell the sampling rate", path=path, hint="give it with --rate"
+            "the sampling rate cannot be found from the times of its rows",
+            path=path,
+            hint="give it with --rate",
         )
     if pace is None or user_hz is None:
         return pace or Pace(float(user_hz or 0), _only_stamp_period(stamps, len(starts)))
@@ -251,7 +253,7 @@ def agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pa
         raise UnreadableError(
             f"its header says {header_hz:g} Hz, the times of its rows say {pace.rate_hz:g} Hz",
             path=path,
-            hint=f"export the raw data; or give --rate {pace.rate_hz:g} where the rows are right",
+            hint=f"export the raw data; or give --rate {pace.rate_hz:g} if the rows are right",
         )
     return Pace(header_hz, pace.stamp_period_us)
 
@@ -387,7 +389,7 @@ def unclear_date(text: str, fitting: Sequence[str], path: Path, line: int) -> Un
     if len(fitting) == 1:
         fault, hint = f"the date {text!r} can only be read as {words}", f"give --date-format {words}"
     elif not fitting:
-        fault, hint = f"{text!r} and its like are no dates", "give --time-column none and --rate"
+        fault, hint = f"{text!r} and the like are not dates", "give --time-column none and --rate"
     return UnreadableError(fault, path=path, line=line, hint=hint)
 
 

@@ -307,7 +307,7 @@ def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:
                     return sector.as_sectors(raw.pages)[place].copy(), raw.first_position + place
     what = "holds no intact data sector" if header.intact else "is not an Axivity .cwa recording"
     raise UnreadableError(
-        f"{what} ({seen} sectors looked at)", path=file.path, byte_offset=file.start_byte, hint=COPY_AGAIN
+        f"{what} ({seen} sectors examined)", path=file.path, byte_offset=file.start_byte, hint=COPY_AGAIN
     )
 
 

@@ -317,7 +317,7 @@ def scale_of(header: Header, options: ReadOptions, path: Path) -> Scale:
     if header.factory is None:
         usual = RAW_LIMIT / (header.range_g or USUAL_RANGE_G)
         raise UnreadableError(
-            "the factory's calibration (gain and offset of x, y and z) is missing in the header, or damaged",
+            "the factory's calibration (gain and offset of x, y and z) is missing from the header or damaged",
             path=path,
             byte_offset=0,
             hint=f"give --lsb-per-g to read the raw values (about {usual:g} by the sensor's range)",

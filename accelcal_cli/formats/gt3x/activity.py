@@ -98,7 +98,7 @@ class ActivityFile:
     def _ending(self, source: MemberStream, rows: int) -> tuple[Problem, ...]:
         if source.fault in (Fault.DAMAGED, Fault.WRONG_CHECKSUM):
             raise UnreadableError(
-                "activity.bin in it is damaged: somewhere its values are not what was recorded",
+                "activity.bin in it is damaged: some of its values are not what was recorded",
                 path=self.archive.path,
                 hint="copy it again from its source",
             )

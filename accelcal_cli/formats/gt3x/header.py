@@ -261,7 +261,7 @@ def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
         UsageError: it recorded nothing.
     """
     if beginning.schema is None or not beginning.imu:
-        raise UsageError(NO_IMU, path=path, hint="leave --sensor out")
+        raise UsageError(NO_IMU, path=path, hint="omit --sensor")
     told_c = log.number_of(beginning.parameters, log.IMU_TEMPERATURE_OFFSET)
     zero_c = told_c if told_c is not None and abs(told_c) <= WARMEST_C else IMU_ZERO_C
     schema = beginning.schema

@@ -66,7 +66,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         known = ", ".join(SENSORS)
         raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=f"one of {known}")
     if probe_file(path, options).compressed:
-        raise UnreadableError("is packed twice", path=path, hint=UNPACK)
+        raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
     archive = open_archive(path)
     info, problems = header.read_info(archive)
     if LOG in archive.members:
@@ -122,7 +122,7 @@ def open_activity_bin(
     from accelcal_cli.formats.gt3x.activity import ActivityFile, has_samples  # few files are of this kind
 
     if options.sensor == IMU:
-        raise UsageError(header.NO_IMU, path=archive.path, hint="leave --sensor out")
+        raise UsageError(header.NO_IMU, path=archive.path, hint="omit --sensor")
     rate = activity_bin_rate(info, options, archive.path)
     if info.start_us is None:
         problems += (Problem("no_start_time", NO_START, None, 0),)

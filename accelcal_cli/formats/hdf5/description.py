@@ -1,4 +1,4 @@
-"""What the attributes and datasets of an HDF5 file tell before its rows are read.
+"""What the attributes and datasets of an HDF5 file say before its rows are read.
 
 `find_timeline` finds out when the recording began and how fast it runs, `find_extras` the gyroscope and the
 temperature beside the acceleration; `Plan` holds what to read.
@@ -157,7 +157,7 @@ def measured_stamps(
     times = _believable(rows, scale, 0, min(track.rows, BLOCK_ROWS))
     if not len(times):
         raise UnreadableError(
-            f"dataset {track.path} holds no time that can be believed",
+            f"dataset {track.path} holds no plausible time",
             path=path,
             hint="ignore it with --time-column none and give --rate HZ",
         )

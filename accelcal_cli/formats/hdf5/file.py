@@ -209,7 +209,7 @@ def _open_error(path: Path, error: Exception, claimed: int) -> UnreadableError:
     text, size, hint = str(error), 0, "copy it again from its source"
     if claimed:
         size = path.stat().st_size
-        what = f"is cut short: {size} bytes are there of {claimed}, and what is left cannot be read"
+        what = f"is cut short: it has {size} of {claimed} bytes, and these cannot be read"
     elif "signature not found" in text:
         what = "is not an HDF5 file, or its beginning is damaged"
     elif "consistency flags" in text or "already open for write" in text:
@@ -232,7 +232,7 @@ def explaining(path: Path, missing: int, damaged: int = 0) -> Iterator[None]:
     except (UnreadableError, UsageError) as error:
         if missing:
             size = path.stat().st_size
-            what = f"is cut short, {size} bytes are there of {size + missing}, so that"
+            what = f"is cut short to {size} of {size + missing} bytes, so that"
             hint = "; or ".join(filter(None, (error.hint, "copy the whole file again from its source")))
             raise type(error)(f"{what} {error.message}", path=path, byte_offset=size, hint=hint) from error
         if damaged:

@@ -91,7 +91,7 @@ def _contents(file: Any, path: Path) -> tuple[Layout, list[Sensor]]:
         f"{what}; versions {OLDEST} to {NEW} can be read",
         path=path,
         byte_offset=0,
-        hint="export it anew with the vendor's software, or try --format hdf5",
+        hint="export it again with the vendor's software, or try --format hdf5",
     )
 
 
@@ -178,7 +178,7 @@ def _track(file: Any, sensor: Sensor, name: str, path: Path, beside: Track | Non
         raise UnreadableError(
             f"dataset {full} is missing or does not have one row for each sample",
             path=path,
-            hint="export the recording anew with the vendor's software",
+            hint="export the recording again with the vendor's software",
         )
     return track
 

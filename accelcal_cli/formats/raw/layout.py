@@ -268,7 +268,7 @@ class Keys:
             if key not in self._known:
                 near = difflib.get_close_matches(key, self._known, 1)
                 known = (
-                    f"did you mean {near[0]}?" if near else f"known here: {', '.join(sorted(self._known))}"
+                    f"did you mean {near[0]}?" if near else f"valid keys: {', '.join(sorted(self._known))}"
                 )
                 raise self.error(key, "is not a known key", known)
 
@@ -297,7 +297,7 @@ class Keys:
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
             raise self.error(key, f"must be a number, not {value!r}")
         if not low <= value <= high:
-            raise self.error(key, f"is {value}, which is not within {low:g} to {high:g}")
+            raise self.error(key, f"is {value}, which is not between {low:g} and {high:g}")
         return float(value)
 
     def whole(self, key: str, default: int | None, low: int = 0) -> int:
@@ -314,7 +314,7 @@ class Keys:
         """A text, or None where absent."""
         value = self.raw(key)
         if value is not None and not isinstance(value, str):
-            raise self.error(key, f"must be a text in quotes, not {value!r}")
+            raise self.error(key, f"must be text in quotes, not {value!r}")
         return value
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None) -> str:
@@ -329,7 +329,7 @@ class Keys:
         value = self._required(key, self.raw(key))
         whole = isinstance(value, list) and [type(item) for item in value] == [int, int]
         if not whole or not 0 <= value[0] < value[1]:
-            raise self.error(key, f"must be two byte numbers [first, after the last], not {value!r}")
+            raise self.error(key, f"must be two byte numbers [first, one past the last], not {value!r}")
         return value[0], value[1]
 
 
@@ -434,7 +434,7 @@ def check_fields(parsed: Mapping[str, Field], fields: Keys) -> None:
             raise fields.error(name, "is missing")
         if parsed[name].per_unit is not None:
             raise fields.error(
-                f"{name}.per_unit", "is not for x, y and z; their scale is lsb_per_g in [dump]"
+                f"{name}.per_unit", "cannot be used for x, y and z; their scale is lsb_per_g in [dump]"
             )
         if parsed[name].zero % 1 or abs(parsed[name].zero) > LARGEST_ZERO:
             raise fields.error(f"{name}.zero", "must be a whole number of counts")

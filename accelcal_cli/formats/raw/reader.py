@@ -1,4 +1,4 @@
-"""An open raw dump: what its layout and its pages tell of the recording, and its rows.
+"""An open raw dump: what its layout and its pages say about the recording, and its rows.
 
 `FrameValues` takes counts, temperature and rotation out of frames, `FrameDecoder` frames out of pages.
 """

@@ -148,7 +148,7 @@ def test_decimal_commas_after_hours_of_zeros(tmp_path: Path) -> None:
 
 def test_decimal_commas_between_commas_are_refused(tmp_path: Path) -> None:
     rows = ROWS.replace(".", ",")
-    with pytest.raises(UnreadableError, match="where commas are its decimals too, export it with another"):
+    with pytest.raises(UnreadableError, match="if it also uses commas as decimals, export it with another"):
         read(written(tmp_path, HEADER + NAMES + rows))
 
 

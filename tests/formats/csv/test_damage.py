@@ -160,11 +160,11 @@ def test_mostly_unusable_rows_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("oops,0,1", "column 1 holds 'oops', which is no number"),
-        ("0,-,1", "column 2 holds '-', which is no number"),
+        ("oops,0,1", "column 1 holds 'oops', which is not a number"),
+        ("0,-,1", "column 2 holds '-', which is not a number"),
         ("0,1", r"the line has 3 columns, not 4"),
         ("0,1,2,3", r"the line has 5 columns, not 4"),
-        ("0,0,0x10", "column 3 holds '0x10', which is no number"),
+        ("0,0,0x10", "column 3 holds '0x10', which is not a number"),
         ('0,"0,1', r"the line has 3 columns, not 4"),
     ],
 )
@@ -178,13 +178,13 @@ def test_bad_lines_are_named(tmp_path: Path, line: str, message: str, chunk_samp
 
 def test_a_bad_time_is_named(tmp_path: Path) -> None:
     text = HEADER + rows(500) + "yesterday,0,0,1\n" + rows(100, 501)
-    with pytest.raises(UnreadableError, match="line 502: column 0 holds 'yesterday', which is no time"):
+    with pytest.raises(UnreadableError, match="line 502: column 0 holds 'yesterday', which is not a time"):
         read(written(tmp_path, text))
 
 
 def test_a_bad_line_far_behind_the_head_is_named(tmp_path: Path) -> None:
     text = HEADER + rows(45_000) + row(45_000, "a,b,c") + rows(100, 45_001)
-    with pytest.raises(UnreadableError, match="line 45002: column 1 holds 'a', which is no number"):
+    with pytest.raises(UnreadableError, match="line 45002: column 1 holds 'a', which is not a number"):
         read(written(tmp_path, text), 5000)
 
 

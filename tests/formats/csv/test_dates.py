@@ -82,7 +82,7 @@ def test_years_of_two_digits_need_the_users_word(tmp_path: Path) -> None:
 
 def test_dates_that_are_none(tmp_path: Path) -> None:
     lines = "".join(f"31/31/2024 00:00:0{row // 10}.{row % 10},0,0,1\n" for row in range(40))
-    with pytest.raises(UnreadableError, match=r"'31/31/2024' and its like are no dates; .*--rate"):
+    with pytest.raises(UnreadableError, match=r"'31/31/2024' and the like are not dates; .*--rate"):
         read(written(tmp_path, "time,x,y,z\n" + lines))
 
 
@@ -107,7 +107,9 @@ def test_a_date_of_another_kind_is_named_by_its_line(tmp_path: Path) -> None:
     path = with_dates(tmp_path, "dmy", datetime(2024, 4, 13), rows=900)
     lines = path.read_text().splitlines(keepends=True)
     lines[800] = lines[800].replace("13/04/2024", "04/13/2024")
-    with pytest.raises(UnreadableError, match=r"line 801: column 0 holds '04/13/2024 .*', which is no time"):
+    with pytest.raises(
+        UnreadableError, match=r"line 801: column 0 holds '04/13/2024 .*', which is not a time"
+    ):
         read(written(tmp_path, "".join(lines)), 100, date_format="dmy")
 
 

@@ -135,7 +135,7 @@ def test_columns_without_names_are_asked_about(tmp_path: Path, row: str) -> None
 )
 def test_unknown_columns_are_named_with_the_known_ones(tmp_path: Path, said: dict[str, object]) -> None:
     with pytest.raises(
-        UsageError, match=r"is no column of this file; its columns are 0 to 3 \(time, x, y, z\)"
+        UsageError, match=r"is not a column of this file; its columns are 0 to 3 \(time, x, y, z\)"
     ):
         read(written(tmp_path, table(",", "time,x,y,z")), **said)
 

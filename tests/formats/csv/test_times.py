@@ -209,7 +209,10 @@ def test_spreading_and_gaps_do_not_depend_on_blocks(
 
 def test_a_stopped_clock_asks_for_the_rate(tmp_path: Path) -> None:
     cells = [stamp(0)] * 50
-    with pytest.raises(UnreadableError, match="do not tell the sampling rate; give it with --rate"):
+    with pytest.raises(
+        UnreadableError,
+        match="the sampling rate cannot be found from the times of its rows; give it with --rate",
+    ):
         with_times(tmp_path, cells)
     found = with_times(tmp_path, cells[:20], rate_hz=30.0)
     assert np.array_equal(np.diff(found.times) // 1000, np.full(19, 33))

@@ -226,7 +226,7 @@ def test_a_gzip_file_damaged_within_is_refused(tmp_path: Path) -> None:
     data = bytearray(gzip.compress(HEAD + b"".join(texts()), 1))
     data[len(data) // 2] ^= 255
     packed.write_bytes(data)
-    with pytest.raises(UnreadableError, match="gzip data are damaged"):
+    with pytest.raises(UnreadableError, match="gzip data is damaged"):
         read(packed)
 
 

@@ -562,7 +562,9 @@ def test_a_file_cut_short_gives_what_is_left(path: Path) -> None:
 def test_a_file_cut_short_before_its_description_is_refused(path: Path) -> None:
     write(path, {"accel": counts()}, about(), chunks=(50, 3), compression="gzip")
     path.write_bytes(path.read_bytes()[:4000])
-    with pytest.raises(UnreadableError, match=r"byte 4000: is cut short, 4000 bytes .* copy the whole"):
+    with pytest.raises(
+        UnreadableError, match=r"byte 4000: is cut short to 4000 of \d+ bytes, so that .* copy the whole"
+    ):
         read(path)
 
 

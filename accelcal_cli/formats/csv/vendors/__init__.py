@@ -1,6 +1,6 @@
 """The contract of a vendor's export: one frozen record that each file of this folder binds as VENDOR.
 
-A vendor's file says whether the head of a file is its export, and describes what the header tells.
+A vendor's file says whether the head of a file is its export, and describes what the header says.
 """
 
 from __future__ import annotations
