@@ -46,7 +46,7 @@ def replacing(path: Path) -> Iterator[Path]:
         OutputError: the file cannot be written.
     """
     if exists(path) and not path.is_file():  # a rename would replace a device, a pipe or a folder
-        raise OutputError("is no regular file and is not replaced", path=path, hint="give another name")
+        raise OutputError("is not a regular file and is not replaced", path=path, hint="give another name")
     temporary = _name_beside(path)
     try:
         _create(temporary)
