@@ -26,7 +26,7 @@ from accelcal_cli.formats._pages.pages import PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import EventMaker, first_time
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
-from accelcal_cli.formats.cwa.sector import Header, SectorBlock, Settings, Thermometer
+from accelcal_cli.formats.cwa.sector import SETTINGS, Header, SectorBlock, Settings, Thermometer
 from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline, nominal_us
 
 LEFT_OUT = {
@@ -35,10 +35,7 @@ LEFT_OUT = {
     paged.CHECKSUM: ("checksum", "data sectors with a wrong checksum, left out"),
     paged.NONSENSE: ("bad_page", "data sectors with an impossible number or layout of samples, left out"),
     paged.RATE: ("rate_change", "data sectors recorded at another rate than the first, left out"),
-    sector.SETTINGS: (
-        "settings_change",
-        "data sectors with another range, scale or axes than the first, left out",
-    ),
+    SETTINGS: ("settings_change", "data sectors with another range, scale or axes than the first, left out"),
 }
 DAMAGED = (sector.EMPTY, paged.FOREIGN, paged.CHECKSUM, paged.NONSENSE)
 """Kinds whose bytes are lost; a sector recorded with other settings is sound."""

@@ -18,7 +18,7 @@ from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import ACTIVITY, LOG, header
 from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream, open_archive
-from accelcal_cli.formats.gt3x.header import Info
+from accelcal_cli.formats.gt3x.header import COPY_AGAIN, Info
 from accelcal_cli.formats.gt3x.records import Span, batches
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
 from accelcal_cli.formats.gt3x.timeline import (
@@ -73,9 +73,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         return open_log(archive, info, options, archive.problems + problems)
     if ACTIVITY in archive.members:
         return open_activity_bin(archive, info, options, archive.problems + problems)
-    raise UnreadableError(
-        "holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=header.COPY_AGAIN
-    )
+    raise UnreadableError("holds neither log.bin nor activity.bin", path=path, byte_offset=0, hint=COPY_AGAIN)
 
 
 def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
@@ -128,9 +126,7 @@ def open_activity_bin(
         problems += (Problem("no_start_time", NO_START, None, 0),)
     file = ActivityFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
     if not has_samples(file):
-        raise UnreadableError(
-            "holds no acceleration in activity.bin", path=archive.path, hint=header.COPY_AGAIN
-        )
+        raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
     scale = header.activity_bin_scale(info)
     recording = Recording(
         path=archive.path,
@@ -169,7 +165,7 @@ def first_time(file: LogFile) -> int:
         for chunk in chunks:
             if len(chunk):
                 return int(chunk.clock.times(0, 1)[0])
-    raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=header.COPY_AGAIN)
+    raise UnreadableError("holds no acceleration in log.bin", path=file.archive.path, hint=COPY_AGAIN)
 
 
 def lasted_s(info: Info, start_us: int) -> float | None:

@@ -22,7 +22,7 @@ from accelcal_cli.formats.hdf5 import datasets, units
 from accelcal_cli.formats.hdf5.datasets import Group, Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, h5py_guard
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.units import Scale, StampScale
+from accelcal_cli.formats.hdf5.units import Scale, StampScale, parse_moment
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
@@ -237,7 +237,7 @@ def find_timeline(source: Source) -> Timeline:
     attributes, options = source.attributes, source.options
     rate = attributes.number(*RATE_NAMES) if options.rate_hz is None else options.rate_hz
     stated = attributes.value(*START_NAMES)
-    start = None if stated is None else units.parse_moment(stated)
+    start = None if stated is None else parse_moment(stated)
     track = _time_track(source)
     if track is not None:
         with h5py_guard(source.path, f"dataset of times {track.path}"):
@@ -314,9 +314,7 @@ def _stamp_scale(
             hint="give that dataset an attribute `units` (s, ms, us or ns), "
             f"or ignore it with `--time-column {NO_COLUMN}`",
         )
-    since = (
-        units.parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
-    )
+    since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
     if since is not None and since[0]:
         return StampScale(unit, since[0]), since[1], True
     first = float(head[0]) / units.PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
