@@ -1,7 +1,7 @@
 """The first pass over a recording: every chunk and every still window, once, to all observers.
 
-What is to be found out along a recording is an `Observer`. Still windows reach the observers in batches of
-a few thousand; what comes of them does not depend on how they are batched, nor on the length of the chunks.
+An `Observer` collects facts about a recording as it is read. Still windows reach the observers in batches of
+a few thousand; the results depend neither on how they are batched nor on the length of the chunks.
 """
 
 from __future__ import annotations
