@@ -1,8 +1,8 @@
 """Simulated wrist wear: a stream of chunks from a sensor with known errors, and the truth about it.
 
 `Sensor` turns true acceleration into raw counts (the inverse of F eq. 7-9). What the wrist does comes in
-bouts of sleep, desk, walking, chores, and the watch on the table; each gives true acceleration in g and
-says which samples are motionless. Directions are of the specific force at rest: a watch lying face up
+bouts of sleep, desk work, walking, chores, and the watch left on a table; each gives true acceleration in g
+and says which samples are motionless. Directions are of the specific force at rest: a watch lying face up
 reads (0, 0, 1).
 """
 

@@ -1,4 +1,4 @@
-"""Runs a study on up to 20 Slurm jobs: `python accelcal_jobqueue.py FOLDER OUT [OPTION...]`.
+"""Runs a study on up to 20 Slurm jobs, as needed: `python accelcal_jobqueue.py FOLDER OUT [OPTION...]`.
 
 Needs `pip install 'accelcal[dask]' dask-jobqueue`. Runs until the study is done, on a login node or in a job.
 """

@@ -59,8 +59,9 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 def command(out: Path, **values: Any) -> None:
     """Write a recording of simulated wrist wear to OUT and the truth about it to OUT.truth.json.
 
-    It has nights in a few sleep postures, desk work, walking, chores, the device left on a table, a
-    temperature swing, noise and quantisation. Scale, misalignment and offset errors are drawn at random.
+    The recording has nights in a few sleep postures, desk work, walking, chores, the device left on a
+    table, a temperature swing, noise and quantisation. Scale, misalignment and offset errors are drawn
+    at random, from a seed.
     """
     plan = _plan(values)
     known = {encoder.name for encoder in all_encoders()}

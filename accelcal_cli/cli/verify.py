@@ -44,7 +44,7 @@ SHOWN_KEYS = 5
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @chunk_option
 def command(report: Path, recording: Path, **values: Any) -> int:
-    """Reproduce REPORT from its RECORDING and compare them bit for bit; nothing is written.
+    """Reproduce REPORT from its RECORDING and compare the two bit for bit; nothing is written.
 
     Uses the settings and reading options of the report. Prints one tab-separated line: path,
     `identical` or `differs`, the largest and the mean difference of calibrated vectors in mg, the

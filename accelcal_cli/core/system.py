@@ -1,7 +1,7 @@
 """The machine under this process: its CPUs and memory, its processes, its C library and linear algebra.
 
-CPUs and memory are those that this process was given, not the machine's; from them follows how many
-workers are kept busy.
+CPUs and memory are those that this process was given, not the machine's; the number of workers follows
+from them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The verdict on a recording: outcome, reason, and the calibration where there is one.
 
-`judge` is that of the default, `judge_paper` that of profile `paper`; `damage_verdict` refuses a recording
-of which damage has left too little. Coefficients that were not found from the points at hand are judged by
+`judge` is for the default profile, `judge_paper` for profile `paper`; `damage_verdict` refuses a recording
+that has lost too much to damage. Coefficients that were not found from the points at hand are judged by
 `held_out`, and compared by `better` and `worse`.
 """
 

@@ -1,7 +1,7 @@
 """Reports of other kinds than one recording's, with the same keys and nothing that only samples could tell.
 
-That of a fit to points from a table; that of a pool, several recordings calibrated as one, and what the
-reports of its members say of it.
+One is that of a fit to points from a table; the other that of a pool, several recordings calibrated as one,
+with what the reports of its members say about it.
 """
 
 from __future__ import annotations

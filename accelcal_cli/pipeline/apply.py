@@ -1,7 +1,7 @@
 """Known coefficients applied to a recording: whose they are, how well they fit it, what the report says.
 
-`apply` applies those of one report; `borrow` those of the first of a device's other recordings that prove
-themselves. Whose coefficients they are is the donor, what they are applied to the recipient.
+`apply` applies those of one report; `borrow` those of the first of a device's other recordings that pass the
+test. The donor is the recording that the coefficients come from; the recipient gets them.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The first pass over a recording: how its stillness is found and judged, and what else is found on the way.
 
 `make_method` gives segmenter and procedure, by the settings' profile. `survey` shows every chunk and every
-still window, once, to all observers: what is to be found out along a recording is an `Observer`, and a
-procedure is one, too. Still windows reach the observers in batches of a few thousand; what comes of them does
-not depend on how they are batched, nor on the length of the chunks.
+still window, once, to all observers: an `Observer` collects facts about a recording as it is read, and a
+procedure is one, too. Still windows reach the observers in batches of a few thousand; the results depend
+neither on how they are batched nor on the length of the chunks.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The online segmenter: chunks in, still windows out, in bounded memory.
 
-Windows do not overlap and start anew after every break, so that none spans a gap; what is left of a
+Windows do not overlap and start again after every break, so that none spans a gap; what is left of a
 run when it breaks is not used. The windows do not depend on how the rows are chunked. A `Rule` decides
 which windows, handed to it as `Blocks`, are still.
 

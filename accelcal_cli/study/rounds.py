@@ -1,6 +1,6 @@
 """Rounds of a study: each gives tasks to workers, and the results of earlier rounds decide which.
 
-Also the choice between processes of this machine and a cluster.
+Also chooses between processes of this machine and a cluster.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def test_what_is_still_being_copied_waits(tmp_path: Path, capsys: Capture) -> No
     os.utime(folder / NAMES[0], (hour_ago, hour_ago))
     ran = study(capsys, folder, "--settle", 600)
     assert ran.code == 0
-    assert "1 recording: 1 calibrated, 2 not begun" in ran.err
+    assert "1 recording: 1 calibrated, 2 not started" in ran.err
     assert "3 recordings" in study(capsys, folder, "--newer-than", "2000-01-01").err
     assert "3 unchanged" in study(capsys, folder, "--newer-than", "2100-01-01").err
 
@@ -127,7 +127,7 @@ def test_shards_are_disjoint_and_collected_they_are_the_whole(tmp_path: Path, ca
     first = study(capsys, folder, "--shard", "1/2")
     early = study(capsys, folder, "--collect")
     assert early.code == 1
-    assert "not begun" in early.err
+    assert "not started" in early.err
     second = study(capsys, folder, "--shard", "2/2")
     done = [[line.split("\t")[0] for line in ran.lines] for ran in (first, second)]
     assert sorted([*done[0], *done[1]]) == [str(folder / name) for name in names]

@@ -103,10 +103,10 @@ def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Pa
         study(capsys, tmp_path / "in", "--shard", f"{number}/2")
     assert study(capsys, tmp_path / "in", "--collect", "--borrow").code == 0
     ran = study(capsys, tmp_path / "in", "--collect")
-    assert (ran.code, "1 not begun" in ran.err) == (1, True)
+    assert (ran.code, "1 not started" in ran.err) == (1, True)
     pooled = study(capsys, tmp_path / "in", *POOL, "--collect")
     assert pooled.err.startswith("accelcal: 2 recordings: 2 calibrated;")
     ran = study(capsys, tmp_path / "in", "--collect")
-    assert "2 not begun" in ran.err
+    assert "2 not started" in ran.err
     assert list((tmp_path / "out").glob("study.pool.*")), "both were made with it"
     assert "2 unchanged" in study(capsys, tmp_path / "in", *POOL, "--collect").err

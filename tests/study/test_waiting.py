@@ -84,7 +84,7 @@ def test_without_pools_what_is_being_copied_is_not_begun(here: Path) -> None:
     (here / "in/a/one.raw").write_bytes((here / "in/a/one.raw").read_bytes()[:600])
     for words in ((), ("--borrow",)):
         ran = study(here, *SETTLE, *words, pool=False)
-        assert "1 not begun" in ran.err
+        assert "1 not started" in ran.err
         assert outputs(here, "a/one") == before
         assert [row["path"] for row in rows(here / "out")] == ["a/two.raw", "b/three.raw"]
 

@@ -1,6 +1,6 @@
 """What a text file is, found out from its first megabyte, the options, and the header of a known vendor.
 
-`detect` is the story; the time of the last row is looked up without reading what lies before it.
+`detect` takes the steps in order; the time of the last row is looked up without reading what lies before it.
 """
 
 from __future__ import annotations

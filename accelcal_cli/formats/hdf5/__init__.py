@@ -1,6 +1,6 @@
 """HDF5 files of laboratories (docs/hdf5-files.md) and of APDM Opal sensors (`opal.py` has their layout).
 
-They are recognised without h5py, for which other formats need not wait.
+They are recognised without importing h5py, so other formats need not wait for it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """HDF5 files opened, listed and asked for attributes, without an error of h5py ever leaving.
 
-The HDF5 library (1.14 and 2.0) loops for ever over a global heap whose object sizes are damaged, and refuses
+The HDF5 library (1.14 and 2.0) loops forever over a global heap whose object sizes are damaged, and refuses
 a file that was cut short even where what is left could be read: `SoundBytes` stands between it and the file.
 `bounded_memory` keeps it from asking for gigabytes where the length of a text is damaged.
 """
