@@ -184,29 +184,26 @@ def stdin() -> BinaryIO:
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
     """Reasons and warnings, on stderr."""
-    report = result.report
+    report, name = result.report, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
-        exit_codes.say(f"{printable(result.job.source)}: refused: {report['message']}")
+        exit_codes.say(f"{name}: refused: {report['message']}")
     if result.outcome is Outcome.BORROWED:
         from accelcal_cli.pipeline.apply import warning
 
         if (caution := warning(report)) is not None:
-            exit_codes.say(f"{printable(result.job.source)}: {caution}")
+            exit_codes.say(f"{name}: {caution}")
     if values["quiet"]:
         return
     if result.up_to_date:
-        exit_codes.say(f"{printable(result.job.source)}: up to date")
+        exit_codes.say(f"{name}: up to date")
     problems = report["file_health"]["problems"]
     for problem in problems if values["verbose"] else problems[:1]:
-        more = (
-            ""
-            if values["verbose"] or len(problems) == 1
-            else f" (and {len(problems) - 1} more; see the report)"
-        )
-        exit_codes.say(f"{printable(result.job.source)}: {problem['code']}: {problem['message']}{more}")
+        omitted = 0 if values["verbose"] else len(problems) - 1
+        more = f" (and {omitted} more; see the report)" if omitted else ""
+        exit_codes.say(f"{name}: {problem['code']}: {problem['message']}{more}")
     if values["verbose"]:
-        exit_codes.say(f"{printable(result.job.source)}: {report['message']}")
+        exit_codes.say(f"{name}: {report['message']}")
         for trial in report["models_tried"]:
             after_mg = trial["after_mg"]
             error = trial["reason"] if after_mg is None else f"{after_mg:.3f} mg held out"
-            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {error}")
+            exit_codes.say(f"{name}: model {trial['model']}: {error}")

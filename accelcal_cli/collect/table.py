@@ -68,10 +68,8 @@ class Table:
 
     def select(self, which: NDArray[np.bool_]) -> Table:
         """The rows of a mask."""
-        temperature_mc = None if self.temperature_mc is None else self.temperature_mc[which]
-        weight = None if self.weight is None else self.weight[which]
-        posture = None if self.posture is None else self.posture[which]
-        return Table(self.counts[which], temperature_mc, weight, posture)
+        columns = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return replace(self, **{name: held[which] for name, held in columns.items() if held is not None})
 
 
 def read_table(path: Path) -> Table:

@@ -22,7 +22,6 @@ from accelcal_cli.devices.table import (
     SLOPES,
     Floats,
     Indices,
-    Kind,
     Parameter,
     Records,
     Usage,
@@ -79,23 +78,13 @@ class Rules:
 
     def levels(self) -> Floats:
         """Largest distance of each parameter from its ideal, in its unit, (12,)."""
-        limit = {
-            Kind.SCALE: self.scale_percent,
-            Kind.MISALIGNMENT: self.misalignment_percent,
-            Kind.OFFSET: self.offset_mg,
-            Kind.SLOPE: self.slope_mg_per_c,
-        }
-        return np.array([limit[parameter.kind] for parameter in PARAMETERS])
+        scale, misalignment = self.scale_percent, self.misalignment_percent
+        return np.repeat([scale, misalignment, self.offset_mg, self.slope_mg_per_c], 3)
 
     def drifts(self) -> Floats:
         """Largest drift of each parameter, in its unit a month, (12,)."""
-        limit = {
-            Kind.SCALE: self.drift_percent,
-            Kind.MISALIGNMENT: self.drift_percent,
-            Kind.OFFSET: self.drift_mg,
-            Kind.SLOPE: self.drift_mg / SLOPE_SPAN_C,
-        }
-        return np.array([limit[parameter.kind] for parameter in PARAMETERS])
+        slope = self.drift_mg / SLOPE_SPAN_C
+        return np.repeat([self.drift_percent, self.drift_percent, self.drift_mg, slope], 3)
 
 
 FEWEST = 3

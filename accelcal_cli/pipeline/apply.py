@@ -155,11 +155,8 @@ def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, reque
 
 def _read_otherwise(report: dict[str, Any], recording: Recording, request: Request) -> bool:
     then = report["recording"]
-    if (then["format"], then["sample_rate_hz"], then["lsb_per_g"]) != (
-        recording.format,
-        recording.rate_hz,
-        recording.lsb_per_g,
-    ):
+    now_read = (recording.format, recording.rate_hz, recording.lsb_per_g)
+    if (then["format"], then["sample_rate_hz"], then["lsb_per_g"]) != now_read:
         return True
     settings = report.get("settings")
     before = settings.get("input") if isinstance(settings, dict) else None

@@ -100,14 +100,14 @@ def files(where: Where) -> list[Item]:
     Raises:
         UsageError: a folder is none, or two folders would share their place under OUT.
     """
-    found = [item for folder, place in _places(where) for item in _folder(where, folder, place)]
+    found = [item for folder, place in places(where) for item in _folder(where, folder, place)]
     return sorted(found, key=lambda item: item.name)
 
 
 def below_out(where: Where) -> list[Item]:
     """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
     found, every = [], replace(where, include=(), exclude=())
-    for folder, place in _places(where):
+    for folder, place in places(where):
         if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
             way = jobs.real(where.out).relative_to(jobs.real(folder))
             found += [
@@ -122,13 +122,8 @@ def _wanted(where: Where, below: str) -> bool:
     return not _fits(below, where.exclude) and (not where.include or _fits(below, where.include))
 
 
-def check(where: Where) -> None:
-    """Raise what `files` would raise of the folders."""
-    _places(where)
-
-
-def _places(where: Where) -> list[tuple[Path, str]]:
-    """Each folder with its place under OUT."""
+def places(where: Where) -> list[tuple[Path, str]]:
+    """Each folder with its place under OUT; raises what `files` would raise of the folders."""
     for folder in where.folders:
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")

@@ -12,7 +12,7 @@ from pathlib import Path
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.study import lock, summary
 from accelcal_cli.study.borrowing import BORROWING
-from accelcal_cli.study.discovery import check, refuse_foreign
+from accelcal_cli.study.discovery import places, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
 from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
@@ -78,7 +78,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         LockedError: another run works in the output folder.
         OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
-    check(study.where)
+    places(study.where)
     try:
         study.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -115,7 +115,7 @@ def _summary(study: Study, found: Plan, study_run: StudyRun) -> Summary:
     last = [standing[name].last for name in sorted(standing)]
     return Summary(
         rows=[entry.row for entry in last if entry.row is not None],
-        settings=study.all_settings(),
+        settings={**study.settings(), "pool": study.pool, "borrow": study.borrow},
         waiting=len(found.waiting),
         left_out=len(found.left_out),
         up_to_date=len(set(standing) - study_run.worked),
@@ -227,7 +227,7 @@ def preview(study: Study) -> dict[Item, str]:
         UsageError: see `plan`.
         OutputError: the output folder cannot be one.
     """
-    check(study.where)
+    places(study.where)
     there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
     if not there.is_dir():
         raise OutputError("cannot be made (there is a file)", path=there)
