@@ -224,7 +224,6 @@ def _compared(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _difference(then: Any, now: Any) -> tuple[float | None, float | None]:
-    """Largest and mean difference [mg] of two `calibration` sections, where both hold one."""
     try:
         one, other = map(report_reading.calibration_of, (then, now))
     except (ValueError, TypeError):

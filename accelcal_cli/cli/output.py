@@ -54,18 +54,11 @@ def number(value: float | None, form: str) -> str:
 
 def result_line(report: dict[str, Any], source: Path, written: Path | None) -> str:
     """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
-    holdout, calibration = report["holdout"], report["calibration"]
-    judged = holdout is not None and calibration is not None
-    fields = [
-        printable(source),
-        report["outcome"],
-        "-" if calibration is None else calibration["model"],
-        "-" if holdout is None else f"{holdout['before_mg']['mean']:.3f}",
-        f"{holdout['after_mg']['mean']:.3f}" if judged else "-",
-        _percent(holdout["improvement_percent"]) if judged else "-",
-        "-" if written is None else printable(written),
-    ]
-    return "\t".join(fields)
+    holdout, calibration = report["holdout"] or {}, report["calibration"] or {}
+    before, after = (holdout.get(f"{when}_mg", {}).get("mean") for when in ("before", "after"))
+    row = {"outcome": report["outcome"], "model": calibration.get("model"), "before_mg": before}
+    judged = {"after_mg": after, "improvement_percent": holdout.get("improvement_percent")}
+    return study_line(row | (judged if calibration else dict.fromkeys(judged)), source, written)
 
 
 def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
@@ -74,15 +67,11 @@ def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
         printable(source),
         row["outcome"],
         row["model"] or "-",
-        *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("before_mg", "after_mg")),
-        _percent(row["improvement_percent"]),
+        *(number(row[name], ".3f") for name in ("before_mg", "after_mg")),
+        number(row["improvement_percent"], ".0f"),
         "-" if written is None else printable(written),
     ]
     return "\t".join(fields)
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"
 
 
 @contextlib.contextmanager
@@ -183,7 +172,6 @@ def stdin() -> BinaryIO:
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
-    """Reasons and warnings, on stderr."""
     report, name = result.report, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
         exit_codes.say(f"{name}: refused: {report['message']}")

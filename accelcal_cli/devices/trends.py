@@ -30,18 +30,8 @@ from accelcal_cli.devices.table import (
 
 SIGNIFICANT = 3.0
 """Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
-PERHAPS = 0.05
-"""A drift that is not certain is told if it is less probable than this by chance; our choice."""
 SLOPE_SPAN_C = 10.0
 """A drift of a temperature slope counts by what it does over so many degrees; our choice."""
-FEWEST_DEVICES = 5
-"""Devices of one kind among which one can lie outside; our choice."""
-LEAST_SPREAD_MG = 0.5
-"""A smaller spread of held-out errors between devices is taken for this; our choice."""
-DAMAGED_FROM_PERCENT = 0.1
-"""Share of a recording's bytes from which damage counts; our choice."""
-REPEATED = 2
-"""Recordings that make a thing repeated."""
 DAYS_A_MONTH = 365.25 / 12
 
 

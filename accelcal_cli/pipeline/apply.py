@@ -292,7 +292,6 @@ def _change(holdout: Holdout | None) -> str:
 
 
 def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
-    """What is different from the donor, but does not hinder."""
     notes, then = [], donor.document.report["recording"]
     theirs, ours = donor.origin.device, recording.device
     if theirs.serial != ours.serial or not ours.serial:
@@ -420,7 +419,6 @@ def _untested(verdict: Judgement) -> str:
 
 
 def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
-    """Why coefficients are not accepted, or None."""
     before, after, limit_mg = holdout.before.mean, holdout.after.mean, judge.settings.max_error_mg
     changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures"
     if after > before or (after == before and judge.donor.calibration.model != "0"):

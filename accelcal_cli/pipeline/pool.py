@@ -214,7 +214,6 @@ def _message(document: Document, holdout: Holdout | None) -> str:
 
 
 def _why_not(data: ReportInput, document: Document) -> str | None:
-    """Why a recording keeps its own result, or None."""
     judgement = data.judgement
     if judgement.outcome is Outcome.REFUSED:
         return judgement.message

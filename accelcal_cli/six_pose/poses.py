@@ -224,7 +224,6 @@ def read_list(path: Path) -> tuple[Listed, ...]:
 
 
 def _lines(path: Path) -> Iterator[tuple[Place, str]]:
-    """Lines that say something."""
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise UsageError("is too large for a list of poses", path=path)
@@ -295,7 +294,6 @@ def state(still: Windows, indices: list[int], lsb_per_g: float) -> State:
 
 
 def _times(still: Windows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start and end of each window [us]."""
     assert still.start_us is not None and still.end_us is not None
     return still.start_us, still.end_us
 
@@ -365,7 +363,6 @@ def _span(item: Listed, origin: Origin) -> Span:
 
 
 def _device_us(moment: Moment, item: Listed, origin: Origin) -> int:
-    """A moment on the device's clock."""
     if not isinstance(moment, datetime):
         return origin.first_us + round(moment * 1_000_000)
     if not origin.dated:

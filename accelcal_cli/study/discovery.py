@@ -32,11 +32,6 @@ FIRST = list(COLUMNS[:2])
 """With these columns the table of every version begins."""
 
 
-def of_a_study(path: Path) -> bool:
-    """Whether a file was written by a study, as its ledger, its lock or its summary."""
-    return NAMES.fullmatch(path.name) is not None and (path.suffix not in SUMMARY or _summary(path))
-
-
 def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
     """Refuse to overwrite with the summary what no study wrote; a recording not even with `force`.
 
@@ -160,14 +155,13 @@ def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
 
 
 def _never(path: Path) -> bool:
-    """Whether a file is certainly no recording: hidden, of ours, or a layout."""
+    """Whether a file is certainly no recording: hidden, of ours, a study's, or a layout."""
     name = path.name
-    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or of_a_study(path)
+    written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _summary(path))
+    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or written
 
 
 def _fits(below: str, patterns: tuple[str, ...]) -> bool:
-    """Whether a path under the folder fits one of the patterns."""
-
     def fits(pattern: str) -> bool:
         text = below if "/" in pattern else below.rpartition("/")[2]
         return fnmatchcase(text.lower(), pattern.lower())

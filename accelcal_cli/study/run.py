@@ -6,6 +6,7 @@ With `--dry-run` it only says what it would do.
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -84,7 +85,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    with lock.held(study.lock, lambda: _other_locks(study)), ledger_of(study) as ledger:
+    with lock.held(study.lock, lambda: _other_locks(study)), closing(ledger_of(study)) as ledger:
         found = plan(study, ledger)
         refuse_foreign(study.out, base, found.sources(), force=study.request.force)
         study_run = StudyRun(study, ledger, observer)
@@ -200,7 +201,6 @@ class StudyRun:
         )
 
     def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
-        """A later round: what stands from an earlier run, and what is to be done."""
         todo, taken = self._planner.of(one, tasks)
         for task, entry in taken:
             self._take(one, task.item, TaskResult(entry, up_to_date=True))
@@ -210,7 +210,6 @@ class StudyRun:
             self.worked |= set() if one.of_pools else {item.name}
 
     def _take(self, one: Round, item: Item, result: TaskResult) -> None:
-        """What came of a round for a recording, or for a pool."""
         if one.of_pools:
             self.known.pools[item.name] = result.entry
             return
