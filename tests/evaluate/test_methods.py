@@ -27,7 +27,7 @@ NINE = [item for item in all_optimizers() if "9" in item.models and item.name !=
 
 @cache
 def sample_points(name: str) -> PointSet:
-    return collected(SAMPLES / name, ReadOptions(), DEFAULT, no_progress).points()
+    return collected(SAMPLES / name, ReadOptions(), DEFAULT, no_progress).result()
 
 
 @pytest.mark.parametrize("name", RECORDINGS)
