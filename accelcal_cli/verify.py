@@ -158,10 +158,11 @@ def reproduced(
         check_parquet(None, document, values=options.values)
     if isinstance(settings, Settings) and document.report["recording"].get("format") == POINTS:
         return fit_points(recording, settings), None
+    layout = _unchanged(made_with.layout, recording, options.layout, "layout")
     request = Request(
-        options=replace(made_with.options, layout=layout_of(made_with, recording, options.layout)),
+        options=replace(made_with.options, layout=layout or options.layout),
         settings=settings,
-        poses=poses_of(made_with, recording, options.poses),
+        poses=_unchanged(made_with.poses, recording, options.poses, "poses"),
         chunk_samples=options.chunk_samples,
         report_only=session or made_with.report_only,
         coefficients=donor_of(document, options.coefficients),
@@ -223,7 +224,6 @@ def _compared(report: dict[str, Any]) -> dict[str, Any]:
 
 
 def _difference(then: Any, now: Any) -> tuple[float | None, float | None]:
-    """Largest and mean difference [mg] of two `calibration` sections, where both hold one."""
     try:
         one, other = map(report_reading.calibration_of, (then, now))
     except (ValueError, TypeError):
@@ -406,18 +406,10 @@ def refuse_other(document: Document, recording: Path) -> None:
         )
 
 
-def layout_of(made_with: ReportSettings, recording: Path, named: Path | None) -> Path | None:
-    """The layout file that the report was made with; raises UsageError where it is not there."""
-    return named if made_with.layout is None else _unchanged(made_with.layout, recording, named, "layout")
-
-
-def poses_of(made_with: ReportSettings, recording: Path, named: Path | None) -> Path | None:
-    """The list of poses that the report was made with; raises UsageError where it is not there."""
-    return None if made_with.poses is None else _unchanged(made_with.poses, recording, named, "poses")
-
-
-def _unchanged(then: NamedFile, recording: Path, named: Path | None, what: str) -> Path:
-    """A file that lies beside the recording, or where the user says."""
+def _unchanged(then: NamedFile | None, recording: Path, named: Path | None, what: str) -> Path | None:
+    """A file that the report was made with, if any: beside the recording, or where the user says."""
+    if then is None:
+        return None
     path = named or recording.with_name(then.name)
     if not path.is_file() or sha256(path) != then.sha256:
         raise UsageError(

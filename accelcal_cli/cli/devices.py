@@ -210,7 +210,6 @@ def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str
 
 
 def _cell(value: Any) -> Any:
-    """Text on one line."""
     return printable(value) if isinstance(value, str) else value
 
 

@@ -72,7 +72,6 @@ def _shown(rows: list[Row], values: dict[str, Any]) -> str:
 
 
 def _tables(rows: list[Row]) -> list[str]:
-    """A table for each recording, and its refusals by name."""
     tables = []
     for recording in dict.fromkeys(row.recording for row in rows):
         own = [row for row in rows if row.recording == recording]

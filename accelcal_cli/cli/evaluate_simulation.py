@@ -30,12 +30,8 @@ COSTS = (
 )
 
 
-def as_text(protocol: Protocol, tables: tuple[Table, ...]) -> str:
-    """All tables, then what each method costs."""
-    return "\n".join(_lines(protocol, tables))
-
-
 def _lines(protocol: Protocol, tables: tuple[Table, ...]) -> Iterator[str]:
+    """All tables, then what each method costs."""
     chosen = "chosen by nine subsets" if protocol.selection == "subsets" else "at random"
     yield f"{protocol.cases} cases (seed {protocol.seed}), points uniform on the sphere, {chosen}."
     yield "Absolute errors in units of 1e-4 (offsets 1e-4 g): mean, and below it SD. bound: Cramer-Rao."
@@ -137,4 +133,4 @@ def _shown(as_what: str | None, protocol: Protocol, tables: tuple[Table, ...]) -
         return json.dumps(as_json(protocol, tables), allow_nan=False)
     if as_what == "csv":
         return comma_separated(COLUMNS, rows(tables))
-    return as_text(protocol, tables)
+    return "\n".join(_lines(protocol, tables))

@@ -85,9 +85,9 @@ def rows(comparison: Comparison) -> list[Row]:
 
 def _row(result: Found, comparison: Comparison) -> Row:
     holdout, calibration = result.judgement.holdout, result.judgement.calibration
-    errors = None
+    gain, offset_mg = None, None
     if calibration is not None and comparison.truth is not None:
-        errors = true_errors(calibration, comparison.truth)
+        gain, offset_mg = true_errors(calibration, comparison.truth)
     return {
         "rule": result.rule,
         "windows": result.windows,
@@ -98,8 +98,8 @@ def _row(result: Found, comparison: Comparison) -> Row:
         "model": None if calibration is None else calibration.model,
         "before_mg": None if holdout is None else rounded(holdout.before.mean),
         "after_mg": None if holdout is None else rounded(holdout.after.mean),
-        "gain_error": None if errors is None else round(errors.gain, 8),
-        "offset_error_mg": None if errors is None else rounded(errors.offset_mg),
+        "gain_error": None if gain is None else round(gain, 8),
+        "offset_error_mg": rounded(offset_mg),
     }
 
 

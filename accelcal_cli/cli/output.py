@@ -54,18 +54,11 @@ def number(value: float | None, form: str) -> str:
 
 def result_line(report: dict[str, Any], source: Path, written: Path | None) -> str:
     """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
-    holdout, calibration = report["holdout"], report["calibration"]
-    judged = holdout is not None and calibration is not None
-    fields = [
-        printable(source),
-        report["outcome"],
-        "-" if calibration is None else calibration["model"],
-        "-" if holdout is None else f"{holdout['before_mg']['mean']:.3f}",
-        f"{holdout['after_mg']['mean']:.3f}" if judged else "-",
-        _percent(holdout["improvement_percent"]) if judged else "-",
-        "-" if written is None else printable(written),
-    ]
-    return "\t".join(fields)
+    holdout, calibration = report["holdout"] or {}, report["calibration"] or {}
+    before, after = (holdout.get(f"{when}_mg", {}).get("mean") for when in ("before", "after"))
+    row = {"outcome": report["outcome"], "model": calibration.get("model"), "before_mg": before}
+    judged = {"after_mg": after, "improvement_percent": holdout.get("improvement_percent")}
+    return study_line(row | (judged if calibration else dict.fromkeys(judged)), source, written)
 
 
 def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
@@ -74,15 +67,11 @@ def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
         printable(source),
         row["outcome"],
         row["model"] or "-",
-        *("-" if row[name] is None else f"{row[name]:.3f}" for name in ("before_mg", "after_mg")),
-        _percent(row["improvement_percent"]),
+        *(number(row[name], ".3f") for name in ("before_mg", "after_mg")),
+        number(row["improvement_percent"], ".0f"),
         "-" if written is None else printable(written),
     ]
     return "\t".join(fields)
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.0f}"
 
 
 @contextlib.contextmanager
@@ -183,30 +172,26 @@ def stdin() -> BinaryIO:
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
-    """Reasons and warnings, on stderr."""
-    report = result.report
+    report, name = result.report, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
-        exit_codes.say(f"{printable(result.job.source)}: refused: {report['message']}")
+        exit_codes.say(f"{name}: refused: {report['message']}")
     if result.outcome is Outcome.BORROWED:
         from accelcal_cli.pipeline.apply import warning
 
         if (caution := warning(report)) is not None:
-            exit_codes.say(f"{printable(result.job.source)}: {caution}")
+            exit_codes.say(f"{name}: {caution}")
     if values["quiet"]:
         return
     if result.up_to_date:
-        exit_codes.say(f"{printable(result.job.source)}: up to date")
+        exit_codes.say(f"{name}: up to date")
     problems = report["file_health"]["problems"]
     for problem in problems if values["verbose"] else problems[:1]:
-        more = (
-            ""
-            if values["verbose"] or len(problems) == 1
-            else f" (and {len(problems) - 1} more; see the report)"
-        )
-        exit_codes.say(f"{printable(result.job.source)}: {problem['code']}: {problem['message']}{more}")
+        omitted = 0 if values["verbose"] else len(problems) - 1
+        more = f" (and {omitted} more; see the report)" if omitted else ""
+        exit_codes.say(f"{name}: {problem['code']}: {problem['message']}{more}")
     if values["verbose"]:
-        exit_codes.say(f"{printable(result.job.source)}: {report['message']}")
+        exit_codes.say(f"{name}: {report['message']}")
         for trial in report["models_tried"]:
             after_mg = trial["after_mg"]
             error = trial["reason"] if after_mg is None else f"{after_mg:.3f} mg held out"
-            exit_codes.say(f"{printable(result.job.source)}: model {trial['model']}: {error}")
+            exit_codes.say(f"{name}: model {trial['model']}: {error}")

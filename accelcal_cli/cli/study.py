@@ -93,26 +93,15 @@ class TerminalObserver:
     def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
         name = printable(item.source)
         if row["outcome"] == FAILED:
-            kept = (
-                ""
-                if result.trace is None
-                else f"; please report it with {exit_codes.keep_trace(result.trace)}"
-            )
+            kept = result.trace and f"; please report it with {exit_codes.keep_trace(result.trace)}"
             text = row["message"] if name in row["message"] else f"{name}: {row['message']}"
-            exit_codes.say(f"{text}{kept}")
+            exit_codes.say(f"{text}{kept or ''}")
         elif row["outcome"] == Outcome.REFUSED:
             exit_codes.say(f"{name}: refused: {row['message']}")
         if self._values["quiet"]:
             return
         for problem in result.problems if self._values["verbose"] else result.problems[:1]:
             exit_codes.say(f"{name}: {problem}")
-
-
-@contextlib.contextmanager
-def observing(values: dict[str, Any]) -> Iterator[TerminalObserver]:
-    """An observer whose bar is removed at the end."""
-    with contextlib.ExitStack() as stack:
-        yield TerminalObserver(values, stack)
 
 
 FOLDER = click.Path(path_type=Path, readable=False)
@@ -180,7 +169,8 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         and not values["quiet"]
     ):
         exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow ({workers(study.jobs)})")
-    with observing(values) as observer:
+    with contextlib.ExitStack() as stack:
+        observer = TerminalObserver(values, stack)
         summary = run(study, observer)
     return _exit_code(study, summary, observer, values)
 

@@ -68,10 +68,8 @@ class Table:
 
     def select(self, which: NDArray[np.bool_]) -> Table:
         """The rows of a mask."""
-        temperature_mc = None if self.temperature_mc is None else self.temperature_mc[which]
-        weight = None if self.weight is None else self.weight[which]
-        posture = None if self.posture is None else self.posture[which]
-        return Table(self.counts[which], temperature_mc, weight, posture)
+        columns = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return replace(self, **{name: held[which] for name, held in columns.items() if held is not None})
 
 
 def read_table(path: Path) -> Table:
@@ -88,7 +86,8 @@ def read_table(path: Path) -> Table:
         celsius = _numbers(path, frame, names["temperature_c"], LARGEST_C)
         temperature_mc = np.rint(celsius * 1000).astype(np.int64)
     if "weight" in names:
-        weight = _weights(path, frame, names["weight"])
+        weight = _numbers(path, frame, names["weight"], np.finfo(np.float64).max)
+        _refuse_empty(path, weight <= 0, f"{names['weight']} above zero")
     if "posture" in names:
         _refuse_empty(path, frame[names["posture"]].to_numpy(str) == "", names["posture"])
         posture = np.unique(frame[names["posture"]].to_numpy(str), return_inverse=True)[1].astype(np.int64)
@@ -113,7 +112,6 @@ def _delimiter(path: Path) -> str:
 
 
 def _names(path: Path, columns: list[str]) -> dict[str, str]:
-    """What the table calls each column that is known."""
     lower = {str(name).strip().lower(): name for name in columns}
     named = {
         key: next(lower[name] for name in names if name in lower)
@@ -142,12 +140,6 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDAr
             hint=_CORRECT,
         )
     return np.asarray(values)
-
-
-def _weights(path: Path, frame: pd.DataFrame, name: str) -> NDArray[np.float64]:
-    values = _numbers(path, frame, name, np.finfo(np.float64).max)
-    _refuse_empty(path, values <= 0, f"{name} above zero")
-    return values
 
 
 def _refuse_empty(path: Path, bad: NDArray[np.bool_], what: str) -> None:

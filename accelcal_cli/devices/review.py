@@ -15,19 +15,18 @@ import numpy as np
 
 from accelcal_cli import __version__
 from accelcal_cli.devices import table
-from accelcal_cli.devices.trends import (
-    DAMAGED_FROM_PERCENT,
-    FEWEST_DEVICES,
-    LEAST_SPREAD_MG,
-    PERHAPS,
-    REPEATED,
-    SIGNIFICANT,
-    Referred,
-    Rules,
-    Trend,
-    at_one_temperature,
-    trends,
-)
+from accelcal_cli.devices.trends import SIGNIFICANT, Referred, Rules, Trend, at_one_temperature, trends
+
+PERHAPS = 0.05
+"""A drift that is not certain is told if it is less probable than this by chance; our choice."""
+FEWEST_DEVICES = 5
+"""Devices of one kind among which one can lie outside; our choice."""
+LEAST_SPREAD_MG = 0.5
+"""A smaller spread of held-out errors between devices is taken for this; our choice."""
+DAMAGED_FROM_PERCENT = 0.1
+"""Share of a recording's bytes from which damage counts; our choice."""
+REPEATED = 2
+"""Recordings that make a thing repeated."""
 
 
 class Verdict(StrEnum):

@@ -85,7 +85,7 @@ Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, order=True)
 class DeviceKey:
     """What recordings must share to be compared: values of one sensor, read in one way.
 
@@ -227,11 +227,12 @@ def records(held: dict[str, Any], latest_day: float) -> Records:
     """Columns as recordings of devices, in their order; see `Records`."""
     named = [row for row, serial in enumerate(held["device_serial"]) if serial]
     days = [day(start, latest_day) for start in held["start_time"]]
-    keys = {row: (_device(held, row), days[row]) for row in named}
-    order = sorted(named, key=lambda row: (*_sortable(*keys[row]), held["path"][row] or ""))
-    devices = tuple(dict.fromkeys(keys[row][0] for row in order))
+    keys = {row: _device(held, row) for row in named}
+    starts = [(isnan(begin), 0.0 if isnan(begin) else begin) for begin in days]
+    order = sorted(named, key=lambda row: (keys[row], starts[row], held["path"][row] or ""))
+    devices = tuple(dict.fromkeys(keys[row] for row in order))
     number = {device: index for index, device in enumerate(devices)}
-    counts = np.bincount([number[keys[row][0]] for row in order], minlength=len(devices))
+    counts = np.bincount([number[keys[row]] for row in order], minlength=len(devices))
     pairs = zip(held["outcome"], held["device_serial"], strict=True)
     nameless = [outcome for outcome, serial in pairs if not serial]
     values, errors = _parameters(held, order)
@@ -252,13 +253,7 @@ def _device(held: dict[str, Any], row: int) -> DeviceKey:
     return DeviceKey(held["device_serial"][row], held["device_model"][row] or "", held["format"][row] or "")
 
 
-def _sortable(device: DeviceKey, start: float) -> tuple[str, str, str, bool, float]:
-    undated = isnan(start)
-    return device.serial, device.model, device.format, undated, 0.0 if undated else start
-
-
 def _parameters(held: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]:
-    """What was fitted, and its standard error where that says something."""
     values = np.stack([held[name][order] for name in COLUMNS], axis=1)
     errors = np.stack([held[name][order] for name in ERRORS], axis=1)
     models = [held["model"][row] for row in order]

@@ -22,7 +22,6 @@ from accelcal_cli.devices.table import (
     SLOPES,
     Floats,
     Indices,
-    Kind,
     Parameter,
     Records,
     Usage,
@@ -31,18 +30,8 @@ from accelcal_cli.devices.table import (
 
 SIGNIFICANT = 3.0
 """Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
-PERHAPS = 0.05
-"""A drift that is not certain is reported if it is less probable than this by chance; our choice."""
 SLOPE_SPAN_C = 10.0
 """A drift of a temperature slope counts by what it does over this many degrees; our choice."""
-FEWEST_DEVICES = 5
-"""Devices of one kind among which one can lie outside; our choice."""
-LEAST_SPREAD_MG = 0.5
-"""A smaller spread of held-out errors between devices is taken for this; our choice."""
-DAMAGED_FROM_PERCENT = 0.1
-"""Share of a recording's bytes from which damage counts; our choice."""
-REPEATED = 2
-"""Recordings that make a thing repeated."""
 DAYS_A_MONTH = 365.25 / 12
 
 
@@ -79,23 +68,13 @@ class Rules:
 
     def levels(self) -> Floats:
         """Largest distance of each parameter from its ideal, in its unit, (12,)."""
-        limit = {
-            Kind.SCALE: self.scale_percent,
-            Kind.MISALIGNMENT: self.misalignment_percent,
-            Kind.OFFSET: self.offset_mg,
-            Kind.SLOPE: self.slope_mg_per_c,
-        }
-        return np.array([limit[parameter.kind] for parameter in PARAMETERS])
+        scale, misalignment = self.scale_percent, self.misalignment_percent
+        return np.repeat([scale, misalignment, self.offset_mg, self.slope_mg_per_c], 3)
 
     def drifts(self) -> Floats:
         """Largest drift of each parameter, in its unit a month, (12,)."""
-        limit = {
-            Kind.SCALE: self.drift_percent,
-            Kind.MISALIGNMENT: self.drift_percent,
-            Kind.OFFSET: self.drift_mg,
-            Kind.SLOPE: self.drift_mg / SLOPE_SPAN_C,
-        }
-        return np.array([limit[parameter.kind] for parameter in PARAMETERS])
+        slope = self.drift_mg / SLOPE_SPAN_C
+        return np.repeat([self.drift_percent, self.drift_percent, self.drift_mg, slope], 3)
 
 
 FEWEST = 3

@@ -194,20 +194,8 @@ def _checked(gain: Any, offset_g: Any, reference_c: Any) -> Truth:
     return truth
 
 
-@dataclass(frozen=True, slots=True)
-class TrueErrors:
+def true_errors(calibration: Calibration, truth: Truth) -> tuple[float, float]:
     """The largest error of an entry of K, and of an offset [mg] at the truth's reference temperature."""
-
-    gain: float
-    offset_mg: float
-
-
-def true_errors(calibration: Calibration, truth: Truth) -> TrueErrors:
-    """How far a calibration is from the truth."""
-    offset_g = calibration.offset_g() + calibration.slope_g_per_c() * (
-        truth.reference_c - calibration.reference_c()
-    )
-    return TrueErrors(
-        float(np.abs(calibration.gain() - truth.gain).max()),
-        float(np.abs(offset_g - truth.offset_g).max() * 1000),
-    )
+    drift_g = calibration.slope_g_per_c() * (truth.reference_c - calibration.reference_c())
+    offsets_g = calibration.offset_g() + drift_g - truth.offset_g
+    return float(np.abs(calibration.gain() - truth.gain).max()), float(np.abs(offsets_g).max() * 1000)

@@ -91,7 +91,6 @@ def compare(
 
 
 def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: ProgressMaker) -> Found:
-    """The whole method by one rule of stillness."""
     recording = reader.recording
     method = make_method(recording, settings)
     shown = progress(f"by rule {settings.stillness}", recording.total_bytes)

@@ -216,15 +216,16 @@ def _change(holdout: Holdout) -> str:
     return f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after"
 
 
-def too_damaged(facts: Facts, max_percent: float) -> str | None:
-    """Why a recording is refused; None where damage has taken no larger share than `max_percent`."""
+def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:
+    """The refusal of a recording of which damage has taken more than `max_percent`; None for any other."""
     share = facts.lost_percent()
     if share <= max_percent:
         return None
-    return (
+    text = (
         f"{share:.1f} % of the recording is lost to damage ({facts.lost_bytes} bytes), "
         f"{max_percent:g} % is the limit; copy it again from the device, or allow more with --max-damage"
     )
+    return Judgement(Outcome.REFUSED, text, coverage, ())
 
 
 def advised(verdict: Judgement, facts: Facts) -> Judgement:
@@ -232,12 +233,6 @@ def advised(verdict: Judgement, facts: Facts) -> Judgement:
     if all(problem.code != CUT_SHORT for problem in facts.problems):
         return verdict
     return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))
-
-
-def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judgement | None:
-    """The refusal of a recording that is too damaged; None for any other."""
-    text = too_damaged(facts, max_percent)
-    return None if text is None else Judgement(Outcome.REFUSED, text, coverage, ())
 
 
 def held_out(

@@ -248,11 +248,8 @@ def _check_model(calibration: points.Calibration) -> None:
 
 def contradiction(section: Mapping[str, Any], calibration: points.Calibration) -> str | None:
     """Which number of a `calibration` section is not what its own integers say, if any."""
-    expected = coefficients_json(calibration)
-    for name, value in expected.items():
-        if section.get(name) != value:
-            return f"calibration.{name} is not what calibration.fixed_point says"
-    return None
+    wrong = (name for name, value in coefficients_json(calibration).items() if section.get(name) != value)
+    return next((f"calibration.{name} is not what calibration.fixed_point says" for name in wrong), None)
 
 
 def implausible(calibration: points.Calibration) -> str | None:

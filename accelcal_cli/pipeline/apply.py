@@ -155,11 +155,8 @@ def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, reque
 
 def _read_otherwise(report: dict[str, Any], recording: Recording, request: Request) -> bool:
     then = report["recording"]
-    if (then["format"], then["sample_rate_hz"], then["lsb_per_g"]) != (
-        recording.format,
-        recording.rate_hz,
-        recording.lsb_per_g,
-    ):
+    now_read = (recording.format, recording.rate_hz, recording.lsb_per_g)
+    if (then["format"], then["sample_rate_hz"], then["lsb_per_g"]) != now_read:
         return True
     settings = report.get("settings")
     before = settings.get("input") if isinstance(settings, dict) else None
@@ -296,7 +293,6 @@ def _change(holdout: Holdout | None) -> str:
 
 
 def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
-    """What is different from the donor, but does not hinder."""
     notes, then = [], donor.document.report["recording"]
     theirs, ours = donor.origin.device, recording.device
     if theirs.serial != ours.serial or not ours.serial:
@@ -424,7 +420,6 @@ def _untested(verdict: Judgement) -> str:
 
 
 def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
-    """Why coefficients are not accepted, or None."""
     before, after, limit_mg = holdout.before.mean, holdout.after.mean, judge.settings.max_error_mg
     changed = f"{before:.1f} mg become {after:.2f} mg on {holdout.postures} postures"
     if after > before or (after == before and judge.donor.calibration.model != "0"):

@@ -23,17 +23,8 @@ from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.report import ReportInput, integers_json
-from accelcal_cli.pipeline import export, jobs, outputs
+from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.survey import (
-    FactsObserver,
-    Method,
-    fitting,
-    make_method,
-    open_marked,
-    optimizer_json,
-    survey,
-)
 
 SURVEYED_AT_ONCE = 4
 """Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
@@ -67,7 +58,7 @@ class Survey:
 
     recording: Recording
     facts: Facts
-    method: Method
+    method: survey.Method
     points: PointSet
     coverage: Coverage
     damage: Judgement | None
@@ -97,13 +88,13 @@ class Judge:
 
     settings: Settings
 
-    def method(self, recording: Recording) -> Method:
+    def method(self, recording: Recording) -> survey.Method:
         """What the first pass is to find, before it begins."""
-        return make_method(recording, self.settings)
+        return survey.make_method(recording, self.settings)
 
     def optimizer(self) -> dict[str, Any]:
         """The report's `optimizer`; raises UsageError for an unknown one."""
-        return optimizer_json(self.settings)
+        return survey.optimizer_json(self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """Judge what the first pass found."""
@@ -117,7 +108,7 @@ class OwnCalibration(Judge):
         """The judgement of the profile's procedure."""
         if found.damage is not None:
             return Verdict(found.damage)
-        return Verdict(advised(found.method.procedure.judge(fitting(self.settings)), found.facts))
+        return Verdict(advised(found.method.procedure.judge(survey.fitting(self.settings)), found.facts))
 
 
 @contextmanager
@@ -139,7 +130,7 @@ def open_run(
     """
     path = source or job.source
     before = before or jobs.file_stamp(path)
-    with open_marked(path, request.options, request.threads) as reader:
+    with survey.open_marked(path, request.options, request.threads) as reader:
         yield RecordingRun(job, request, progress, reader, path, before)
 
 
@@ -206,14 +197,14 @@ class RecordingRun:
         )
         return data, points
 
-    def survey(self, method: Method) -> Facts:
+    def survey(self, method: survey.Method) -> Facts:
         """Facts of the recording, and its still windows into the method."""
         recording, request = self.reader.recording, self.request
-        facts = FactsObserver(recording, method.rest_lsb)
+        facts = survey.FactsObserver(recording, method.rest_lsb)
         observers = (facts, method.procedure)
         shown = self.progress("reading", recording.total_bytes)
         chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
-        survey(chunks, method.segmenter, observers, shown, request.threads)
+        survey.survey(chunks, method.segmenter, observers, shown, request.threads)
         give_back_freed_memory()
         return facts.result()
 

@@ -19,6 +19,7 @@ from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.verdict import advised, damage_verdict
+from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
 from accelcal_cli.pipeline.survey import FactsObserver, fitting, make_method, open_marked, survey
 
@@ -124,7 +125,6 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
 
 def duration_s(inspection: Inspection) -> float | None:
     """Length in seconds, None where only reading everything would tell."""
-    facts = inspection.facts
-    if inspection.whole and facts.first_us is not None and facts.last_us is not None:
-        return round((facts.last_us - facts.first_us) / 1e6 + 1 / inspection.recording.rate_hz, 6)
-    return inspection.recording.duration_s
+    recording, facts = inspection.recording, inspection.facts
+    known = inspection.whole and facts.first_us is not None
+    return reports.duration_s(recording, facts) if known else recording.duration_s

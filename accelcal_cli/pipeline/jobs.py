@@ -233,11 +233,6 @@ class Request:
         """The settings by which stillness is found and judged; of a session those that it has."""
         return self.settings.stillness if isinstance(self.settings, PoseSettings) else self.settings
 
-    @property
-    def coefficients_sha256(self) -> str | None:
-        """Hash of the file of the coefficients to apply, if there is one."""
-        return None if self.coefficients is None else self.coefficients.sha256
-
     def effective_settings(self, companion: Path | None) -> EffectiveSettings:
         """All that decides the result besides the recording.
 

@@ -81,7 +81,8 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
         return False
     used = report.get("coefficients", {}).get("sha256")
     settings = json_round_trip(request.effective_settings(recording.companion).as_json())
-    return bool(report["settings"] == settings and used == request.coefficients_sha256)
+    asked = None if request.coefficients is None else request.coefficients.sha256
+    return bool(report["settings"] == settings and used == asked)
 
 
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:

@@ -21,17 +21,10 @@ from accelcal_cli.judge.verdict import SEEN, held_out, worse
 from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, calibration_of, check_sections
+from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
-from accelcal_cli.pipeline.survey import (
-    CellProcedure,
-    Method,
-    fitting,
-    local_lsb_per_g,
-    make_method,
-    optimizer_json,
-)
 
 FEWEST = 2
 """Recordings of a pool."""
@@ -95,12 +88,13 @@ def pool(
 def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
     """One fit and one judgement of the cells of several recordings."""
     temperature = all(part.collector.temperature for part in parts)
-    merged = CellCollector(local_lsb_per_g(parts[0].recording, settings), settings, temperature=temperature)
+    lsb_per_g = survey.local_lsb_per_g(parts[0].recording, settings)
+    merged = CellCollector(lsb_per_g, settings, temperature=temperature)
     for part in parts:
         merged.merge(part.collector)
-    procedure = CellProcedure(merged)
+    procedure = survey.CellProcedure(merged)
     windows = procedure.window_use(reduce(add, (part.counts for part in parts)))
-    return _Fitted(tuple(parts), procedure.judge(fitting(settings)), windows)
+    return _Fitted(tuple(parts), procedure.judge(survey.fitting(settings)), windows)
 
 
 def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
@@ -134,7 +128,7 @@ def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> 
         settings=request.effective_settings(request.options.layout),
         judgement=fitted.verdict,
         windows=fitted.windows,
-        optimizer=optimizer_json(settings),
+        optimizer=survey.optimizer_json(settings),
     )
 
 
@@ -142,8 +136,8 @@ def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
     path, settings = member.path, request.recording_settings
     with open_run(Job(path, path, path), request, progress) as run:
         recording = run.reader.recording
-        method = make_method(recording, settings)
-        if not isinstance(method.procedure, CellProcedure):
+        method = survey.make_method(recording, settings)
+        if not isinstance(method.procedure, survey.CellProcedure):
             raise UsageError(f"profile {settings.profile} keeps no cells that could be pooled")
         facts = run.survey(method)
         return _Part(member, recording, facts.samples, method.procedure.collector, method.segmenter.counts)
@@ -187,10 +181,10 @@ class PoolCoefficients(Judge):
 
     document: Document
 
-    def method(self, recording: Recording) -> Method:
+    def method(self, recording: Recording) -> survey.Method:
         """As for the recording's own calibration; raises UnreadableError for a damaged report of the pool."""
         check_sections(self.document, (*TAKEN, "outcome", "message", "pool"))
-        return make_method(recording, self.settings)
+        return survey.make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """The pool's verdict; its judgement's hold-out is that of the recording's own points."""
@@ -214,7 +208,6 @@ def _message(document: Document, holdout: Holdout | None) -> str:
 
 
 def _why_not(data: ReportInput, document: Document) -> str | None:
-    """Why a recording keeps its own result, or None."""
     judgement = data.judgement
     if judgement.outcome is Outcome.REFUSED:
         return judgement.message

@@ -79,7 +79,6 @@ def converted(value: Any, hint: Any) -> Any:
 
 
 def _record(value: Any, kind: Any) -> Any:
-    """A record within a record: all of its fields, and no others."""
     if not isinstance(value, dict) or set(value) != {field.name for field in fields(kind)}:
         raise TypeError
     try:

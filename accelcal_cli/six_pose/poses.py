@@ -130,15 +130,29 @@ class PoseError:
 
 
 @dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """Standard errors.
+
+    Attributes:
+        k, o: of K and O in z = K a + O.
+        parameters: of kxx .. oz, three slopes (0) and kyx, kzx, kzy.
+        worst_direction_mg: of |a|, in the worst of 26 directions (faces, edges, corners of a cube).
+    """
+
+    k: Matrix3
+    o: Floats3
+    parameters: tuple[float, ...]
+    worst_direction_mg: float
+
+
+@dataclass(frozen=True, slots=True)
 class SixPoseFit:
     """Twelve parameters from known orientations, and how well they are known.
 
     Attributes:
         k, o: z = K a + O, in raw g per g and raw g.
-        k_errors, o_errors: their standard errors.
-        standard_errors: of kxx .. oz, three slopes (0) and kyx, kzx, kzy.
+        precision: their standard errors.
         condition_number: of the matrix [a 1], a in g.
-        worst_direction_mg: largest standard error of |a| over 26 directions.
         errors: one for each pose.
         between_norm_mg: mean | |a| - local g | of the states between faces, None without any.
     """
@@ -146,11 +160,8 @@ class SixPoseFit:
     calibration: Calibration
     k: Matrix3
     o: Floats3
-    k_errors: Matrix3
-    o_errors: Floats3
-    standard_errors: tuple[float, ...]
+    precision: Uncertainty
     condition_number: float
-    worst_direction_mg: float
     errors: tuple[PoseError, ...]
     between_norm_mg: float | None
 
@@ -213,7 +224,6 @@ def read_list(path: Path) -> tuple[Listed, ...]:
 
 
 def _lines(path: Path) -> Iterator[tuple[Place, str]]:
-    """Lines that say something."""
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise UsageError("is too large for a list of poses", path=path)
@@ -284,7 +294,6 @@ def state(still: Windows, indices: list[int], lsb_per_g: float) -> State:
 
 
 def _times(still: Windows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Start and end of each window [us]."""
     assert still.start_us is not None and still.end_us is not None
     return still.start_us, still.end_us
 
@@ -354,7 +363,6 @@ def _span(item: Listed, origin: Origin) -> Span:
 
 
 def _device_us(moment: Moment, item: Listed, origin: Origin) -> int:
-    """A moment on the device's clock."""
     if not isinstance(moment, datetime):
         return origin.first_us + round(moment * 1_000_000)
     if not origin.dated:

@@ -36,6 +36,7 @@ from accelcal_cli.six_pose.poses import (
     Session,
     SixPoseFit,
     State,
+    Uncertainty,
 )
 
 MODEL = "12"
@@ -67,16 +68,12 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
     solution = solve(session.poses, settings.gravity)
     errors = pose_errors(session.poses, solution.calibration, settings)
     _require_checks(session, errors)
-    precision = uncertainty(session.poses, solution)
     return SixPoseFit(
         calibration=solution.calibration,
         k=_matrix3(solution.k),
         o=_offset(solution),
-        k_errors=precision.k,
-        o_errors=precision.o,
-        standard_errors=precision.parameters,
+        precision=uncertainty(session.poses, solution),
         condition_number=condition,
-        worst_direction_mg=precision.worst_direction_mg,
         errors=errors,
         between_norm_mg=between_norm_mg(session.between, solution.calibration, settings.gravity),
     )
@@ -310,22 +307,6 @@ def _norm_error(a: Floats3, b: Floats3) -> float:
 def _angle(a: Floats3, b: Floats3) -> float:
     cosine = fsum(left * right for left, right in zip(a, b, strict=True)) / (_length(a) * _length(b))
     return degrees(acos(max(-1.0, min(1.0, cosine))))
-
-
-@dataclass(frozen=True, slots=True)
-class Uncertainty:
-    """Standard errors.
-
-    Attributes:
-        k, o: of K and O in z = K a + O.
-        parameters: of kxx .. oz, three slopes (0) and kyx, kzx, kzy.
-        worst_direction_mg: of |a|, in the worst of 26 directions (faces, edges, corners of a cube).
-    """
-
-    k: Matrix3
-    o: Floats3
-    parameters: tuple[float, ...]
-    worst_direction_mg: float
 
 
 def uncertainty(poses: Sequence[Pose], solution: Solution) -> Uncertainty:

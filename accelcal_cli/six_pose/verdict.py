@@ -17,7 +17,15 @@ from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, O
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.judge.errors import coverage, interval95, mean, summary
 from accelcal_cli.output.report import rounded, significant, summary_json
-from accelcal_cli.six_pose.poses import Integers3, Matrix3, Pose, PoseError, Session, SixPoseFit, VectorErrors
+from accelcal_cli.six_pose.poses import (
+    Integers3,
+    Pose,
+    PoseError,
+    Session,
+    SixPoseFit,
+    Uncertainty,
+    VectorErrors,
+)
 
 EQUATION = "z = K a + O"
 METHOD = "one orientation left out at a time"
@@ -66,7 +74,7 @@ def _with_calibration(verdict: Judgement, fit: SixPoseFit) -> Judgement:
         verdict,
         calibration=fit.calibration,
         fit=Fit(fit.calibration.parameters, 1, "solved", Operations()),
-        standard_errors=fit.standard_errors,
+        standard_errors=fit.precision.parameters,
     )
 
 
@@ -168,7 +176,7 @@ def _coverage(session: Session, fit: SixPoseFit) -> Coverage:
     return replace(
         coverage(points),
         condition_number=fit.condition_number,
-        worst_direction_mg=fit.worst_direction_mg,
+        worst_direction_mg=fit.precision.worst_direction_mg,
     )
 
 
@@ -209,7 +217,7 @@ def known_json(session: Session, fit: SixPoseFit, outcome: Outcome, vectors: Vec
         "equation": EQUATION,
         "K": None if refused else [list(row) for row in fit.k],
         "O": None if refused else list(fit.o),
-        "standard_errors": None if refused else _errors(fit.k_errors, fit.o_errors),
+        "standard_errors": None if refused else _errors(fit.precision),
         "holdout_vector_mg": {"before": summary_json(vectors.before), "after": summary_json(vectors.after)},
         "repeat_spread_mg": rounded(vectors.repeat_spread),
         "orientations": session.orientations,
@@ -222,8 +230,6 @@ def known_json(session: Session, fit: SixPoseFit, outcome: Outcome, vectors: Vec
     }
 
 
-def _errors(k: Matrix3, o: tuple[float, float, float]) -> dict[str, Any]:
-    return {
-        "K": [[significant(value) for value in row] for row in k],
-        "O": [significant(value) for value in o],
-    }
+def _errors(known: Uncertainty) -> dict[str, Any]:
+    k = [[significant(value) for value in row] for row in known.k]
+    return {"K": k, "O": [significant(value) for value in known.o]}

@@ -54,7 +54,6 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
 
 
 def _damaged(row: Row, max_percent: float) -> bool:
-    """Whether a recording was refused because of what damage took."""
     return bool(row["outcome"] == Outcome.REFUSED and row["lost_percent"] > max_percent)
 
 
@@ -142,22 +141,14 @@ def identity(row: Row) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Donor:
-    """A recording whose coefficients may be borrowed: the name of its item, and its report."""
-
-    name: str
-    report: Path
-
-
-@dataclass(frozen=True, slots=True)
 class BorrowTask(ReplacementTask):
     """One recording that should borrow.
 
     Attributes:
-        donors: whose coefficients it may try, in this order.
+        donors: whose coefficients it may try, in this order: name of the item, and its report.
     """
 
-    donors: tuple[Donor, ...]
+    donors: tuple[tuple[str, Path], ...]
     round: ClassVar[str] = BORROW
     refusal: ClassVar[str] = "borrowed nothing"
 
@@ -180,7 +171,7 @@ def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
     def task(name: str, names: list[str]) -> BorrowTask:
         own = standing[name].own
         inputs = (identity(own.row or {}), *(identity(rows[one]) for one in names))
-        lending = tuple(Donor(one, standing[one].item.job.report) for one in names)
+        lending = tuple((one, standing[one].item.job.report) for one in names)
         return BorrowTask(standing[name].item, common, own, inputs, lending)
 
     return [task(*pair) for pair in found.items()]
@@ -191,13 +182,13 @@ def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
     """Try one donor after another."""
     item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
     poorer = task.own_row["outcome"] != Outcome.REFUSED
-    reports = [donor.report for donor in task.donors]
+    reports = [report for _, report in task.donors]
     loan = borrow(item.job, request, reports, progress, must_be_better=poorer, before=item.stamps[0])
     if loan.result is None:
         own = calibrate(item.job, request, progress)
         return task.result(own, task.kept("; ".join(loan.reasons)))
     number = len(loan.reasons)
-    accepted = {"borrowed_from": printable(task.donors[number].name), **summary.own(task.own_row)}
+    accepted = {"borrowed_from": printable(task.donors[number][0]), **summary.own(task.own_row)}
     row = row_of(item, task.common, loan.result) | accepted
     return task.result(loan.result, row, task.inputs[: number + 2])
 

@@ -233,7 +233,6 @@ class DaskSession:
                 self._cancel_all()
 
     def _count_workers(self) -> None:
-        """How many can work now, from time to time."""
         if time.monotonic() < self.next_count_s:
             return
         self.next_count_s = time.monotonic() + COUNT_S

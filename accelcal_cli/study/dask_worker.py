@@ -211,5 +211,4 @@ def _as_named(cwd: Path, task: CalibrationTask, message: str) -> str:
 
 
 def _start(folder: Path) -> str:
-    """What names in a folder begin with."""
     return "" if folder == Path() else str(Path(printable(folder)) / "_")[:-1]

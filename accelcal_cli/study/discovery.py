@@ -32,11 +32,6 @@ FIRST = list(COLUMNS[:2])
 """With these columns the table of every version begins."""
 
 
-def of_a_study(path: Path) -> bool:
-    """Whether a file was written by a study, as its ledger, its lock or its summary."""
-    return NAMES.fullmatch(path.name) is not None and (path.suffix not in SUMMARY or _summary(path))
-
-
 def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
     """Refuse to overwrite with the summary what no study wrote; a recording not even with `force`.
 
@@ -100,14 +95,14 @@ def files(where: Where) -> list[Item]:
     Raises:
         UsageError: a folder is none, or two folders would share their place under OUT.
     """
-    found = [item for folder, place in _places(where) for item in _folder(where, folder, place)]
+    found = [item for folder, place in places(where) for item in _folder(where, folder, place)]
     return sorted(found, key=lambda item: item.name)
 
 
 def below_out(where: Where) -> list[Item]:
     """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
     found, every = [], replace(where, include=(), exclude=())
-    for folder, place in _places(where):
+    for folder, place in places(where):
         if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
             way = jobs.real(where.out).relative_to(jobs.real(folder))
             found += [
@@ -122,13 +117,8 @@ def _wanted(where: Where, below: str) -> bool:
     return not _fits(below, where.exclude) and (not where.include or _fits(below, where.include))
 
 
-def check(where: Where) -> None:
-    """Raise what `files` would raise of the folders."""
-    _places(where)
-
-
-def _places(where: Where) -> list[tuple[Path, str]]:
-    """Each folder with its place under OUT."""
+def places(where: Where) -> list[tuple[Path, str]]:
+    """Each folder with its place under OUT; raises what `files` would raise of the folders."""
     for folder in where.folders:
         if not folder.is_dir():
             raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
@@ -165,14 +155,13 @@ def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
 
 
 def _never(path: Path) -> bool:
-    """Whether a file is certainly no recording: hidden, of ours, or a layout."""
+    """Whether a file is certainly no recording: hidden, of ours, a study's, or a layout."""
     name = path.name
-    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or of_a_study(path)
+    written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _summary(path))
+    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or written
 
 
 def _fits(below: str, patterns: tuple[str, ...]) -> bool:
-    """Whether a path under the folder fits one of the patterns."""
-
     def fits(pattern: str) -> bool:
         text = below if "/" in pattern else below.rpartition("/")[2]
         return fnmatchcase(text.lower(), pattern.lower())

@@ -14,8 +14,7 @@ import zlib
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TextIO
+from typing import Any, TextIO
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.output.files import replacing
@@ -84,12 +83,8 @@ class Ledger:
             self._file.flush()
             os.fsync(self._file.fileno())
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Close the file, if there is one."""
         if self._file is not None:
             with contextlib.suppress(OSError):
                 self._file.close()

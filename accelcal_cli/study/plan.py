@@ -126,10 +126,6 @@ class Study:
             "integers": self.request.integers,
         }
 
-    def all_settings(self) -> dict[str, Any]:
-        """All that decides the results but the recordings and their layout files."""
-        return {**self.settings(), "pool": self.pool, "borrow": self.borrow}
-
     @property
     def replacing(self) -> tuple[str, ...]:
         """The later rounds whose results may replace a recording's own."""

@@ -74,7 +74,6 @@ def _fits(path: str) -> bool:
 
 
 def _sweep(parent: Path, start: str) -> None:
-    """Remove the folders of processes that are gone."""
     with contextlib.suppress(OSError), os.scandir(parent) as entries:
         for entry in entries:
             owner = entry.name.removeprefix(start).split("-")[0]
@@ -168,7 +167,6 @@ class ProcessPool:
             ) from error
 
     def _listen(self) -> Iterator[Finished]:
-        """Results of the workers that send something within a second."""
         ready = connection.wait([worker.pipe for worker in self._busy], timeout=POLL_S)
         for worker in [worker for worker in self._busy if worker.pipe in ready]:
             if (ended := self._receive(worker)) is not None:

@@ -41,14 +41,12 @@ class Item:
     @property
     def size(self) -> int:
         """Bytes; 0 where it cannot be looked at."""
-        own = self.stamps[0]
-        return 0 if own is None else own[0]
+        return 0 if self.stamps[0] is None else self.stamps[0][0]
 
     @property
     def changed_s(self) -> float:
         """When it was last changed [s since 1970]."""
-        own = self.stamps[0]
-        return 0.0 if own is None else own[1] / 1e9
+        return 0.0 if self.stamps[0] is None else self.stamps[0][1] / 1e9
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,14 @@ With `--dry-run` it only says what it would do.
 from __future__ import annotations
 
 from collections.abc import Sequence, Set
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.study import lock, summary
 from accelcal_cli.study.borrowing import BORROWING
-from accelcal_cli.study.discovery import check, refuse_foreign
+from accelcal_cli.study.discovery import places, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
 from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
@@ -78,13 +79,13 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         LockedError: another run works in the output folder.
         OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
-    check(study.where)
+    places(study.where)
     try:
         study.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    with lock.held(study.lock, lambda: _other_locks(study)), ledger_of(study) as ledger:
+    with lock.held(study.lock, lambda: _other_locks(study)), closing(ledger_of(study)) as ledger:
         found = plan(study, ledger)
         refuse_foreign(study.out, base, found.sources(), force=study.request.force)
         study_run = StudyRun(study, ledger, observer)
@@ -115,7 +116,7 @@ def _summary(study: Study, found: Plan, study_run: StudyRun) -> Summary:
     last = [standing[name].last for name in sorted(standing)]
     return Summary(
         rows=[entry.row for entry in last if entry.row is not None],
-        settings=study.all_settings(),
+        settings={**study.settings(), "pool": study.pool, "borrow": study.borrow},
         waiting=len(found.waiting),
         left_out=len(found.left_out),
         up_to_date=len(set(standing) - study_run.worked),
@@ -200,7 +201,6 @@ class StudyRun:
         )
 
     def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
-        """A later round: what stands from an earlier run, and what is to be done."""
         todo, taken = self._planner.of(one, tasks)
         for task, entry in taken:
             self._take(one, task.item, TaskResult(entry, up_to_date=True))
@@ -210,7 +210,6 @@ class StudyRun:
             self.worked |= set() if one.of_pools else {item.name}
 
     def _take(self, one: Round, item: Item, result: TaskResult) -> None:
-        """What came of a round for a recording, or for a pool."""
         if one.of_pools:
             self.known.pools[item.name] = result.entry
             return
@@ -227,7 +226,7 @@ def preview(study: Study) -> dict[Item, str]:
         UsageError: see `plan`.
         OutputError: the output folder cannot be one.
     """
-    check(study.where)
+    places(study.where)
     there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
     if not there.is_dir():
         raise OutputError("cannot be made (there is a file)", path=there)

@@ -121,12 +121,12 @@ def _calibration(found: dict[str, Any] | None) -> dict[str, Any]:
     if found is None:
         return {}
     warm = found["temperature"]
-    slopes = {} if warm is None else dict(zip(_named("slope_{}_g_per_c"), warm["slope_g_per_c"], strict=True))
+    slopes = {} if warm is None else dict(zip(PARAMETERS[9:], warm["slope_g_per_c"], strict=True))
     gain = [value for row in found["gain"] for value in row]
     return {
         "model": found["model"],
         **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
-        **dict(zip(_named("offset_{}_g"), found["offset_g"], strict=True)),
+        **dict(zip(PARAMETERS[6:9], found["offset_g"], strict=True)),
         **slopes,
         "reference_c": None if warm is None else warm["reference_c"],
         **_standard_errors(found),
@@ -140,10 +140,6 @@ def _standard_errors(found: dict[str, Any]) -> dict[str, float]:
     free = range(len(PARAMETERS)) if model is None else model.free
     named = {f"se_{PARAMETERS[index]}": known.get(PARAMETER_NAMES[index]) for index in free}
     return {name: value for name, value in named.items() if value is not None}
-
-
-def _named(pattern: str) -> list[str]:
-    return [pattern.format(axis) for axis in AXES]
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,6 @@ def test_offsets_are_compared_at_the_reference_temperature_of_the_truth() -> Non
     slope = ONE // 64 * 8
     parameters = (ONE + ONE // 2, ONE, ONE, 0, 0, 0, ONE // 4, 0, 0, slope, 0, 0)
     calibration = Calibration("9T", parameters, TemperatureScale(20_000, 8.0))
-    found = true_errors(calibration, Truth(np.eye(3), np.array([0.25, 0.0625, 0.0]), 30.0))
-    assert found.gain == 0.5
-    assert found.offset_mg == pytest.approx(10_000 / 64, rel=1e-12)
+    gain, offset_mg = true_errors(calibration, Truth(np.eye(3), np.array([0.25, 0.0625, 0.0]), 30.0))
+    assert gain == 0.5
+    assert offset_mg == pytest.approx(10_000 / 64, rel=1e-12)
