@@ -27,7 +27,7 @@ MOMENTS = (
     *(f"{name.removesuffix('raw')}{end}" for name in NAMES for end in ENDS),
 )  # fmt: skip
 """What is about to be imported, or to be given its name, when a study is struck."""
-TIMES = [pytest.param(5, 1, id="5"), pytest.param(50, None, id="50", marks=pytest.mark.nightly)]
+TIMES = [pytest.param(3, 1, id="3"), pytest.param(50, None, id="50", marks=pytest.mark.nightly)]
 
 
 @pytest.fixture(scope="module")
