@@ -7,8 +7,6 @@ PLAIN  := $(VENV)/.installed
 READY  := $(VENV)/.ready
 PIP    := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 DEMO   := demo
-# one more than CPUs: many tests wait for a process that they started
-WORKERS ?= $(shell $(PYTHON) -c 'import os; print((os.cpu_count() or 1) + 1)')
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
@@ -36,7 +34,7 @@ demo: $(PLAIN)
 	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
 
 test: $(READY)
-	$(BIN)/python -m pytest -n $(WORKERS) --dist worksteal -m 'not nightly'
+	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not nightly'
 
 nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly
