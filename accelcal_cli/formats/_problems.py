@@ -78,15 +78,16 @@ def count_behind(run: Run) -> str:
 
 
 class ProblemLog:
-    """Collects events as they come; gives problems back in the order in which they began.
+    """Collects events as they come; gives problems back in the order in which they began, or ended.
 
-    What is put together depends on the positions alone, not on when `take` is called.
+    What is put together, and the order, depend on the positions alone, not on when `take` is called.
 
     Args:
         first: problems to be given before all others.
         describe: makes the message of a run.
         single: runs of a kind that are given one by one; one more record counts all others.
-        rest_last: that record ends the list, and has no place; else it stands where it began.
+        by_end: problems come in the order of their ends, by code and text where they end together; the
+            record of all others comes last and has no place. Else all come in the order of their beginnings.
     """
 
     def __init__(
@@ -94,12 +95,12 @@ class ProblemLog:
         first: Iterable[Problem] = (),
         describe: Callable[[Run], str] = count_behind,
         single: int = SINGLE,
-        rest_last: bool = False,
+        by_end: bool = False,
     ) -> None:
         self._ready = list(first)
         self._describe = describe
         self._single = single
-        self._rest_last = rest_last
+        self._by_end = by_end
         self._queue: deque[Run] = deque()
         self._open: dict[Kind, Run] = {}
         self._records: Counter[Kind] = Counter()
@@ -122,7 +123,7 @@ class ProblemLog:
             return self._rest[event.kind]
         else:
             self._rest[event.kind] = run
-            if self._rest_last:
+            if self._by_end:
                 run.event, run.scattered = replace(event, byte_offset=None), True
                 return run
         self._queue.append(run)
@@ -154,9 +155,11 @@ class ProblemLog:
             if scanned is None or run.end < scanned:
                 del self._open[kind]
         ready, self._ready = self._ready, []
+        if self._by_end:
+            self._queue = deque(sorted(self._queue, key=lambda run: (run.end, run.event.kind)))
         while self._queue and (scanned is None or not self._grows(self._queue[0])):
             ready.append(self._problem(self._queue.popleft()))
-        if scanned is None and self._rest_last:
+        if scanned is None and self._by_end:
             ready += [self._problem(self._rest[kind]) for kind in sorted(self._rest)]
         return tuple(ready)
 

@@ -36,6 +36,9 @@ ASLEEP = (
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
+CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, ASLEEP, AHEAD, BACK)]
+"""The order of those problems that only the end of the file completes."""
+
 NO_DATE = "the file has no date; times count from 1970-01-01"
 
 
@@ -73,6 +76,8 @@ class CsvReader(Reader):
                     yield chunk
         if 2 * assembler.samples < assembler.rows or not assembler.samples:
             raise self._unusable(f"only {assembler.samples} of {assembler.rows} rows hold usable values")
+        if (end := assembler.end(block)).problems:
+            yield end
 
     def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
@@ -150,13 +155,15 @@ class Assembler:
     def __init__(self, detected: Detected) -> None:
         problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         self._row_bytes = max(1, round(detected.line_bytes))
+        self._has_temperature = detected.temperature_c is not None
         self._stamped = detected.parser.time is not None
         self._start_us = detected.start_us or 0
         self._pace = detected.pace
         self._rate = rate_fraction(detected.pace.rate_hz)
-        self._log = ProblemLog(problems, _message, SINGLE, rest_last=True)
+        self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
         self._last_row = -1
         self._last_us = 0
+        self._last_jump: Kind | None = None
         self.samples = 0
         self.rows = 0
 
@@ -165,8 +172,11 @@ class Assembler:
         kept = self._kept(rows)
         counts, temperature, validity = map(kept.of, (rows.counts, rows.temperature_mc, _validity(rows)))
         events = list(self._row_events(rows))
-        breaks = self._breaks(kept, events)
-        problems = self._problems(events, block, len(counts))
+        breaks = self._breaks(kept, events, rows.first_row + len(rows))
+        for event in events:
+            self._log.add(event)
+        self.rows += len(rows)
+        problems = self._log.take(self.rows)
         pieces = max(1, -(-len(counts) // chunk_samples))
         borders = [len(counts) * piece // pieces for piece in range(pieces + 1)]
         for start, stop in pairwise(borders):
@@ -183,15 +193,18 @@ class Assembler:
                 used_bytes=(stop - start) * self._row_bytes,
             )
             self.samples += stop - start
-        self.rows += len(rows)
 
-    def _problems(self, events: list[Event], block: Block, count: int) -> tuple[Problem, ...]:
-        """Those that are complete; with the last block, all that are left."""
-        for event in sorted(events, key=lambda event: (event.line, event.kind)):
-            self._log.add(event)
-        if not block.last:
-            return self._log.take(self._last_row + 1)
-        return self._log.take(None) + _cut_short(block, self.samples + count)
+    def end(self, block: Block) -> Chunk:
+        """An empty chunk with what the end of the file completes: runs that reach it, the rest of many."""
+        left = sorted(self._log.take(None), key=lambda problem: CODES.index(problem.code))
+        return Chunk(
+            self.samples,
+            np.empty((0, 3), np.int32),
+            StampClock(np.empty(0, np.int64)),
+            block.end_byte,
+            temperature_mc=np.empty(0, np.int32) if self._has_temperature else None,
+            problems=(*left, *_cut_short(block, self.samples)),
+        )
 
     def _row_events(self, rows: Rows) -> Iterator[Event]:
         """Rows that are left out, and such as the device did not measure."""
@@ -226,8 +239,14 @@ class Assembler:
         first = int(kept.row[start]) if len(kept.row) else 0
         return UniformClock(self._start_us, first, self._rate)
 
-    def _breaks(self, kept: _Kept, events: list[Event]) -> NDArray[np.int64]:
-        """Rows before which the recording is not continuous; jumps of the clock are added to the events."""
+    def _breaks(self, kept: _Kept, events: list[Event], stop: int) -> NDArray[np.int64]:
+        """Rows before which the recording is not continuous; jumps of the clock are added to the events.
+
+        A jump reaches up to the next good row, or to `stop`, the row after the stretch, until more is known.
+        """
+        if self._last_jump is not None:
+            length = (int(kept.row[0]) if len(kept.row) else stop) - self.rows
+            events.append(Event(self.rows, length, *self._last_jump, None, self.samples, 0))
         if not len(kept.row):
             return NO_BREAKS
         first = self._last_row < 0
@@ -242,7 +261,8 @@ class Assembler:
         back = steps < 0
         for kind, jumps in ((AHEAD, ahead), (BACK, back)):
             if jumps.any():
-                events += self._jumps(kind, np.flatnonzero(jumps), kept, (steps, kept.row - rows))
+                events += self._jumps(kind, np.flatnonzero(jumps), kept, steps, stop)
+        self._last_jump = AHEAD if ahead[-1] else BACK if back[-1] else None
         return np.flatnonzero(broken | ahead | back)
 
     def _strides(self, kept: _Kept) -> NDArray[np.int64]:
@@ -253,22 +273,14 @@ class Assembler:
         return np.diff(kept.row, prepend=before)
 
     def _jumps(
-        self,
-        kind: Kind,
-        places: NDArray[np.int64],
-        kept: _Kept,
-        since: tuple[NDArray[np.int64], NDArray[np.int64]],
+        self, kind: Kind, places: NDArray[np.int64], kept: _Kept, steps: NDArray[np.int64], stop: int
     ) -> Iterator[Event]:
-        """Jumps before the good rows `places`, each from behind the good row before to the row itself.
-
-        Args:
-            since: of all good rows, the time since the one before [us] and that one's number.
-        """
-        steps, before = since
+        """Jumps before the good rows `places`; `steps` are the times since the good row before [us]."""
+        ends = np.append(kept.row[1:], stop)
         for index, count, scattered in self._log.runs(kind, places):
             place = int(places[index])
-            row = int(before[place]) + 1
-            length = int(kept.row[places[index + count - 1]]) + 1 - row
+            row = int(kept.row[place])
+            length = int(ends[places[index + count - 1]]) - row
             line, size = int(kept.line[place]), int(steps[place])
             yield Event(row, length, *kind, None, self.samples + place, count, size, 0, line, scattered)
 

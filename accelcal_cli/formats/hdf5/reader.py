@@ -326,7 +326,7 @@ class _Stream:
         self._temperatures = [opened(plan.temperature.track)] if plan.temperature else []
         self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
         problems = plan.problems if start == 0 else ()
-        self._log = ProblemLog(problems, lambda run: f"{run.count} {run.event.text}", SINGLE, rest_last=True)
+        self._log = ProblemLog(problems, lambda run: f"{run.count} {run.event.text}", SINGLE, by_end=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0

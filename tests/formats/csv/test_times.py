@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats.csv import rows as csv_rows
 from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.make_csv import START_US, Read, read, stamp, written
 
@@ -216,3 +217,29 @@ def test_a_stopped_clock_asks_for_the_rate(tmp_path: Path) -> None:
         with_times(tmp_path, cells)
     found = with_times(tmp_path, cells[:20], rate_hz=30.0)
     assert np.array_equal(np.diff(found.times) // 1000, np.full(19, 33))
+
+
+@pytest.mark.parametrize("block_bytes", [30, 60, 100, 1 << 20])
+def test_problems_come_in_the_order_of_their_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block_bytes: int
+) -> None:
+    """A jump ends with the next good row, however many bad ones are between."""
+    lines = [f"{row * 0.1 + (5 if row >= 40 else 0):.1f},0,0,1" for row in range(100)]
+    lines[41] = lines[42] = "9.1,,0,1"
+    lines[43] = lines[44] = "9.3,77777,0,1"
+    lines[60:70] = [line.replace(",0,1", ",,1") for line in lines[60:70]]
+    lines[62] = "11.2,77777,0,1"
+    lines[98], lines[99] = "3,0,0,1", "14.9,0,,1"
+    monkeypatch.setattr(csv_rows, "BLOCK_BYTES", block_bytes)
+    found = read(written(tmp_path, "time,x [g],y [g],z [g]\n" + "\n".join(lines) + "\n"))
+    assert [(problem.code, problem.count) for problem in found.problems] == [
+        ("no_start_time", 1),
+        ("missing_value", 2),
+        ("clock_gap", 1),
+        ("out_of_range", 2),
+        ("missing_value", 2),
+        ("out_of_range", 1),
+        ("missing_value", 7),
+        ("missing_value", 1),
+        ("clock_back", 1),
+    ]
