@@ -273,7 +273,7 @@ class RowSelection:
         self.stop = stop
         self.row_bytes = row_bytes
         self.keep = np.ones(stop - start, np.bool_)
-        self._faults: list[tuple[Kind, NDArray[np.int64], Offset, int]] = []
+        self._faults: dict[tuple[Kind, Offset, int], list[NDArray[np.int64]]] = {}
 
     def read(self, source: TrackRows) -> NDArray[Any]:
         """All rows of a dataset (n, width); lost ones are zero and left out."""
@@ -292,7 +292,7 @@ class RowSelection:
     def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere, row_bytes: int = 0) -> None:
         """Note rows, given by their numbers within the selection, without dropping them."""
         if len(rows):
-            self._faults.append((kind, rows, offset, row_bytes))
+            self._faults.setdefault((kind, offset, row_bytes), []).append(rows)
 
     def kept(self, values: Any) -> Any:
         """The kept ones of the rows of an array."""
@@ -303,9 +303,13 @@ class RowSelection:
         return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
 
     def events(self, log: ProblemLog, first_sample: int) -> Iterator[Event]:
-        """What was noted, as the log takes it; `first_sample` is the number of the first kept row."""
+        """What was noted, as the log takes it; `first_sample` is the number of the first kept row.
+
+        Rows with one fault are a run wherever it lies, in the acceleration or in the gyroscope.
+        """
         kept = self.rows() if self._faults else np.empty(0, np.int64)
-        for kind, rows, offset, row_bytes in self._faults:
+        for (kind, offset, row_bytes), parts in self._faults.items():
+            rows = np.sort(np.concatenate(parts))
             runs = [(0, len(rows), True)] if kind == NO_TEMPERATURE else log.runs(kind, rows)
             for index, count, scattered in runs:
                 row = int(rows[index])
@@ -343,7 +347,7 @@ class _Stream:
         rows = selection.rows()
         clock = self._clock(times, rows, selection)
         breaks = self._breaks(times, rows, selection)
-        for event in sorted(selection.events(self._log, self._sample), key=lambda event: event.position):
+        for event in selection.events(self._log, self._sample):
             self._log.add(event)
         chunk = Chunk(
             first_sample=self._sample,

@@ -354,6 +354,26 @@ def test_a_gyroscope_in_counts_stays_in_counts(path: Path) -> None:
     assert got.recording.gyro_dps_per_lsb == (1 / 16.4,) * 3
 
 
+@pytest.mark.parametrize("chunk_samples", [7, 64, 1 << 18])
+def test_neighbouring_rows_without_a_value_are_one_record_whichever_sensor_lacks_it(
+    path: Path, chunk_samples: int
+) -> None:
+    """In turn the acceleration and the gyroscope: more runs of each than there are records."""
+    size = 1000
+    moved, turned = counts(size) / 256, counts(size, seed=5) / 16
+    moved[100:500:2], turned[101:500:2] = np.nan, np.nan
+    moved[700], turned[720] = np.nan, np.nan
+    write(path, {"accel": moved, "gyro": turned}, about(units="g"))
+    with h5py.File(path, "a") as file:
+        file["gyro"].attrs["units"] = "deg/s"
+    got = read(path, chunk_samples)
+    assert [(problem.code, problem.sample, problem.count) for problem in got.problems] == [
+        ("missing_value", 100, 400),
+        ("missing_value", 300, 1),
+        ("missing_value", 319, 1),
+    ]
+
+
 # --- times
 
 
