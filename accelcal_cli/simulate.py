@@ -24,6 +24,25 @@ SCALE_ERROR = 0.05
 MISALIGNMENT = 0.025
 OFFSET_G = 0.05
 
+SLEEP_POSTURES = (
+    (0.0, 0.1, -1.0),
+    (-0.9, 0.2, -0.4),
+    (0.3, -0.9, 0.3),
+    (0.1, 0.4, 0.9),
+    (0.8, 0.5, -0.2),
+    (-0.3, 0.9, -0.1),
+)
+DESK_POSTURES = ((0.1, -0.2, 0.97), (0.5, 0.1, 0.85), (-0.4, 0.5, 0.75), (-0.85, -0.2, 0.4))
+TABLE = (0.02, -0.03, 1.0)
+ARM_DOWN = (-0.97, 0.1, 0.2)
+TURN_SECONDS = (0.6, 2.5)
+SETTLE_SECONDS = 0.5
+STILL_SECONDS = 10
+START_US = 1_709_510_400_000_000
+"""2024-03-04T00:00:00."""
+
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
@@ -84,23 +103,6 @@ def draw_gain_and_offset(
         [[scale[0], 0, 0], [scale[1] * xy, scale[1], 0], [scale[2] * xz, scale[2] * yz, scale[2]]]
     )
     return gain, OFFSET_G * draw[6:]
-
-
-Floats = NDArray[np.float64]
-
-SLEEP_POSTURES = (
-    (0.0, 0.1, -1.0),
-    (-0.9, 0.2, -0.4),
-    (0.3, -0.9, 0.3),
-    (0.1, 0.4, 0.9),
-    (0.8, 0.5, -0.2),
-    (-0.3, 0.9, -0.1),
-)
-DESK_POSTURES = ((0.1, -0.2, 0.97), (0.5, 0.1, 0.85), (-0.4, 0.5, 0.75), (-0.85, -0.2, 0.4))
-TABLE = (0.02, -0.03, 1.0)
-ARM_DOWN = (-0.97, 0.1, 0.2)
-TURN_SECONDS = (0.6, 2.5)
-SETTLE_SECONDS = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,11 +215,6 @@ class Wearer:
         time = np.arange(number)[:, None] / self.rate_hz
         frequency = self.random.uniform(low_hz, high_hz, 3)
         return np.asarray(size * np.sin(2 * np.pi * (frequency * time + self.random.rand(3))))
-
-
-START_US = 1_709_510_400_000_000
-"""2024-03-04T00:00:00."""
-STILL_SECONDS = 10
 
 
 @dataclass(frozen=True, slots=True)

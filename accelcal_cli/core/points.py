@@ -14,6 +14,23 @@ from accelcal_cli.core.fixed import ONE, Fixed, rounded_quotient, to_float
 from accelcal_cli.core.gravity import STANDARD, Gravity
 from accelcal_cli.core.recording import cut_columns, joined_columns
 
+PARAMETER_NAMES = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz", "sx", "sy", "sz")
+"""K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C]."""
+
+UPPER_NAMES = ("kyx", "kzx", "kzy")
+"""Entries of K above its diagonal: only known orientations determine them."""
+
+WEIGHT_ONE = 1 << 15
+IDENTITY: tuple[int, ...] = (ONE, ONE, ONE) + (0,) * 9
+
+_SCALE = (0, 1, 2)
+_MISALIGNMENT = (3, 4, 5)
+_OFFSET = (6, 7, 8)
+_SLOPE = (9, 10, 11)
+
+Arithmetic = Literal["integer", "float"]
+"""Kind of number that an optimizer computes with."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Windows:
@@ -76,16 +93,6 @@ class WindowCounts:
         )
 
 
-PARAMETER_NAMES = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz", "sx", "sy", "sz")
-"""K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C]."""
-
-UPPER_NAMES = ("kyx", "kzx", "kzy")
-"""Entries of K above its diagonal: only known orientations determine them."""
-
-WEIGHT_ONE = 1 << 15
-IDENTITY: tuple[int, ...] = (ONE, ONE, ONE) + (0,) * 9
-
-
 @dataclass(frozen=True, slots=True)
 class Model:
     """Which of the twelve parameters are free; the others keep their ideal value."""
@@ -98,11 +105,6 @@ class Model:
         """Whether the offsets may depend on temperature."""
         return any(index >= 9 for index in self.free)
 
-
-_OFFSET = (6, 7, 8)
-_SCALE = (0, 1, 2)
-_MISALIGNMENT = (3, 4, 5)
-_SLOPE = (9, 10, 11)
 
 MODELS: dict[str, Model] = {
     name: Model(name, tuple(sorted(free)))
@@ -161,10 +163,6 @@ class PointSet:
     def xyz_g(self) -> NDArray[np.float64]:
         """Raw positions in g, (n, 3) float64, exact."""
         return self.xyz / float(ONE)
-
-
-Arithmetic = Literal["integer", "float"]
-"""Kind of number that an optimizer computes with."""
 
 
 @dataclass(frozen=True, slots=True)

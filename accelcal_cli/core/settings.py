@@ -14,6 +14,9 @@ from accelcal_cli.core.gravity import Gravity
 SETTING = "setting"
 """Key of a field's metadata that holds its Setting."""
 
+SIX_POSE = "six-pose"
+"""The profile that reports of known orientations name."""
+
 
 @dataclass(frozen=True, slots=True)
 class Option:
@@ -229,10 +232,6 @@ def _as_in_settings(name: str) -> Any:
     """A field with the default, the bounds and the option that it has in Settings."""
     same = Settings.__dataclass_fields__[name]
     return field(default=same.default, metadata=same.metadata)
-
-
-SIX_POSE = "six-pose"
-"""The profile that reports of known orientations name."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,19 @@ CGROUPS = Path("/sys/fs/cgroup")
 PROCESS = Path("/proc/self/cgroup")
 MEMORY = Path("/proc/meminfo")
 
+FIRST_NUMBERS = "pid:[4026531836]"
+"""The namespace of process numbers that a Linux host begins with (pid_namespaces(7), linux/proc_ns.h)."""
+
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
+"""Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
+
+KEPT_BYTES = 1 << 27
+LARGEST_KEPT_BYTES = 1 << 25
+"""glibc takes no larger one on 64-bit machines (mallopt(3))."""
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""What OpenMP, OpenBLAS and MKL ask for, in this process and those it starts."""
+
 
 def workers(recordings: int) -> int:
     """Workers for so many recordings: at least one, at most what CPUs and memory allow."""
@@ -95,10 +108,6 @@ def _text(path: Path) -> str:
         return ""
 
 
-FIRST_NUMBERS = "pid:[4026531836]"
-"""The namespace of process numbers that a Linux host begins with (pid_namespaces(7), linux/proc_ns.h)."""
-
-
 @cache
 def host() -> str:
     """This host's name; of a container that counts its processes from 1, with its namespace.
@@ -136,14 +145,6 @@ def _state(process: int) -> str:
         return ""
 
 
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
-"""Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
-
-KEPT_BYTES = 1 << 27
-LARGEST_KEPT_BYTES = 1 << 25
-"""glibc takes no larger one on 64-bit machines (mallopt(3))."""
-
-
 def keep_freed_memory() -> bool:
     """Let this process use the memory of one chunk again for the next, as far as its C library can.
 
@@ -173,10 +174,6 @@ def _of_glibc(name: str) -> Any:
     return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
-NAMES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""What OpenMP, OpenBLAS and MKL ask for, in this process and those it starts."""
-
-
 def hold_to_one_thread() -> None:
     """Let matrix products take one thread each; to be called before numpy is loaded.
 
@@ -184,4 +181,4 @@ def hold_to_one_thread() -> None:
     thread that encodes, half a second of a week's recording, the small products here never gave back.
     One thread also adds in the same order on every machine.
     """
-    os.environ.update(dict.fromkeys(NAMES, "1"))
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))

@@ -149,7 +149,7 @@ def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.u
     view = np.ascontiguousarray(pages).data.cast("B")
     size = pages.shape[1]
     return np.array(
-        [zlib.crc32(view[at + start : at + stop]) for at in range(0, len(view), size)], dtype=np.uint32
+        [zlib.crc32(view[page + start : page + stop]) for page in range(0, len(view), size)], dtype=np.uint32
     )
 
 

@@ -244,11 +244,11 @@ class LeastSpread:
         self._least, self.step = int(least[-1]), int(step[-1])
         return np.maximum(least, allowed)
 
-    def _steps(self, columns: NDArray[Any], at: NDArray[np.int64], number: int) -> NDArray[np.int64]:
+    def _steps(self, columns: NDArray[Any], index: NDArray[np.int64], number: int) -> NDArray[np.int64]:
         """The sensor's step after each window, (m,); it cannot be less than a count."""
         observed = np.full(number, self.step)
         if self.step > 1:
-            observed[at] = steps(columns, self.widest)
+            observed[index] = steps(columns, self.widest)
         return np.minimum(np.minimum.accumulate(observed), self.step)
 
     def _floor(self, step: int) -> int:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from accelcal_cli.core.formats import Format, Probe
 
+SUFFIXES = (".csv", ".txt", ".tsv", ".log")
+VENDORS_SCORE = 90
+OTHER_TEXT = (b"Device Identity",)
+
 
 def is_text(head: bytes) -> bool:
     """Whether all bytes are such as text has."""
     return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
-
-
-SUFFIXES = (".csv", ".txt", ".tsv", ".log")
-VENDORS_SCORE = 90
-OTHER_TEXT = (b"Device Identity",)
 
 
 def sniff(probe: Probe) -> int:

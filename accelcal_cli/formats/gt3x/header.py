@@ -203,8 +203,8 @@ BY_SERIAL = {"NEO": SIX_G, "CLE": SIX_G, "MRA": SIX_G, "MOS": EIGHT_G, "TAS": EI
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
-    """A sensor that is understood.
+class SensorDescription:
+    """A sensor of the device, and what a recording states of it.
 
     Attributes:
         gyro_dps_per_lsb: degrees per second in one count of each axis, None without a gyroscope.
@@ -217,7 +217,7 @@ class Known:
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
 
 
-def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Path) -> Known:
+def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Path) -> SensorDescription:
     """The main accelerometer.
 
     Raises:
@@ -234,7 +234,7 @@ def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Pat
     named = info.rate_hz or beginning.parameters.get(log.SAMPLE_RATE)
     if named not in (None, beginning.rate):
         notes.append(f"the header says {named} Hz, the records hold {beginning.rate} samples a second")
-    return Known(Primary(beginning.rate, turned), scale, tuple(notes))
+    return SensorDescription(Primary(beginning.rate, turned), scale, tuple(notes))
 
 
 def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Path) -> Scale:
@@ -245,16 +245,16 @@ def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Pa
     """
     scales = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
     model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
-    known = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
-    if known is None:
+    lsb_per_g = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
+    if lsb_per_g is None:
         raise UnreadableError(
             "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"
         )
     usual = {scale.lsb_per_g: scale.range_g for scale in (SIX_G, EIGHT_G)}
-    return Scale(options.lsb_per_g or known, info.range_g or usual.get(known))
+    return Scale(options.lsb_per_g or lsb_per_g, info.range_g or usual.get(lsb_per_g))
 
 
-def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
+def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> SensorDescription:
     """The second sensor of a device that has one; its 16 bits are its range.
 
     Raises:
@@ -262,12 +262,12 @@ def imu_of(beginning: Beginning, options: ReadOptions, path: Path) -> Known:
     """
     if beginning.schema is None or not beginning.imu:
         raise UsageError(NO_IMU, path=path, hint="omit --sensor")
-    told_c = log.number_of(beginning.parameters, log.IMU_TEMPERATURE_OFFSET)
-    zero_c = told_c if told_c is not None and abs(told_c) <= WARMEST_C else IMU_ZERO_C
+    offset_c = log.number_of(beginning.parameters, log.IMU_TEMPERATURE_OFFSET)
+    zero_c = offset_c if offset_c is not None and abs(offset_c) <= WARMEST_C else IMU_ZERO_C
     schema = beginning.schema
     per_g = schema.axes(sensors.ACCELEROMETER)[0].scale
     turns = [1 / column.scale for column in schema.axes(sensors.GYROSCOPE)]
-    return Known(
+    return SensorDescription(
         Imu(schema, zero_c),
         Scale(options.lsb_per_g or per_g, IMU_FULL_SCALE / per_g),
         has_temperature=sensors.TEMPERATURE in schema.columns,

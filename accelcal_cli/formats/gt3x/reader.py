@@ -63,8 +63,8 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         UsageError: the rates contradict each other, or there is no such sensor.
     """
     if options.sensor not in (None, *SENSORS):
-        known = ", ".join(SENSORS)
-        raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=f"one of {known}")
+        hint = f"one of {', '.join(SENSORS)}"
+        raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=hint)
     if probe_file(path, options).compressed:
         raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
     archive = open_archive(path)
@@ -85,25 +85,27 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     """
     beginning = header.look_inside(archive, imu=options.sensor == IMU)
     if options.sensor == IMU:
-        known = header.imu_of(beginning, options, archive.path)
+        description = header.imu_of(beginning, options, archive.path)
     else:
-        known = header.primary_of(info, beginning, options, archive.path)
-    file = LogFile(archive, archive.members[LOG], known.sensor, header.span_of(info, beginning), problems)
+        description = header.primary_of(info, beginning, options, archive.path)
+    file = LogFile(
+        archive, archive.members[LOG], description.sensor, header.span_of(info, beginning), problems
+    )
     start_us = first_time(file)
     recording = Recording(
         path=archive.path,
         format="gt3x",
-        rate_hz=agreed_rate(options, float(known.sensor.rate), archive.path),
-        lsb_per_g=known.scale.lsb_per_g,
+        rate_hz=agreed_rate(options, float(description.sensor.rate), archive.path),
+        lsb_per_g=description.scale.lsb_per_g,
         total_bytes=archive.size,
         device=info.device,
-        range_g=known.scale.range_g,
+        range_g=description.scale.range_g,
         start_us=start_us,
         timezone=options.timezone or ("UTC" if beginning.utc else None),
         duration_s=lasted_s(info, start_us),
-        has_temperature=known.has_temperature,
-        gyro_dps_per_lsb=known.gyro_dps_per_lsb,
-        notes=known.notes + (() if beginning.utc else zone_note(info, options)),
+        has_temperature=description.has_temperature,
+        gyro_dps_per_lsb=description.gyro_dps_per_lsb,
+        notes=description.notes + (() if beginning.utc else zone_note(info, options)),
     )
     return Gt3xReader(recording, file)
 

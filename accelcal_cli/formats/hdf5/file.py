@@ -28,6 +28,18 @@ LARGEST_HEAP_READ = 1 << 20
 LARGEST_ATTRIBUTE = 1 << 16
 SPARE_BYTES = 256 << 20
 STATUS = Path("/proc/self/statm")
+H5PY_ERRORS = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    ArithmeticError,
+    AttributeError,
+    MemoryError,
+    SystemError,
+)
+"""h5py maps the failures of the HDF5 library to almost any of Python's own kinds."""
 
 
 class SoundBytes(io.RawIOBase):
@@ -130,20 +142,6 @@ def bounded_memory() -> Iterator[None]:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-
-
-# h5py maps the failures of the HDF5 library to almost any of Python's own kinds.
-H5PY_ERRORS = (
-    OSError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-    AttributeError,
-    MemoryError,
-    SystemError,
-)
 
 
 @contextmanager

@@ -203,16 +203,12 @@ def check_page(layout: Layout) -> None:
 
 def page_spans(layout: Layout) -> list[Span]:
     """First byte, byte after the last, and name of each key of [page]."""
-    spans = []
-    if layout.sequence:
-        at = layout.sequence.offset
-        spans.append((at, at + SEQUENCE_TYPES[layout.sequence.type], "page.sequence"))
-    if layout.stamp:
-        spans.append((layout.stamp.offset, layout.stamp.offset + TIME_TYPES[layout.stamp.type], "page.time"))
-    if layout.checksum:
-        at = layout.checksum.offset
-        spans.append((at, at + CHECKSUM_BYTES[layout.checksum.type], "page.crc"))
-    return spans
+    keys = (
+        (layout.sequence, SEQUENCE_TYPES, "page.sequence"),
+        (layout.stamp, TIME_TYPES, "page.time"),
+        (layout.checksum, CHECKSUM_BYTES, "page.crc"),
+    )
+    return [(key.offset, key.offset + sizes[key.type], name) for key, sizes, name in keys if key]
 
 
 def check_covers(layout: Layout) -> None:
