@@ -247,10 +247,10 @@ class Truth:
     before: list[float] = field(default_factory=list)
     after: list[float] = field(default_factory=list)
 
-    def see(self, counts: NDArray[np.int16], warm: NDArray[np.float64], sensor: Sensor) -> None:
+    def see(self, counts: NDArray[np.int16], temperature: NDArray[np.float64], sensor: Sensor) -> None:
         """Take one motionless stretch in."""
         mean = counts.mean(axis=0) / sensor.lsb_per_g
-        moved = mean + sensor.offset_g + sensor.slope_g_per_c * (warm.mean() - sensor.reference_c)
+        moved = mean + sensor.offset_g + sensor.slope_g_per_c * (temperature.mean() - sensor.reference_c)
         self.stretches += 1
         self.before.append(abs(float(np.sqrt((mean**2).sum())) - 1) * 1000)
         self.after.append(abs(float(np.sqrt(((sensor.gain @ moved) ** 2).sum())) - 1) * 1000)
@@ -289,15 +289,15 @@ def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
     done = 0
     for bout in Wearer(plan.rate_hz, plan.seed).bouts():
         number = min(len(bout.still), plan.samples - done)
-        warm = temperature_c(done, number, plan.rate_hz, worn=bout.worn)
-        counts = plan.sensor.counts(bout.acceleration[:number], warm, noise)
-        _note_stillness(bout, counts, warm, plan, truth)
+        temperature = temperature_c(done, number, plan.rate_hz, worn=bout.worn)
+        counts = plan.sensor.counts(bout.acceleration[:number], temperature, noise)
+        _note_stillness(bout, counts, temperature, plan, truth)
         yield Chunk(
             done,
             counts,
             UniformClock(START_US, done, rate),
             0,
-            temperature_mc=np.rint(warm * 1000).astype(np.int32) if plan.temperature else None,
+            temperature_mc=np.rint(temperature * 1000).astype(np.int32) if plan.temperature else None,
         )
         done += number
         if done == plan.samples:
@@ -312,11 +312,11 @@ def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> NDA
 
 
 def _note_stillness(
-    bout: Bout, counts: NDArray[np.int16], warm: NDArray[np.float64], plan: Plan, truth: Truth
+    bout: Bout, counts: NDArray[np.int16], temperature: NDArray[np.float64], plan: Plan, truth: Truth
 ) -> None:
     length = round(STILL_SECONDS * plan.rate_hz)
     at = np.flatnonzero(bout.still[: len(counts)])
     if not len(at):
         return
     for start in range(int(at[0]), len(counts) - length + 1, length):
-        truth.see(counts[start : start + length], warm[start : start + length], plan.sensor)
+        truth.see(counts[start : start + length], temperature[start : start + length], plan.sensor)

@@ -152,10 +152,10 @@ class States:
             return []
         enough = (number >= self.numbers.min_windows) | constant(windows[first])
         known = windows["temperature_known"][first]
-        warm = np.add.reduceat(windows["temperature_sum"], first)
+        temperature_sums = np.add.reduceat(windows["temperature_sum"], first)
         spread = np.maximum.reduceat(windows["high"], first) - np.minimum.reduceat(windows["low"], first)
         sums = np.add.reduceat(windows["sums"], first)
-        states = Windows(number * self.length, windows["first"][first], sums, spread, warm)
+        states = Windows(number * self.length, windows["first"][first], sums, spread, temperature_sums)
         without = replace(states, temperature_sums=None)
         return [
             (states if known[part[0]] else without).select(_only(part, enough))

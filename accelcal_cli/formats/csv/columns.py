@@ -100,7 +100,7 @@ def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
         UsageError: --columns or --time-column names no column of the file.
     """
     titles = _titles(dialect)
-    xyz = _said_axes(dialect, options, path) or _named_axes(titles, path) or _placed_axes(dialect, path)
+    xyz = _chosen_axes(dialect, options, path) or _named_axes(titles, path) or _placed_axes(dialect, path)
     for column in xyz:
         if dialect.kinds[column] is not Kind.NUMBER:
             raise UnreadableError(
@@ -139,20 +139,20 @@ def _pick(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
     """The number of the column that the user named or numbered."""
     names = [name.lower() for name in dialect.names or ()]
     plain = [name_and_hint(name)[0] for name in names]
-    for known in (names, plain):
-        if known.count(wanted.strip().lower()) == 1:
-            return known.index(wanted.strip().lower())
+    for listed in (names, plain):
+        if listed.count(wanted.strip().lower()) == 1:
+            return listed.index(wanted.strip().lower())
     if wanted.strip().isdecimal() and int(wanted) < dialect.columns:
         return int(wanted)
-    listed = ", ".join(dialect.names or ()) or "none has a name"
+    all_names = ", ".join(dialect.names or ()) or "none has a name"
     raise UsageError(
         f"{option} {wanted!r} is not a column of this file",
         path=path,
-        hint=f"its columns are 0 to {dialect.columns - 1} ({listed})",
+        hint=f"its columns are 0 to {dialect.columns - 1} ({all_names})",
     )
 
 
-def _said_axes(dialect: Dialect, options: ReadOptions, path: Path) -> tuple[int, int, int] | None:
+def _chosen_axes(dialect: Dialect, options: ReadOptions, path: Path) -> tuple[int, int, int] | None:
     if options.columns is None:
         return None
     x, y, z = (_pick(dialect, wanted, "--columns", path) for wanted in options.columns)

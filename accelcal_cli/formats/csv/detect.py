@@ -209,8 +209,8 @@ def _first_temperature(cells: ParsedTable) -> float | None:
     """The first temperature in the head; None where the column is absent or empty there."""
     if cells.temperature is None:
         return None
-    export = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
-    return float(export[0]) if len(export) else None
+    measured = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
+    return float(measured[0]) if len(measured) else None
 
 
 def last_timestamp(parser: TableParser) -> int | None:

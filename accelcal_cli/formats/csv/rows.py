@@ -234,8 +234,8 @@ class SharedStamps:
         parts = np.where(full, sizes, self._usual)
         shift = np.where(~full & after, self._usual - sizes, 0)
         group = np.repeat(np.arange(len(sizes)), sizes)
-        block_before = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
-        into = (2 * block_before * span[group] + parts[group]) // (2 * parts[group])
+        index = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
+        into = (2 * index * span[group] + parts[group]) // (2 * parts[group])
         times: NDArray[np.int64] = around[1:-1][group] + into
         return times
 
@@ -272,16 +272,16 @@ def joined(parts: Iterable[tuple[Rows, Block]], samples: int) -> Iterator[tuple[
     """Rows of blocks joined as long as they are no more than `samples`, each with its last block."""
     samples = min(samples, MOST_JOINED)
     stretches: list[Rows] = []
-    number, block_before = 0, None
+    number, last_block = 0, None
     for rows, block in parts:
-        if block_before is not None and number + len(rows) > samples:
-            yield _emptied(stretches), block_before
+        if last_block is not None and number + len(rows) > samples:
+            yield _emptied(stretches), last_block
             number = 0
         if len(rows) or not stretches:
             stretches.append(rows)
-        number, block_before = number + len(rows), block
-    if block_before is not None:
-        yield _emptied(stretches), block_before
+        number, last_block = number + len(rows), block
+    if last_block is not None:
+        yield _emptied(stretches), last_block
 
 
 def _emptied(stretches: list[Rows]) -> Rows:

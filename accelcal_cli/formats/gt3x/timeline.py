@@ -185,7 +185,7 @@ class IdleWatch:
         """An event of falling asleep."""
         self._since = self._heard = second
 
-    def hear(self, seconds: NDArray[np.int64]) -> None:
+    def note_times(self, seconds: NDArray[np.int64]) -> None:
         """Times of other records, in file order; the clock must go on evenly."""
         if not self.asleep or not len(seconds):
             return
@@ -203,7 +203,7 @@ class IdleWatch:
         Returns:
             what it slept through since then; None where the records do not say that.
         """
-        self.hear(np.array([second]))
+        self.note_times(np.array([second]))
         since, self._since = self._since, None
         if since is None:
             return None
@@ -373,25 +373,25 @@ class Timeline:
         self._spans, self._events = [], []
         decoded, begin = decode_batch(batch, self._sensor), 0
         for number, log_event in log_events(batch):
-            self._pass(decoded, begin, number)
+            self._add_records(decoded, begin, number)
             begin = number
-            self._meet(log_event)
-        self._pass(decoded, begin, len(batch.records))
+            self._add_log_event(log_event)
+        self._add_records(decoded, begin, len(batch.records))
         if batch.page.last:
             self._finish(batch.page.base + len(batch.page.data))
         return self._spans, decoded.samples, self._events
 
-    def _pass(self, decoded: DecodedBatch, begin: int, end: int) -> None:
+    def _add_records(self, decoded: DecodedBatch, begin: int, end: int) -> None:
         """Records begin..end-1 of the batch, among which nothing is marked."""
         low, high = decoded.between(begin, end)
         if low == high:
-            self._idle.hear(decoded.batch.records.second[begin:end])
+            self._idle.note_times(decoded.batch.records.second[begin:end])
         for first, stop in decoded.runs(low, high) if low < high else ():
             position = self.position - begin + int(decoded.number[first])
             self._run(decoded, first, stop, _Where(position, decoded.start_byte(first)))
         self.position += end - begin
 
-    def _meet(self, log_event: LogEvent) -> None:
+    def _add_log_event(self, log_event: LogEvent) -> None:
         where = _Where(self.position, log_event.start_byte)
         if isinstance(log_event, Damage):
             self._forget_sleep(where)
@@ -399,9 +399,9 @@ class Timeline:
             self._explained = True
             self.position += max(1, log_event.records)
         else:
-            self._meet_sleep(log_event, where)
+            self._add_sleep_event(log_event, where)
 
-    def _meet_sleep(self, event: SleepEvent, where: _Where) -> None:
+    def _add_sleep_event(self, event: SleepEvent, where: _Where) -> None:
         if not event.wakes:
             self._sleep(FOREVER_S)
             self._idle.fall_asleep(event.second)
