@@ -55,7 +55,7 @@ class Plan:
     rest_g: Fraction = Fraction(1)
 
     def check(self) -> None:
-        """Raise UsageError where nine subsets cannot share the points."""
+        """Raise UsageError if nine subsets cannot share the points."""
         if self.selection == "subsets" and self.number % SUBSETS:
             raise UsageError(
                 f"{self.number} points cannot be divided equally among nine subsets",

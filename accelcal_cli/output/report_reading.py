@@ -81,7 +81,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def check_sections(document: Document, names: tuple[str, ...]) -> None:
-    """Raise UnreadableError where sections of a report are missing or not what they should be."""
+    """Raise UnreadableError if sections of a report are missing or not what they should be."""
     schema = report_schema()
     wrong = fault(
         document.report,

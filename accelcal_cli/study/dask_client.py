@@ -33,7 +33,7 @@ def connected(address: str, notify: Notify) -> Iterator[Any]:
     """A client of the scheduler at an address, or of the one that wrote a scheduler file.
 
     It waits as long as distributed does (`distributed.comm.timeouts.connect`, 30 s unless configured). What
-    distributed would print meanwhile is kept from the user, who is told in our words.
+    distributed would print meanwhile is hidden: the error says it in our own words.
 
     Raises:
         UsageError: distributed is not installed.

@@ -172,7 +172,7 @@ class StudyRun:
             self._own(item, result)
 
     def _own(self, item: Item, result: TaskResult) -> None:
-        """An own result; it is told at once where no later round can replace it."""
+        """An own result; it is reported at once if no later round can replace it."""
         self.known.standing[item.name] = RecordingState(item, result.entry, result.entry)
         self._pending.pop(item.name, None)
         if self._rounds and not result.entry.failed:
@@ -181,7 +181,7 @@ class StudyRun:
             self._report(item, result)
 
     def _report(self, item: Item, result: TaskResult) -> None:
-        """Of a recording that was not asked for only what is new is told."""
+        """Report a result; of a recording that `--include` does not name, only a new one."""
         if not (item.aside and result.up_to_date):
             self._observer.finished(item, result)
 
