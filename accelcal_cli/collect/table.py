@@ -120,7 +120,7 @@ def _names(path: Path, columns: list[str]) -> dict[str, str]:
     }
     twice = [name for name in named.values() if f"{name}.1" in columns]
     if twice:
-        raise UnreadableError(f"has two columns {twice[0]}", path=path, line=1, hint=_HINT)
+        raise UnreadableError(f"has two columns named {twice[0]}", path=path, line=1, hint=_HINT)
     missing = [axis for axis in "xyz" if axis not in named]
     if missing:
         raise UnreadableError(f"has no column {', '.join(missing)}", path=path, line=1, hint=_HINT)

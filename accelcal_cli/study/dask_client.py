@@ -119,7 +119,7 @@ def _unreachable(address: str, error: Exception) -> ClusterError:
     reason = " ".join(str(error).split()) or "no answer"
     return ClusterError(
         f"no scheduler answers at {address} ({reason})",
-        hint="start one with `dask scheduler`, and give its address or its --scheduler-file",
+        hint="start one with `dask scheduler`, and give --dask its address or its scheduler file",
     )
 
 

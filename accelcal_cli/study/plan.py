@@ -184,7 +184,9 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     recordings = without_collisions([item for item in looked if not item.aside and looking.keeps(item)])
     if not recordings:
         raise UsageError(
-            "no recording was found", path=study.where.folders[0], hint="name its --format or --include it"
+            "no recording was found",
+            path=study.where.folders[0],
+            hint="give --format, or name files with --include",
         )
     for item in recordings:
         if study.shard.owns(item.name):

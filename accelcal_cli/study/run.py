@@ -224,12 +224,12 @@ def preview(study: Study) -> dict[Item, str]:
 
     Raises:
         UsageError: see `plan`.
-        OutputError: the output folder cannot be one.
+        OutputError: a file is where the output folder should be.
     """
     places(study.where)
     there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
     if not there.is_dir():
-        raise OutputError("cannot be made (there is a file)", path=there)
+        raise OutputError("cannot be made: a file is in its place", path=there)
     ledger = ledger_of(study)
     found = plan(study, ledger)
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in found.done})
