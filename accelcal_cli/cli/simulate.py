@@ -67,7 +67,7 @@ def command(out: Path, **values: Any) -> None:
     known = {encoder.name for encoder in all_encoders()}
     if values["format_name"] not in known:
         raise UsageError(
-            f"cannot write format {values['format_name']!r}", hint=f"one of {', '.join(sorted(known))}"
+            f"cannot write format {values['format_name']!r}", hint=f"use one of {', '.join(sorted(known))}"
         )
     with progress_bars(out.name, quiet=values["quiet"], unit="samples") as bars:
         shown = bars("writing", plan.samples)

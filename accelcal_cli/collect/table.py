@@ -102,7 +102,9 @@ def _frame(path: Path) -> pd.DataFrame:
         shown = getattr(error, "strerror", None) or error
         raise UnreadableError(f"cannot be read ({shown})", path=path) from error
     except (ValueError, pd.errors.ParserError) as error:
-        raise UnreadableError(f"is not a table of points ({error})", path=path, hint=_HINT) from error
+        raise UnreadableError(
+            f"is not a table of points ({str(error).strip()})", path=path, hint=_HINT
+        ) from error
 
 
 def _delimiter(path: Path) -> str:

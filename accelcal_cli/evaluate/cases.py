@@ -183,7 +183,7 @@ def _method(label: str) -> Method:
     if (profile or "default") not in optimizer.settings:
         raise UsageError(
             f"optimizer {name} has no settings of profile {profile!r}",
-            hint=f"one of {', '.join(sorted(optimizer.settings))}",
+            hint=f"use one of {', '.join(sorted(optimizer.settings))}",
         )
     return Method(optimizer, profile or "default")
 

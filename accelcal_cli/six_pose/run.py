@@ -179,5 +179,5 @@ class KnownOrientations(Judge):
             )
         return DivergedError(
             f"none of {counts.complete} windows of {self.poses.segment_seconds:g} s is still",
-            hint="leave the device untouched on every face for 10 s",
+            hint="rest the device on every face for 10 s without touching it",
         )

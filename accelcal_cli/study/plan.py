@@ -58,7 +58,9 @@ def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shar
         return _slurm(environment)
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
     if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise UsageError(f"--shard {text} is not a part such as 2/8", hint="or use --shard slurm")
+        raise UsageError(
+            f"--shard {text} is not a part such as 2/8", hint="give I/N with I from 1 to N, or slurm"
+        )
     return Shard(int(found[1]), int(found[2]))
 
 

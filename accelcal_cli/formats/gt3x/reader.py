@@ -64,7 +64,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """
     if options.sensor not in (None, *SENSORS):
         known = ", ".join(SENSORS)
-        raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=f"one of {known}")
+        raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=f"use one of {known}")
     if probe_file(path, options).compressed:
         raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
     archive = open_archive(path)
