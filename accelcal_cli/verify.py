@@ -46,9 +46,9 @@ class VerifyOptions:
     """How to verify.
 
     Attributes:
-        layout: layout file, where it does not lie beside the recording.
-        poses: list of poses of a session, where it does not lie beside the recording.
-        coefficients: coefficient file of a report of `apply`, where it is not where it was.
+        layout: layout file, if it is not beside the recording.
+        poses: list of poses of a session, if it is not beside the recording.
+        coefficients: coefficient file of a report of `apply`, if it has moved.
         values: also compare every value of the Parquet file.
     """
 
@@ -61,7 +61,7 @@ class VerifyOptions:
 
 @dataclass(frozen=True, slots=True)
 class Values:
-    """What the comparison found: the first row that differs and its column, None where none does."""
+    """What the comparison found: the first row that differs and its column, None if none does."""
 
     rows: int
     first_row: int | None = None
@@ -74,7 +74,7 @@ class ParquetCheck:
 
     Attributes:
         differs: keys of its metadata that are not the report's.
-        values: None where they were not asked for.
+        values: None if they were not asked for.
     """
 
     path: Path
@@ -95,10 +95,10 @@ class Verified:
     Attributes:
         differs: keys of the report that are not what they would be now.
         largest_mg, mean_mg: between the two calibrations, over 162 directions at the reference
-            temperature; None where there are not two.
+            temperature; None if there are not two.
         made_by: version that wrote the report.
         missing, unknown: settings that the report lacks, and that this version does not have.
-        parquet: None where there is none beside the report.
+        parquet: None if there is none beside the report.
     """
 
     differs: tuple[str, ...]
@@ -251,11 +251,11 @@ def check_parquet(
     """Compare the Parquet file beside a report with the report, and with its recording.
 
     Args:
-        written: the recording's run and result; None where the result has no calibrated data.
+        written: the recording's run and result; None if the result has no calibrated data.
         values: compare every value too.
 
     Returns:
-        None where no such file lies there.
+        None if no such file lies there.
 
     Raises:
         UsageError: values are to be compared, but there are none.

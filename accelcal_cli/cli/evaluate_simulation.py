@@ -96,7 +96,9 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
 
 
 @click.command("simulation")
-@click.option("--cases", type=click.IntRange(1), default=500, show_default=True, help="Sensors to simulate.")
+@click.option(
+    "--cases", type=click.IntRange(1), default=500, show_default=True, help="How many sensors to simulate."
+)
 @click.option("--points", type=Listed(int, 10, 8192), default="18,144,432", show_default=True,
               metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,

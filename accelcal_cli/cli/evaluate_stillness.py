@@ -74,7 +74,7 @@ def _cells(path: str, row: Row) -> list[Any]:
 
 
 def rows(comparison: Comparison) -> list[Row]:
-    """A row for raw data and for each rule; None where there is nothing to say."""
+    """A row for raw data and for each rule; None if there is nothing to say."""
     on = {
         rule: {name: rounded(error) for name, error in errors.items()}
         for rule, errors in comparison.errors_mg().items()

@@ -105,10 +105,10 @@ FILE = click.Path(path_type=Path, readable=False)
 
 
 def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], Command]:
-    """The option that sets a field of a record; None where it is not given.
+    """The option that sets a field of a record; None if it is not given.
 
     Args:
-        words: what click is told in place of what the field's metadata say.
+        words: passed to click in place of what the field's metadata say.
     """
     declared, default = setting_of(kind, name), kind.__dataclass_fields__[name].default  # type: ignore[attr-defined]
     option = declared.option

@@ -114,7 +114,7 @@ def each_recording(
 
 
 def refuse_both(*, as_json: bool, as_csv: bool) -> None:
-    """Raise UsageError where JSON and CSV are asked for."""
+    """Raise UsageError if JSON and CSV are asked for."""
     if as_json and as_csv:
         raise UsageError("--json and --csv cannot be combined", hint="give one of them")
 
@@ -165,7 +165,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
 
 
 def stdin() -> BinaryIO:
-    """Standard input; raises UsageError where there is none."""
+    """Standard input; raises UsageError if there is none."""
     if sys.stdin is None:
         raise UsageError("standard input is closed", hint="give the name of a file")
     return sys.stdin.buffer

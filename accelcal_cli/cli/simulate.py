@@ -54,20 +54,20 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
               help="Range of the sensor.")  # fmt: skip
 @click.option("--no-temperature", is_flag=True, help="Record no temperature.")
 @click.option("--force", is_flag=True, help="Replace existing files.")
-@click.option("--json", "as_json", is_flag=True, help="Print the truth as a JSON object.")
+@click.option("--json", "as_json", is_flag=True, help="Print the content of OUT.truth.json.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 def command(out: Path, **values: Any) -> None:
-    """Write a recording of simulated wrist wear to OUT and the truth about it to OUT.truth.json.
+    """Write a recording of simulated wrist wear to OUT, and its true errors to OUT.truth.json.
 
-    The recording has nights in a few sleep postures, desk work, walking, chores, the device left on a
-    table, a temperature swing, noise and quantisation. Scale, misalignment and offset errors are drawn
-    at random, from a seed.
+    The format's suffix is added to OUT if it is missing. The recording has nights in a few sleep
+    postures, desk work, walking, chores, the device left on a table, a temperature swing, noise and
+    quantisation. Scale, misalignment and offset errors are drawn at random, from a seed.
     """
     plan = _plan(values)
     known = {encoder.name for encoder in all_encoders()}
     if values["format_name"] not in known:
         raise UsageError(
-            f"cannot write format {values['format_name']!r}", hint=f"one of {', '.join(sorted(known))}"
+            f"cannot write format {values['format_name']!r}", hint=f"use one of {', '.join(sorted(known))}"
         )
     with progress_bars(out.name, quiet=values["quiet"], unit="samples") as bars:
         shown = bars("writing", plan.samples)

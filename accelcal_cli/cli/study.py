@@ -180,7 +180,10 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["pool"] and request.settings.profile != DEFAULT.profile:
-        raise UsageError(f"recordings calibrated with profile {request.settings.profile} cannot be pooled")
+        raise UsageError(
+            f"recordings calibrated with profile {request.settings.profile} cannot be pooled",
+            hint="omit --pool or --profile",
+        )
     return Study(
         Where(folders, values["out"], values["include"], values["exclude"]),
         request,

@@ -64,7 +64,7 @@ def command(report: Path, recording: Path, **values: Any) -> int:
 
 
 def line(report: Path, verified: Verified) -> str:
-    """The result in tab-separated fields; `-` where there is nothing to say."""
+    """The result in tab-separated fields; `-` if there is nothing to say."""
     keys = verified.all_differing
     shown, more = ", ".join(keys[:SHOWN_KEYS]), len(keys) - SHOWN_KEYS
     fields = [

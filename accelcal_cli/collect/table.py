@@ -102,7 +102,9 @@ def _frame(path: Path) -> pd.DataFrame:
         shown = getattr(error, "strerror", None) or error
         raise UnreadableError(f"cannot be read ({shown})", path=path) from error
     except (ValueError, pd.errors.ParserError) as error:
-        raise UnreadableError(f"is not a table of points ({error})", path=path, hint=_HINT) from error
+        raise UnreadableError(
+            f"is not a table of points ({str(error).strip()})", path=path, hint=_HINT
+        ) from error
 
 
 def _delimiter(path: Path) -> str:
@@ -120,7 +122,7 @@ def _names(path: Path, columns: list[str]) -> dict[str, str]:
     }
     twice = [name for name in named.values() if f"{name}.1" in columns]
     if twice:
-        raise UnreadableError(f"has two columns {twice[0]}", path=path, line=1, hint=_HINT)
+        raise UnreadableError(f"has two columns named {twice[0]}", path=path, line=1, hint=_HINT)
     missing = [axis for axis in "xyz" if axis not in named]
     if missing:
         raise UnreadableError(f"has no column {', '.join(missing)}", path=path, line=1, hint=_HINT)

@@ -192,7 +192,7 @@ class Sampling:
     """How the device of a format samples.
 
     Attributes:
-        rate_hz: what it makes of the wanted rate: at 66.7 Hz a GENEActiv takes 200 samples in 3 s.
+        rate_hz: instead of the requested one: for 66.7 Hz a GENEActiv takes 200 samples in 3 s.
         unit_samples: a recording's number of samples is a multiple of this, such as a page.
     """
 
@@ -213,9 +213,9 @@ class Encoder:
         name: the format's name, as in `--format`; a reader of that name reads it back.
         suffix: what the file name ends with.
         write: writes all chunks to a path that the caller chose (temporary; the caller renames).
-        companion: a file that must lie beside the recording, such as a layout; None where the
+        companion: a file that must lie beside the recording, such as a layout; None if the
             recording stands alone.
-        sampling: how a wanted recording is sampled. Raises UsageError where no device of the
+        sampling: how a requested recording is sampled. Raises UsageError if no device of the
             format has such a rate, scale or range.
     """
 

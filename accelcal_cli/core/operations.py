@@ -48,7 +48,7 @@ MICROCONTROLLERS = (
 
 
 def predicted_seconds(operations: Operations, arithmetic: Arithmetic) -> dict[str, float] | None:
-    """Predicted times by processor [s]; None where no operations were counted."""
+    """Predicted times by processor [s]; None if no operations were counted."""
     if operations == Operations():
         return None
     return {item.name: item.seconds(operations, arithmetic) for item in MICROCONTROLLERS}

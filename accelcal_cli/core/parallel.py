@@ -32,7 +32,7 @@ _END = object()
 
 
 def thread_pool(threads: int, name: str) -> AbstractContextManager[Executor | None]:
-    """A pool of named threads; None where only one thread may work."""
+    """A pool of named threads; None if only one thread may work."""
     return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix=name)
 
 

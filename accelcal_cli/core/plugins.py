@@ -54,4 +54,4 @@ def named_plugin(name: str, items: tuple[T, ...], what: str) -> T:
         if item.name == name:
             return item
     known = ", ".join(item.name for item in items)
-    raise UsageError(f"unknown {what} {name!r}", hint=f"one of {known}")
+    raise UsageError(f"unknown {what} {name!r}", hint=f"use one of {known}")

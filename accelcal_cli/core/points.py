@@ -43,7 +43,7 @@ class Windows:
         spread: (m, 3) int64, max - min of the raw counts.
         temperature_sums: (m,) int64, sums of thousandths of a degree C, or None.
         start_us, end_us: (m,) int64, time of the first sample, and one period after the last, on the
-            device's clock [us]; None where the segmenter was not asked for times.
+            device's clock [us]; None if the segmenter was not asked for times.
     """
 
     samples: NDArray[np.int64]
@@ -220,7 +220,7 @@ class Calibration:
     Attributes:
         model: name of the model that was fitted.
         parameters: twelve fixed-point integers, offsets in standard g.
-        temperature: scale of the slopes, None where the model has none.
+        temperature: scale of the slopes, None if the model has none.
         gravity: what rest measures.
         upper: entries of K above its diagonal, in the order of UPPER_NAMES.
     """

@@ -42,7 +42,7 @@ to one that has it; None: the joined chunk is without the channel too."""
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """Who recorded; None where the file does not say."""
+    """Who recorded; None if the file does not say."""
 
     model: str | None = None
     serial: str | None = None
@@ -57,12 +57,12 @@ class Recording:
         format: name of the format, as in `--format`.
         rate_hz: nominal sampling rate.
         lsb_per_g: raw counts in one g.
-        range_g: the sensor clips at +- this; None where unknown.
+        range_g: the sensor clips at +- this; None if unknown.
         start_us: time of the first sample, microseconds since 1970 on the device's clock; None
-            where the file has none (times then count from 1970-01-01).
-        timezone: zone of the times, None where they are local times of an unknown zone.
-        samples: number of samples, None where only reading everything would tell.
-        duration_s: length from headers and first and last pages, None where unknown.
+            if the file has none (times then count from 1970-01-01).
+        timezone: zone of the times, None if they are local times of an unknown zone.
+        samples: number of samples, None if only reading everything would show it.
+        duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
         companion: a file beside the recording that says how to read it, such as a layout.
         notes: what a user should know of how the file was understood.
@@ -119,7 +119,7 @@ class Chunk:
             data, a jump of the clock); the recording's very first row is not one.
         temperature_mc: (n,) int32, thousandths of a degree Celsius, or None.
         gyro_counts: (n, 3) int16 or int32, or None.
-        validity: (n,) uint8 of `Validity`, or None where all rows were measured.
+        validity: (n,) uint8 of `Validity`, or None if all rows were measured.
         problems: what was found wrong while reading these rows.
         used_bytes: how many bytes of the (uncompressed) file these rows were made of, without
             headers and unused memory.
@@ -227,7 +227,7 @@ def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
 
 
 def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
-    """Columns of records one after the other, by name; None where one of the records has none."""
+    """Columns of records one after the other, by name; None if one of the records has none."""
     parts = {name: [getattr(record, name) for record in records] for name in names}
     return {
         name: None if any(column is None for column in columns) else np.concatenate(columns)

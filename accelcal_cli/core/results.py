@@ -86,8 +86,8 @@ class Trial:
     """One model of the ladder.
 
     Attributes:
-        holdout: its held-out error, None where it could not be fitted.
-        reason: why it was not eligible, None where it was.
+        holdout: its held-out error, None if it could not be fitted.
+        reason: why it was not eligible, None if it was.
     """
 
     model: str
@@ -159,7 +159,7 @@ class Facts:
         gaps_omitted: gaps beyond those that are listed.
         still_error_mg: mean | |v| - 1 g | of the raw means of all plausible still windows; None
             without any.
-        utc_offset_s: seconds that the device's clock is ahead of UTC; None where its zone, or the
+        utc_offset_s: seconds that the device's clock is ahead of UTC; None if its zone, or the
             time of the start, is not known.
         lost_bytes, used_bytes: of the (uncompressed) file: damaged ones, and those that the samples
             were made of.

@@ -36,7 +36,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a field may hold, besides None where its type allows it, and the option that sets it.
+    """What a field may hold, besides None if its type allows it, and the option that sets it.
 
     Attributes:
         low, high: bounds of a number, or of every number of a tuple; None: unbounded.

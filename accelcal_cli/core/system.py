@@ -50,7 +50,7 @@ def threads(workers: int) -> int:
 
 
 def cpus() -> int:
-    """CPUs this process may use: the least of affinity, cgroup quota (v2) and Slurm's word."""
+    """CPUs this process may use: the least of affinity, cgroup quota (v2) and what Slurm allows."""
     slurm = os.environ.get("SLURM_CPUS_PER_TASK", "")
     limits = [_affinity(), *_quotas()]
     if slurm.isdecimal():
@@ -73,7 +73,7 @@ def _quotas() -> Iterator[int]:
 
 
 def available_bytes() -> int | None:
-    """Memory that is left to this process: the machine's and its cgroup's (v2); None where neither tells."""
+    """Memory that is left to this process: the machine's and its cgroup's (v2); None if neither is known."""
     limits = [*_machine_bytes(), *_cgroup_bytes()]
     return max(0, min(limits)) if limits else None
 
@@ -123,9 +123,9 @@ def host() -> str:
 
 
 def lives(process: int) -> bool:
-    """Whether a process of this host lives; yes where it cannot be told.
+    """Whether a process of this host lives; True if that cannot be found out.
 
-    One that ended and that nobody asked about yet is dead (state Z in proc(5)).
+    One that has ended but has not been waited for is dead (state Z in proc(5)).
     """
     if os.name != "posix":
         return True

@@ -18,7 +18,7 @@ from accelcal_cli.devices import table
 from accelcal_cli.devices.trends import SIGNIFICANT, Referred, Rules, Trend, at_one_temperature, trends
 
 PERHAPS = 0.05
-"""A drift that is not certain is told if it is less probable than this by chance; our choice."""
+"""A drift that is not certain is reported if it is less probable than this by chance; our choice."""
 FEWEST_DEVICES = 5
 """Devices of one kind among which one can lie outside; our choice."""
 LEAST_SPREAD_MG = 0.5
@@ -58,8 +58,8 @@ class DeviceReview:
         counts: how many recordings had which usage.
         damaged: recordings that lost bytes to damage.
         begin, end: starts of the first and the last recording that has a date.
-        held_out_mg: median held-out error of its own calibrations; None where it has none.
-        reference_c: temperature of its offsets; None where no recording has slopes.
+        held_out_mg: median held-out error of its own calibrations; None if it has none.
+        reference_c: temperature of its offsets; None if no recording has slopes.
         worst_lost_percent: the most that one of its recordings lost.
     """
 
@@ -105,7 +105,7 @@ class DeviceGroup:
 
     Attributes:
         devices: those with a held-out error.
-        held_out_mg: median of theirs; None where there are none.
+        held_out_mg: median of theirs; None if there are none.
         spread_mg: 1.4826 times the median distance from it, which is a standard deviation of normal ones.
         recordings, refused, damaged: of all devices of the kind.
     """

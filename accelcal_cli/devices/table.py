@@ -168,13 +168,13 @@ def read(out: Path, now_s: float) -> Records:
 
     Raises:
         UsageError: there is no table.
-        UnreadableError: it cannot be read, or is none of a study.
+        UnreadableError: it cannot be read, or is not the table of a study.
     """
     return records(columns(out / NAME), now_s / DAY_S + AHEAD_DAYS)
 
 
 def columns(path: Path) -> dict[str, Any]:
-    """The columns that are wanted: lists of text, arrays of numbers (NaN for none)."""
+    """The requested columns: lists of text, arrays of numbers (NaN for none)."""
     _check_there(path)
     try:
         with path.open("rb") as source, pq.ParquetFile(source) as file:
@@ -273,7 +273,7 @@ def _free(model: str | None) -> list[bool]:
 
 
 def day(start: str | None, latest_day: float) -> float:
-    """Days since 1970 of a start; NaN of none, and of one that no clock shows which was set."""
+    """Days since 1970 of a start; NaN if there is none, or if the clock cannot have been set."""
     try:
         moment = datetime.fromisoformat(start or "")
     except ValueError:

@@ -342,7 +342,7 @@ class Trend:
             recording by the line, else the weighted mean.
         error: its standard error.
         number: recordings behind it.
-        drift: None where there are not enough recordings.
+        drift: None if there are not enough recordings.
     """
 
     parameter: Parameter

@@ -55,7 +55,7 @@ class Plan:
     rest_g: Fraction = Fraction(1)
 
     def check(self) -> None:
-        """Raise UsageError where nine subsets cannot share the points."""
+        """Raise UsageError if nine subsets cannot share the points."""
         if self.selection == "subsets" and self.number % SUBSETS:
             raise UsageError(
                 f"{self.number} points cannot be divided equally among nine subsets",
@@ -183,7 +183,7 @@ def _method(label: str) -> Method:
     if (profile or "default") not in optimizer.settings:
         raise UsageError(
             f"optimizer {name} has no settings of profile {profile!r}",
-            hint=f"one of {', '.join(sorted(optimizer.settings))}",
+            hint=f"use one of {', '.join(sorted(optimizer.settings))}",
         )
     return Method(optimizer, profile or "default")
 

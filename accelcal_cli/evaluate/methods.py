@@ -39,9 +39,9 @@ class Row:
 
     Attributes:
         message: the verdict's sentence.
-        model: the model that was chosen, None where it was refused.
+        model: the model that was chosen, None if it was refused.
         before_mg, after_mg: mean held-out error.
-        iterations, additions, multiplications: of the fit to all points; None where not counted.
+        iterations, additions, multiplications: of the fit to all points; None if not counted.
         seconds: wall time of that fit.
     """
 
@@ -159,7 +159,7 @@ class Truth:
 
 
 def truth_beside(recording: Path) -> Truth | None:
-    """The content of STEM.truth.json beside a recording, None where there is no such file.
+    """The content of STEM.truth.json beside a recording, None if there is no such file.
 
     Either as `accelcal simulate` writes it, or with the keys `K` and `b` (and `temp_ref_c`) of
     a = K (v - b - s (T - Tref)).

@@ -90,7 +90,7 @@ class Scores:
     """One method's errors over all cases that it could fit.
 
     Attributes:
-        mean, sd: of the absolute errors of the nine parameters; None where not fitted.
+        mean, sd: of the absolute errors of the nine parameters; None if not fitted.
         bias: mean of the errors with their signs.
         ratio_to_bound: mean over the fitted parameters of `mean` over the bound of the same cases.
         fitted: number of cases.
@@ -204,7 +204,7 @@ class Protocol:
     selection: Selection = "subsets"
 
     def plans(self) -> list[Plan]:
-        """A plan for each table; raises UsageError where nine subsets cannot share the points."""
+        """A plan for each table; raises UsageError if nine subsets cannot share the points."""
         plans = [
             Plan(number, noise * MG, self.selection) for number in self.points for noise in self.noise_mg
         ]
@@ -229,7 +229,7 @@ class Table:
     scores: tuple[Scores, ...]
 
     def worst_against_paper(self, scores: Scores) -> float | None:
-        """The largest ratio of a mean error to the paper's; None where either has none."""
+        """The largest ratio of a mean error to the paper's; None if either has none."""
         if self.published is None or not scores.fitted:
             return None
         pairs = zip(scores.mean, self.published.mean, strict=True)

@@ -62,7 +62,7 @@ class Comparison:
     def errors_mg(self) -> dict[str, dict[str, float | None]]:
         """Mean over postures of | |a| - 1 g |, by rule that calibrated (or `raw`) and by rule of the points.
 
-        None where there is no calibration, or no point.
+        None if there is no calibration, or no point.
         """
         return {
             rule: {on.rule: _error_mg(by, on) for on in self.found}

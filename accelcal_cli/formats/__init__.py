@@ -2,7 +2,7 @@
 
 Every start of the command imports `formats/NAME/__init__.py` of all formats, for their suffixes and `sniff`,
 so those import no more than that takes. What reads (`reader.py`) is imported by the first file that is
-opened, what writes (`writer.py`) by `accelcal simulate` and `apply`.
+opened, what writes (`writer.py`) by `accelcal simulate`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def all_formats() -> tuple[Format, ...]:
 
 
 def load_all() -> None:
-    """Import what reads, of every format: once, where many processes are forked to open files."""
+    """Import every reader once, before many processes are forked that open files."""
     for module in pkgutil.walk_packages(__path__, f"{__name__}."):
         importlib.import_module(module.name)
 
@@ -55,7 +55,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
 
 
 def named_format(name: str) -> Format:
-    """Look a format up by name; raises UsageError where there is none."""
+    """Look a format up by name; raises UsageError if there is none."""
     found = find_plugin(__name__, __path__, "FORMAT", name)
     return found or named_plugin(name, all_formats(), "format")
 
@@ -88,5 +88,5 @@ def all_encoders() -> tuple[Encoder, ...]:
 
 
 def named_encoder(name: str) -> Encoder:
-    """Look one up by name; raises UsageError where there is none."""
+    """Look one up by name; raises UsageError if there is none."""
     return named_plugin(name, all_encoders(), "format to write")

@@ -122,7 +122,7 @@ def start_us(path: Path, recording: Recording) -> int:
 
 
 def fixed_offset(timezone: str | None) -> str | None:
-    """The zone as hours and minutes east of UTC, such as +01:00; None where it is not known so."""
+    """The zone as hours and minutes east of UTC, such as +01:00; None if it is not known so."""
     offset = "+00:00" if timezone == "UTC" else timezone or ""
     return offset if re.fullmatch(r"[+-]\d\d:\d\d", offset) else None
 

@@ -77,7 +77,7 @@ def _gain_and_shifted(
 
 
 def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> Uncertainty | None:
-    """Least-squares standard errors; None where the points do not determine the parameters."""
+    """Least-squares standard errors; None if the points do not determine the parameters."""
     free = list(model.free)
     weights = points.weights / WEIGHT_ONE
     surplus = float(weights.sum()) - len(free)

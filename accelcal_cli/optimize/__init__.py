@@ -15,6 +15,6 @@ def all_optimizers() -> tuple[Optimizer, ...]:
 
 
 def named_optimizer(name: str) -> Optimizer:
-    """Look one up by name, importing no other; raises UsageError where there is none."""
+    """Look one up by name, importing no other; raises UsageError if there is none."""
     listed = find_plugin(__name__, __path__, "OPTIMIZER", name)
     return listed or named_plugin(name, all_optimizers(), "optimizer")

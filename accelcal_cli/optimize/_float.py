@@ -57,7 +57,7 @@ def ideal(kind: type[np.floating[Any]] = np.float64) -> Real:
 
 
 def as_floats(points: PointSet, kind: type[np.floating[Any]] = np.float64) -> FloatPoints:
-    """Points of one floating-point type; raises DivergedError where no point has weight."""
+    """Points of one floating-point type; raises DivergedError if no point has weight."""
     total = int(points.weights.sum())
     if total <= 0:
         raise DivergedError("no point has any weight")

@@ -44,7 +44,7 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
 
     Raises:
         DivergedError: the points do not determine the parameters, the iteration overflows or does
-            not converge, or the model is none of MODELS.
+            not converge, or the model is not one of MODELS.
     """
     if model.name not in MODELS:
         raise DivergedError(f"optimizer closest-point does not fit model {model.name}")

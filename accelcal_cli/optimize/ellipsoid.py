@@ -36,7 +36,7 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
     """Fit scale and offset, or the offset alone.
 
     Raises:
-        DivergedError: the points determine no ellipsoid, or the model is none of MODELS.
+        DivergedError: the points determine no ellipsoid, or the model is not one of MODELS.
     """
     if model.name not in MODELS:
         raise DivergedError(f"optimizer ellipsoid does not fit model {model.name}")

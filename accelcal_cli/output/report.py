@@ -40,7 +40,7 @@ DAY_S = 86_400
 
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
-    """The `calibration` object; None where there is none."""
+    """The `calibration` object; None if there is none."""
     calibration, fit = verdict.calibration, verdict.fit
     if calibration is None or fit is None:
         return None
@@ -177,7 +177,7 @@ def damage_json(facts: Facts) -> dict[str, Any]:
 
 
 def clock_json(recording: Recording, facts: Facts, *, whole: bool = True) -> dict[str, Any]:
-    """The object `file_health.clock`; what only reading everything tells is null if not `whole`."""
+    """The object `file_health.clock`; what only reading everything shows is null if not `whole`."""
     jumps, change, rate = facts.jumps, facts.zone_change, facts.rate_hz
     return {
         "rate_hz_nominal": recording.rate_hz,
@@ -510,7 +510,7 @@ def report_schema() -> dict[str, Any]:
 
 
 def load(path: Path) -> dict[str, Any] | None:
-    """A JSON file that accelcal wrote, or None where the file is anything else."""
+    """A JSON file that accelcal wrote, or None if the file is anything else."""
     try:
         if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
             return None
@@ -521,7 +521,7 @@ def load(path: Path) -> dict[str, Any] | None:
 
 
 def load_report(path: Path) -> dict[str, Any] | None:
-    """A report of ours that says whose it is, or None where the file is anything else."""
+    """A report of ours that says whose it is, or None if the file is anything else."""
     report, needed = load(path), ("path", "sha256", "bytes")
     if report is None:
         return None
@@ -531,7 +531,7 @@ def load_report(path: Path) -> dict[str, Any] | None:
 
 
 def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
-    """Points and parameters as fixed-point integers; None where the recording was refused."""
+    """Points and parameters as fixed-point integers; None if the recording was refused."""
     verdict = data.judgement
     if verdict.calibration is None or verdict.fit is None:
         return None

@@ -50,7 +50,7 @@ def read_document(path: Path) -> Document:
         at = error.start
         raise UnreadableError("is not UTF-8 text", path=path, byte_offset=at, hint=NAME_ONE) from error
     except (ValueError, RecursionError) as error:
-        raise UnreadableError(f"is damaged JSON ({error})", path=path, hint=NAME_ONE) from error
+        raise UnreadableError(f"is not valid JSON ({error})", path=path, hint=NAME_ONE) from error
     if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
         raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
     version, made = report["schema_version"], report["accelcal_version"]
@@ -81,7 +81,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def check_sections(document: Document, names: tuple[str, ...]) -> None:
-    """Raise UnreadableError where sections of a report are missing or not what they should be."""
+    """Raise UnreadableError if sections of a report are missing or not what they should be."""
     schema = report_schema()
     wrong = fault(
         document.report,

@@ -244,7 +244,7 @@ def applied(donor: Coefficients, settings: Settings) -> Calibration:
 
 
 def need_temperature(calibration: Calibration, recording: Recording, *, has: bool) -> None:
-    """Raise UsageError where slopes meet a recording without temperature."""
+    """Raise UsageError if slopes meet a recording without temperature."""
     if calibration.temperature is not None and not has:
         raise UsageError(
             "has no temperature, but the coefficients have slopes",
@@ -254,7 +254,7 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
 
 
 def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
-    """Raise UsageError where a job would write over the very file that its coefficients come from."""
+    """Raise UsageError if a job would write over the very file that its coefficients come from."""
     for job in planned:
         if jobs.real(path) in {jobs.real(target) for target in (job.report, job.parquet, job.integers)}:
             raise UsageError(
@@ -318,7 +318,7 @@ def _warnings(before_mg: float, after_mg: float, limit_mg: float) -> list[str]:
 
 
 def warning(report: dict[str, Any]) -> str | None:
-    """The warning about a report of borrowed coefficients, None where nothing speaks against them."""
+    """The warning about a report of borrowed coefficients, None if nothing speaks against them."""
     holdout = report["holdout"]
     if report["outcome"] != Outcome.BORROWED or holdout is None:
         return None
@@ -353,7 +353,7 @@ class Borrowed:
     """What came of borrowing.
 
     Attributes:
-        result: with the coefficients of the first donor that was accepted; None where none was.
+        result: with the coefficients of the first donor that was accepted; None if none was.
         reasons: why those before it were not.
     """
 

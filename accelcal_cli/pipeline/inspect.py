@@ -124,7 +124,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
 
 
 def duration_s(inspection: Inspection) -> float | None:
-    """Length in seconds, None where only reading everything would tell."""
+    """Length in seconds, None if only reading everything would show it."""
     recording, facts = inspection.recording, inspection.facts
     known = inspection.whole and facts.first_us is not None
     return reports.duration_s(recording, facts) if known else recording.duration_s

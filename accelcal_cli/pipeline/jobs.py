@@ -151,7 +151,7 @@ def sha256(path: Path) -> str:
 
 
 def file_stamp(path: Path) -> FileStamp | None:
-    """The stamp of a file; None where it cannot be looked at."""
+    """The stamp of a file; None if it cannot be looked at."""
     try:
         status = path.stat()
     except OSError:
@@ -208,7 +208,7 @@ class Request:
         settings: those of a session with known orientations, or of any other recording.
         poses: a file that lists a session's poses; None: the six faces are found.
         coefficients: those to apply, None to find the recording's own.
-        any_device: apply them whatever device recorded.
+        any_device: apply them to recordings of any device.
         report_only: write no Parquet.
         integers: also write the fit's points and result as integers.
         force: overwrite what accelcal did not write, and redo what is up to date.

@@ -146,7 +146,7 @@ def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
 def _refuse_other(first: Recording, other: Recording) -> None:
     for name in ("lsb_per_g", "range_g"):
         if getattr(first, name) != getattr(other, name):
-            raise UsageError(f"cannot be pooled with {first.path}: its {name} is another", path=other.path)
+            raise UsageError(f"cannot be pooled with {first.path}: its {name} differs", path=other.path)
 
 
 def apply_pool(

@@ -91,7 +91,7 @@ class States:
 
     A window joins the state before it if no sample and no break lies between them, the mean of each
     axis is within `acceleration_factor` times the minimum standard deviation of that of the state's
-    first window, and the state is not full. A state of too few windows is none. Windows of one
+    first window, and the state is not full. A state of too few windows does not count. Windows of one
     constant value are left single, for the collector to decide whether they were measured.
     """
 

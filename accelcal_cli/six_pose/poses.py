@@ -109,7 +109,7 @@ class Session:
 
 @dataclass(frozen=True, slots=True)
 class PoseError:
-    """Errors of one state [mg]; those held out are None where the others do not determine a fit.
+    """Errors of one state [mg]; those held out are None if the others do not determine a fit.
 
     Attributes:
         raw, raw_norm: |v - reference| and | |v| - |reference| | of the raw mean v.
@@ -318,7 +318,7 @@ class Origin:
     Attributes:
         first_us: time of the first sample on the device's clock.
         dated: whether that clock shows a date.
-        offset_s: seconds that it is ahead of UTC, None where unknown.
+        offset_s: seconds that it is ahead of UTC, None if unknown.
     """
 
     first_us: int
@@ -379,7 +379,7 @@ def _device_us(moment: Moment, item: Listed, origin: Origin) -> int:
 
 
 def _in_order(spans: Sequence[Span]) -> list[Span]:
-    """Spans by time; raises UsageError where two overlap."""
+    """Spans by time; raises UsageError if two overlap."""
     ordered = sorted(spans, key=lambda span: (span.start_us, span.end_us))
     for before, after in pairwise(ordered):
         if after.start_us < before.end_us:

@@ -175,9 +175,9 @@ class KnownOrientations(Judge):
         if counts.still:
             return DivergedError(
                 "still windows hold nothing but constant values: the device did not measure",
-                hint="switch its sleep mode off",
+                hint="turn off its sleep mode",
             )
         return DivergedError(
             f"none of {counts.complete} windows of {self.poses.segment_seconds:g} s is still",
-            hint="rest the device on every face for 10 s, untouched",
+            hint="rest the device on every face for 10 s without touching it",
         )

@@ -94,7 +94,7 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
 
 
 def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
-    """Raise DivergedError where hardly any orientation could be left out."""
+    """Raise DivergedError if hardly any orientation could be left out."""
     pairs = zip(session.poses, errors, strict=True)
     judged = {pose.number for pose, error in pairs if error.held_out is not None}
     if len(judged) < FEWEST_CHECKED:
@@ -220,7 +220,7 @@ def _inverse(k: Sequence[Sequence[Fraction]], o: Sequence[Fraction], gravity: Gr
 
 
 def check_range(calibration: Calibration) -> None:
-    """Raise FixedPointOverflowError where a parameter lies beyond 4; a fit that is refused may do so."""
+    """Raise FixedPointOverflowError if a parameter lies beyond 4; a fit that is refused may do so."""
     values = [min(max(value, -LIMIT), LIMIT) for value in calibration.parameters + calibration.upper]
     checked(np.array(values, np.int64), "a parameter")
 
@@ -248,7 +248,7 @@ def pose_errors(
 
 
 def held_out(poses: Sequence[Pose], settings: PoseSettings) -> dict[int, Calibration | None]:
-    """For each orientation the calibration by the others; None where they do not determine one."""
+    """For each orientation the calibration by the others; None if they do not determine one."""
     fits: dict[int, Calibration | None] = {}
     for number in sorted({pose.number for pose in poses}):
         others = [pose for pose in poses if pose.number != number]

@@ -33,7 +33,7 @@ def connected(address: str, notify: Notify) -> Iterator[Any]:
     """A client of the scheduler at an address, or of the one that wrote a scheduler file.
 
     It waits as long as distributed does (`distributed.comm.timeouts.connect`, 30 s unless configured). What
-    distributed would print meanwhile is kept from the user, who is told in our words.
+    distributed would print meanwhile is hidden: the error says it in our own words.
 
     Raises:
         UsageError: distributed is not installed.
@@ -119,7 +119,7 @@ def _unreachable(address: str, error: Exception) -> ClusterError:
     reason = " ".join(str(error).split()) or "no answer"
     return ClusterError(
         f"no scheduler answers at {address} ({reason})",
-        hint="start one with `dask scheduler`, and give its address or its --scheduler-file",
+        hint="start one with `dask scheduler`, and give --dask its address or its scheduler file",
     )
 
 

@@ -79,7 +79,7 @@ def do_task(content: bytes, requirements: WorkerRequirements) -> tuple[str, Any]
 
     Returns:
         `result` and what the work returned, `unsuitable` and why this worker must not do it, or `ended` and
-        None where the task was cancelled meanwhile.
+        None if the task was cancelled meanwhile.
     """
     from distributed import get_worker
 
@@ -132,7 +132,7 @@ def code() -> str:
 
 @lru_cache
 def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
-    """Why this process must not work for a study; None where it may. Looked at once a study."""
+    """Why this process must not work for a study; None if it may. Looked at once a study."""
     here = f"the worker on {platform.node() or 'a host'}"
     if requirements.version != accelcal_cli.__version__:
         have = f"{here} has accelcal {accelcal_cli.__version__}, not {requirements.version}"

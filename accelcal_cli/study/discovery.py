@@ -93,7 +93,7 @@ def files(where: Where) -> list[Item]:
     """All files that may be recordings, by name.
 
     Raises:
-        UsageError: a folder is none, or two folders would share their place under OUT.
+        UsageError: one of them is not a folder, or two would share one place under OUT.
     """
     found = [item for folder, place in places(where) for item in _folder(where, folder, place)]
     return sorted(found, key=lambda item: item.name)

@@ -28,8 +28,8 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
     """Hold a lock file while the block runs.
 
     Args:
-        others: tells, once ours is held, the locks that no living process may hold meanwhile. Of two that
-            are each the other's, at least one sees the other.
+        others: returns, once ours is held, the locks that no living process may hold meanwhile. Of two that
+            exclude each other, at least one sees the other.
 
     Raises:
         LockedError: a living process holds one of them, or one on another host that cannot be asked.
@@ -74,7 +74,7 @@ def _take(path: Path, me: dict[str, Any]) -> None:
 
 
 def _create(path: Path, me: dict[str, Any]) -> bool:
-    """Make the lock with its content at once; False where there is one already."""
+    """Make the lock with its content at once; False if there is one already."""
     temporary = beside(path)
     try:
         temporary.write_text(json.dumps(me), encoding="utf-8")
@@ -104,7 +104,7 @@ def _create_exclusively(path: Path, me: dict[str, Any]) -> bool:
 
 
 def _take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
-    """Write our name into a stale lock; False where another was faster.
+    """Write our name into a stale lock; False if another was faster.
 
     The file stays in place, so that of two that find it stale one cannot remove the other's.
     """
@@ -120,7 +120,7 @@ def _take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """Who holds a lock; an empty record where it does not say, None where there is no lock."""
+    """Who holds a lock; an empty record where it does not say, None if there is no lock."""
     try:
         return _parsed(path.read_text("utf-8", "replace"))
     except FileNotFoundError:

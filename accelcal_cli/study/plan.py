@@ -58,7 +58,9 @@ def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shar
         return _slurm(environment)
     found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
     if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise UsageError(f"--shard {text} is not a part such as 2/8", hint="or use --shard slurm")
+        raise UsageError(
+            f"--shard {text} is not a part such as 2/8", hint="give I/N with I from 1 to N, or slurm"
+        )
     return Shard(int(found[1]), int(found[2]))
 
 
@@ -177,14 +179,16 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     """Look at all files; nothing is written.
 
     Raises:
-        UsageError: a folder is none, or there is no recording in them.
+        UsageError: one of the folders is not a folder, or they hold no recording.
     """
     looking = _Planning(study, ledger, study.asked(), Plan())
     looked = [looking.as_it_counts(item) for item in files(study.where)]
     recordings = without_collisions([item for item in looked if not item.aside and looking.keeps(item)])
     if not recordings:
         raise UsageError(
-            "no recording was found", path=study.where.folders[0], hint="name its --format or --include it"
+            "no recording was found",
+            path=study.where.folders[0],
+            hint="give --format, or name files with --include",
         )
     for item in recordings:
         if study.shard.owns(item.name):
@@ -215,7 +219,7 @@ class _Planning:
         return item
 
     def keeps(self, item: Item) -> bool:
-        """Whether a file is one of the study's recordings; which are none is remembered, too."""
+        """Whether a file is one of the study's recordings; those that are not are remembered too."""
         entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
         if entry is not None and not entry.failed and (entry.row is not None or not named):
             recording = entry.row is not None
@@ -241,7 +245,7 @@ class _Planning:
             (self.found.todo if begin else self.found.waiting).append(item)
 
     def place_aside(self, item: Item) -> None:
-        """What `--include` does not name keeps what it has; of what has nothing there is nothing to say."""
+        """A recording that `--include` does not name keeps the result that it has, if any."""
         known = self.ledger.known(item, self.asked)
         if known is not None and known.row is None:
             self.found.left_out.append(known)
@@ -271,7 +275,7 @@ def overlooked(study: Study) -> int:
     """How many recordings are no part of the study because they lie below OUT.
 
     Raises:
-        UsageError: a folder is none.
+        UsageError: one of the folders is not a folder.
     """
     options = study.request.options
     return sum(is_recording(item, options, asked_for=False) for item in below_out(study.where))

@@ -24,7 +24,7 @@ class Item:
         name: its place under OUT with its full file name, `/` between folders: what it is known by.
         stamps: its own stamp, and those of the layout files that may describe it; None for none.
         refusal: why nothing can be done with it, found before any work.
-        aside: nothing is to be begun with it now, since `--include` does not name it.
+        aside: not to be started now, since `--include` does not name it.
     """
 
     name: str
@@ -102,8 +102,8 @@ class Finished:
     """One task that ended.
 
     Attributes:
-        result: what the work returned; None where the worker did not live to say.
-        fault: what befell the worker, else None.
+        result: what the work returned; None if the worker ended before that.
+        fault: what happened to the worker, else None.
         retry: whether the fault may lie in the machine and not in the task.
     """
 

@@ -115,7 +115,7 @@ class Round:
 
     Attributes:
         name: by which its entries are known.
-        work: what a worker does with a task; returns an `TaskResult`.
+        work: what a worker does with a task; returns a `TaskResult`.
         tasks: one for each recording (or pool) that the round concerns, from what is known. On these
             alone, and on the recording's files, its result may depend.
         of_pools: whether its tasks are of pools, and no recording's result is replaced.

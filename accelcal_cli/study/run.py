@@ -172,7 +172,7 @@ class StudyRun:
             self._own(item, result)
 
     def _own(self, item: Item, result: TaskResult) -> None:
-        """An own result; it is told at once where no later round can replace it."""
+        """An own result; it is reported at once if no later round can replace it."""
         self.known.standing[item.name] = RecordingState(item, result.entry, result.entry)
         self._pending.pop(item.name, None)
         if self._rounds and not result.entry.failed:
@@ -181,7 +181,7 @@ class StudyRun:
             self._report(item, result)
 
     def _report(self, item: Item, result: TaskResult) -> None:
-        """Of a recording that was not asked for only what is new is told."""
+        """Report a result; of a recording that `--include` does not name, only a new one."""
         if not (item.aside and result.up_to_date):
             self._observer.finished(item, result)
 
@@ -224,12 +224,12 @@ def preview(study: Study) -> dict[Item, str]:
 
     Raises:
         UsageError: see `plan`.
-        OutputError: the output folder cannot be one.
+        OutputError: a file is where the output folder should be.
     """
     places(study.where)
     there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
     if not there.is_dir():
-        raise OutputError("cannot be made (there is a file)", path=there)
+        raise OutputError("cannot be made: a file is in its place", path=there)
     ledger = ledger_of(study)
     found = plan(study, ledger)
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in found.done})

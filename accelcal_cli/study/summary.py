@@ -100,11 +100,11 @@ def _errors(report: dict[str, Any]) -> dict[str, Any]:
     if held is None:
         return {}
     low, high = held["ci95_mg"]
-    told = {"before_mg": held["before_mg"]["mean"], "postures": held["postures"], "points": held["points"]}
+    before = {"before_mg": held["before_mg"]["mean"], "postures": held["postures"], "points": held["points"]}
     if report["calibration"] is None:
-        return told
+        return before
     after = {"after_mg": held["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
-    return told | after | {"improvement_percent": held["improvement_percent"]}
+    return before | after | {"improvement_percent": held["improvement_percent"]}
 
 
 def _coverage(report: dict[str, Any]) -> dict[str, Any]:

@@ -75,7 +75,7 @@ class CalibrationTask:
 
 @dataclass(frozen=True, slots=True)
 class TaskResult:
-    """What a worker tells.
+    """What a worker reports.
 
     Attributes:
         up_to_date: whether nothing had to be done.

@@ -76,4 +76,4 @@ def test_a_column_that_stands_twice_is_asked_about(tmp_path: Path, capsys: Captu
     path = tmp_path / "points.csv"
     path.write_text("x,y,z,x\n1,0,0,0\n")
     ran = run(capsys, "fit", path)
-    assert ran.code == 3 and "line 1: has two columns x" in ran.err
+    assert ran.code == 3 and "line 1: has two columns named x" in ran.err

@@ -69,10 +69,10 @@ def test_the_origin_is_the_reports_recording(report: Path) -> None:
 @pytest.mark.parametrize(
     ("data", "part"),
     [
-        (b"", "damaged JSON"),
+        (b"", "not valid JSON"),
         (b"\xff\xfe{}", "not UTF-8"),
-        (b'{"a": ', "damaged JSON"),
-        (b"[" * 100_000, "damaged JSON"),
+        (b'{"a": ', "not valid JSON"),
+        (b"[" * 100_000, "not valid JSON"),
         (b"null", "not a report"),
         (b"[1]", "not a report"),
         (b"{}", "not a report"),
@@ -82,7 +82,7 @@ def test_the_origin_is_the_reports_recording(report: Path) -> None:
         (b'{"accelcal_version": "9", "schema_version": true}', "schema version True"),
         (b'{"accelcal_version": "9", "schema_version": 1}', "recording is missing"),
         (b'{"accelcal_version": "9", "schema_version": NaN}', "NaN is not a JSON number"),
-        (b'{"accelcal_version": ' + b"9" * 5000 + b"}", "damaged JSON"),
+        (b'{"accelcal_version": ' + b"9" * 5000 + b"}", "not valid JSON"),
     ],
 )
 def test_what_is_no_report(tmp_path: Path, data: bytes, part: str) -> None:

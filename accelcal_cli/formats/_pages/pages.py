@@ -223,12 +223,12 @@ class PageBlock:
         position: (p,) int64, page number within the file.
         rows: (p,) int64, samples in each, at least 1.
         counts: (n, 3).
-        sequence: (p,) int64, or None where pages carry none.
+        sequence: (p,) int64, or None if pages carry none.
         time_us: (p,) int64 stamp of the first sample [us since 1970], or None.
         fresh: (p,) bool, the page itself says that it does not continue the one before; or None.
         temperature_mc: (n,) int32, NO_TEMPERATURE where not measured; or None.
         gyro_counts: (n, 3), or None.
-        faulty: (n,) bool, rows whose values are unusable, or None where every row is good.
+        faulty: (n,) bool, rows whose values are unusable, or None if every row is good.
     """
 
     position: NDArray[np.int64]

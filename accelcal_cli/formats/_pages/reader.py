@@ -1,4 +1,4 @@
-"""The reader of dumps of fixed-size pages, whatever says what a page holds.
+"""The reader that all dumps of fixed-size pages share.
 
 Blocks of decoded pages become chunks, with times, breaks and problems across block borders. What is wrong
 with pages, between pages and with rows goes to the problem log as events.
@@ -166,7 +166,7 @@ class Stretch:
 class PageJoiner:
     """Takes blocks of decoded pages in order and gives a chunk for each.
 
-    The last page is held back until the next one tells how long it lasted.
+    The last page is held back until the next one shows how long it lasted.
 
     Args:
         sample: number of the first row.
@@ -279,7 +279,7 @@ class PageScheme:
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """What the first block with a valid page tells.
+    """What the first block with a valid page shows.
 
     Attributes:
         block: its valid pages.
@@ -293,7 +293,7 @@ class Opening:
 
 
 def look_inside(scheme: PageScheme) -> Opening | None:
-    """Read on until a page is valid; None where there is none in the whole file."""
+    """Read on until a page is valid; None if there is none in the whole file."""
     pages = max(1, FIRST_ROWS // scheme.spacing.rows)
     for raw in scheme.file.blocks(pages):
         block = scheme.decode(raw).block
@@ -311,9 +311,9 @@ def first_temperature(block: PageBlock) -> int:
 
 
 def extent(scheme: PageScheme, opening: Opening) -> tuple[int | None, float | None]:
-    """Samples and seconds, by the first valid page and the last; None where these do not tell.
+    """Samples and seconds, by the first valid page and the last; None if these do not show it.
 
-    The number of samples takes all pages between for full and present; it is None where the
+    The number of samples takes all pages between for full and present; it is None if the
     sequence numbers contradict that, and for a gzip file, whose end is not known.
     """
     last = None if scheme.file.compressed else last_page(scheme)

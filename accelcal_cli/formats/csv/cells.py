@@ -92,7 +92,7 @@ def column_kind(cells: Sequence[str], decimal_comma: bool, share: float) -> Kind
 
 
 def number_of(cell: str) -> float | None:
-    """The cell as a number, None where it is none."""
+    """The cell as a number, None if it is not one."""
     cell = cell.strip().replace(",", ".")
     return float(cell) if NUMBER.fullmatch(cell) else None
 
@@ -161,7 +161,7 @@ def scale_for(unit: str, lsb_per_g: float | None) -> Scale:
 
 
 def stated_unit(options: ReadOptions, hints: set[str]) -> str | None:
-    """The unit that the user or the column names give, None where neither does."""
+    """The unit that the user or the column names give, None if neither does."""
     if options.unit is not None:
         unit = acceleration_unit(options.unit)
         if unit is None:
@@ -205,7 +205,7 @@ def _likely_counts(median: float) -> str:
 
 
 def check_unit(values: NDArray[np.float64], scale: Scale, path: Path) -> None:
-    """Doubt a unit that a vendor's layout let expect.
+    """Check a unit that was inferred from a vendor's layout.
 
     Raises:
         UnreadableError: in it, values (n, 3) are far from the length of gravity.

@@ -34,9 +34,9 @@ class Roles:
     """Column numbers, and what the columns' names say of their units.
 
     Attributes:
-        time: None where the file has no time column.
+        time: None if the file has no time column.
         hints: units of acceleration in the names of x, y and z.
-        time_unit_us: microseconds in one unit of the time column, None where its name is silent.
+        time_unit_us: microseconds in one unit of the time column, None if its name does not say.
     """
 
     xyz: tuple[int, int, int]

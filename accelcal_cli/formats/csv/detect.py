@@ -30,7 +30,7 @@ class Detected:
     """Everything that the head of a file shows.
 
     Attributes:
-        start_us: time of the first row where rows carry none; None where it is not known.
+        start_us: time of the first row where rows carry none; None if it is not known.
     """
 
     export: ExportDescription
@@ -206,7 +206,7 @@ def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, p
 
 
 def _first_temperature(cells: ParsedTable) -> float | None:
-    """The first temperature in the head; None where the column is absent or empty there."""
+    """The first temperature in the head; None if the column is absent or empty there."""
     if cells.temperature is None:
         return None
     measured = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
@@ -214,7 +214,7 @@ def _first_temperature(cells: ParsedTable) -> float | None:
 
 
 def last_timestamp(parser: TableParser) -> int | None:
-    """Time of the last row [us]; None where the file is compressed or has no times."""
+    """Time of the last row [us]; None if the file is compressed or has no times."""
     with parser.path.open("rb") as file:
         if parser.time is None or file.read(2) == GZIP_MAGIC or parser.dialect.bare_returns:
             return None

@@ -123,8 +123,8 @@ class Dialect:
     Attributes:
         cleaner: makes blocks of it readable for pyarrow.
         kinds: of each column.
-        names: of the columns, None where no line names them.
-        units: from a line of units below the names, None where there is none.
+        names: of the columns, None if no line names them.
+        units: from a line of units below the names, None if there is none.
         sample: cells of the first rows.
         skipped: lines before the first row.
         offset: byte at which the first row begins.
@@ -151,7 +151,7 @@ class Dialect:
 
 
 def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
-    """The layout of the file with this beginning, None where it shows no rows of 3 or more numbers.
+    """The layout of the file with this beginning, None if it shows no rows of 3 or more numbers.
 
     A last line without its end is used only where nothing else is there.
 
@@ -245,7 +245,7 @@ class _Layout:
         return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
 
     def dialect(self, offset: int) -> Dialect | None:
-        """The full layout of lines from this byte on, None where no run of rows begins anywhere."""
+        """The full layout of lines from this byte on, None if no run of rows begins anywhere."""
         first = self._first_row()
         if first is None:
             return None

@@ -309,7 +309,7 @@ def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
 
 
 def _validity(rows: Rows) -> NDArray[np.uint8] | None:
-    """Of every row; None where all were measured."""
+    """Of every row; None if all were measured."""
     if rows.filled is None or not rows.filled.any():
         return None
     return np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))

@@ -50,7 +50,7 @@ class Rows:
 
     first_row: number of the first, from 0. line: (n,) number in the text. counts: (n, 3) int32.
     fault: (n,) uint8 of `Fault`. time_us: (n,) or None. temperature_mc: (n,) int32 or None.
-    filled: (n,) rows that the device did not measure, or None where none are known.
+    filled: (n,) rows that the device did not measure, or None if none are known.
     """
 
     first_row: int

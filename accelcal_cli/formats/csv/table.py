@@ -162,7 +162,7 @@ class LineCheck:
         )
 
     def _fault(self, text: str) -> str | None:
-        """What is wrong with a line, None where nothing is."""
+        """What is wrong with a line, None if nothing is."""
         cells = split_line(text, self.dialect.normaliser.delimiter)
         if len(cells) != self.dialect.columns:
             columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"

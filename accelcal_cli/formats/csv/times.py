@@ -85,7 +85,7 @@ class TimeFormat:
     Attributes:
         unit_us: microseconds in one unit of a plain number; None for ISO 8601.
         zoned: every ISO time ends in Z or an offset, so that the times are UTC.
-        since_1970: False where the numbers count from the start of the recording.
+        since_1970: False if the numbers count from the start of the recording.
         epoch_day: the number of 1970-01-01 where days are counted from another date.
     """
 
@@ -326,7 +326,7 @@ def year_first_cell(cell: str, order: str) -> str:
 
 
 def read_date(text: str, order: str) -> date | None:
-    """The date at the beginning of a text; None where it is none in this order."""
+    """The date at the beginning of a text; None if it is not one in this order."""
     numbers = re.match(r"\D*(\d{1,4})\D{1,3}(\d{1,2})\D{1,3}(\d{1,4})(?!\d)", text)
     if numbers is None:
         return None

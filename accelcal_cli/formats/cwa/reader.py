@@ -128,7 +128,7 @@ class Scheme:
     """A file whose settings are known.
 
     Attributes:
-        thermometer: what its temperature words mean, None where nothing was measured.
+        thermometer: what its temperature words mean, None if nothing was measured.
         problems: what was found before any sample.
     """
 
@@ -335,7 +335,7 @@ def describe(
 
 
 def last_time(scheme: Scheme) -> int | None:
-    """When the last sample ended [us], by the last intact sector; None where that is not found."""
+    """When the last sample ended [us], by the last intact sector; None if that is not found."""
     if scheme.file.compressed:
         return None
     first = max(0, scheme.file.data_pages() - LAST_SECTORS)

@@ -197,14 +197,14 @@ def plausible(pages: NDArray[np.uint8]) -> tuple[NDArray[np.bool_], NDArray[np.b
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the header tells.
+    """What the header says.
 
     Attributes:
         data_start: where the first data sector lies, bytes.
         intact: whether the file begins with a header at all.
-        device: all None where it does not.
-        rate: the configured one, None where unset.
-        hardware: the hardware type it declares, None where the header is lost.
+        device: all None if it does not.
+        rate: the configured one, None if unset.
+        hardware: the hardware type it declares, None if the header is lost.
     """
 
     data_start: int
@@ -231,7 +231,7 @@ def parse_header(head: bytes) -> Header:
 
 
 def device_of_sector(settings: Settings, fraction: int) -> Device:
-    """What a data sector tells of its device, where the header is lost.
+    """What a data sector says of its device, if the header is lost.
 
     Args:
         fraction: the word that holds either the fraction of the second or the device's number.
@@ -248,7 +248,7 @@ class Anchors:
     Attributes:
         row: int64, number of a sample counted from the sector's first; may lie outside the sector.
         time_us: int64, its time [us since 1970, device clock].
-        known: bool, the sector tells a time at all.
+        known: bool, the sector states a time at all.
     """
 
     row: NDArray[np.int64]
@@ -410,7 +410,7 @@ def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArra
 
     Args:
         values: (p, rows, 3).
-        rows: how many of each sector's are used, None where all are.
+        rows: how many of each sector's are used, None if all are.
     """
     if rows is not None:
         return values[np.arange(values.shape[1]) < rows[:, None]]

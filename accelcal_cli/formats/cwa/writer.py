@@ -94,7 +94,7 @@ def header(path: Path, recording: Recording) -> bytes:
 
 
 def rate_code(recording: Recording) -> int:
-    """The byte that tells rate and range."""
+    """The byte that states rate and range."""
     return RATE_CODES[recording.rate_hz] | RANGE_CODES[recording.range_g or 0.0]
 
 

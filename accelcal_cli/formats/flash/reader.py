@@ -1,9 +1,4 @@
-"""The data pages of the flash page format: see docs/flash-format.md.
-
-The header page of the flash page format: see docs/flash-format.md.
-
-An open dump of flash pages: what is known of the recording, and its rows.
-"""
+"""An open dump in the flash page format of docs/flash-format.md: header page, data pages, rows."""
 
 from __future__ import annotations
 
@@ -143,8 +138,8 @@ class FlashHeader:
 
     Attributes:
         recording_id: the same number stands in every data page of the recording.
-        timezone: `UTC` or an offset such as `+01:00`; None where unknown.
-        clock_set: False where the times count from power-on.
+        timezone: `UTC` or an offset such as `+01:00`; None if unknown.
+        clock_set: False if the times count from power-on.
     """
 
     recording_id: int
@@ -204,7 +199,7 @@ def positive(pair: tuple[int, int], what: str) -> Fraction:
 
 
 def text_field(data: bytes) -> str | None:
-    """ASCII text up to the first zero byte; None where empty."""
+    """ASCII text up to the first zero byte; None if empty."""
     return data.split(b"\0")[0].decode("ascii", "replace").strip() or None
 
 

@@ -60,7 +60,7 @@ class Settings:
 
     Attributes:
         serial: as it stands in the pages.
-        rate: samples per second, as the pages tell it.
+        rate: samples per second, as the pages state it.
     """
 
     serial: bytes
@@ -130,7 +130,7 @@ class Decoder:
 
 
 def unhexed(bodies: Sequence[bytes]) -> bytes | None:
-    """What the hexadecimal digits of all bodies stand for; None where a character is no digit."""
+    """What the hexadecimal digits of all bodies stand for; None if a character is no digit."""
     try:
         return unhexlify(b"".join(bodies))
     except Error:

@@ -130,7 +130,7 @@ def _scale(lsb_per_g: float, table: NDArray[np.int64], *, exact: bool) -> Scale:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the header tells; None where it does not.
+    """What the header says; None if it does not.
 
     Attributes:
         data_start: where the first page lies, bytes.
@@ -141,7 +141,7 @@ class Header:
         pages: how many it announces.
         reset: its times are those of a device that was reset.
         drift_s: what it notes of the device's clock at the download.
-        missing: what it should tell and does not, in plain words.
+        missing: what it should say but does not, in plain words.
     """
 
     data_start: int
@@ -207,7 +207,7 @@ def _device(about: dict[str, str], serial: str | None) -> Device:
 
 
 def _factory(measured: dict[str, str]) -> Factory | None:
-    """The calibration block, None where a number is missing or impossible."""
+    """The calibration block, None if a number is missing or impossible."""
     gains = [_whole(measured.get(f"{axis} gain", "")) for axis in AXES]
     offsets = [_whole(measured.get(f"{axis} offset", "")) for axis in AXES]
     known = [value for value in gains + offsets if value is not None]
@@ -227,13 +227,13 @@ def _first(pattern: re.Pattern[str], text: str) -> str | None:
 
 
 def _range_g(text: str) -> float | None:
-    """The range of `-8 to 8`; None where it is not symmetric."""
+    """The range of `-8 to 8`; None if it is not symmetric."""
     match = _RANGE.search(text)
     return float(match[2]) if match and float(match[1]) == float(match[2]) > 0 else None
 
 
 def _zone(text: str) -> str | None:
-    """The zone of `GMT +01:00`; None where the text is none."""
+    """The zone of `GMT +01:00`; None if the text is not one."""
     match = _ZONE.fullmatch(text)
     if match is None or int(match[1][1:3]) > WIDEST_OFFSET_H:
         return None

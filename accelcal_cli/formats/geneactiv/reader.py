@@ -55,7 +55,7 @@ HEADER_RESET = "the header's times are those of a device that was reset; the tim
 
 @dataclass(frozen=True, slots=True)
 class FirstPages:
-    """What most of the first pages tell.
+    """What most of the first pages say.
 
     Attributes:
         serial: as it stands there.
@@ -75,7 +75,7 @@ class FirstPages:
 
 
 def look_inside(file: TextFile) -> FirstPages | None:
-    """Read on until a page is right; None where there is none in the whole file."""
+    """Read on until a page is right; None if there is none in the whole file."""
     with closing(file.parts(PAGES)) as parts:
         for part in parts:
             right = _right_pages(part)
@@ -120,7 +120,7 @@ def _unit_us(stamps: Sequence[bytes]) -> int:
 
 
 def true_rate(rate: Fraction) -> Fraction:
-    """The rate whose rounded figure a page tells.
+    """The true rate, of which a page states a rounded figure.
 
     A page of 300 samples lasts a whole number of half seconds: 3.5 s at what is called 85.7 Hz
     (600/7), 4.5 s at 66.7 Hz (200/3).
@@ -135,7 +135,7 @@ class Scheme:
 
     Attributes:
         spacing: of the samples, at the device's true rate.
-        announced: how many pages the header tells of, None where it does not.
+        announced: how many pages the header announces, None if it does not say.
         problems: what was found before any page.
     """
 
@@ -363,7 +363,7 @@ def notes(scheme: Scheme, header: Header, options: ReadOptions) -> tuple[str, ..
 
 
 def duration_s(scheme: Scheme, start_us: int | None) -> float | None:
-    """From the first sample to the end of the last page [s], None where that is not found."""
+    """From the first sample to the end of the last page [s], None if that is not found."""
     file = scheme.file
     if file.compressed or start_us is None:
         return None

@@ -66,14 +66,14 @@ Head = tuple[bytes, ...]
 
 
 def number(text: bytes) -> Fraction | None:
-    """A decimal number, with a point or a comma; None where the text is none."""
+    """A decimal number, with a point or a comma; None if the text is not one."""
     match = _NUMBER.fullmatch(text.strip())
     return Fraction(match[1].replace(b",", b".").decode("ascii")) if match else None
 
 
 @lru_cache(maxsize=4096)
 def temperature_mc(text: bytes) -> int:
-    """Thousandths of a degree C of a page's temperature; NO_TEMPERATURE where it tells none."""
+    """Thousandths of a degree C of a page's temperature; NO_TEMPERATURE if it states none."""
     value = number(text)
     return NO_TEMPERATURE if value is None else round(value * 1000)
 

@@ -41,7 +41,7 @@ class ActivityFile:
 
     @property
     def samples(self) -> int | None:
-        """How many there are, None where the zip file is damaged or does not say."""
+        """How many there are, None if the zip file is damaged or does not say."""
         size = None if self.archive.problems else self.member.unpacked_bytes
         return None if size is None else int(packed_samples(np.array(size)))
 

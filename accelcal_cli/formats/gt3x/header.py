@@ -49,7 +49,7 @@ HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyr
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """What info.txt says; None where it does not.
+    """What info.txt says; None if it does not.
 
     Attributes:
         start_us, last_us: first and last sample, or planned start and stop, local time.
@@ -98,7 +98,7 @@ def _positive(value: float | None) -> float | None:
 
 
 def _time_us(text: str | None) -> int | None:
-    """Microseconds since 1970 of ticks; None where it is no time of our days."""
+    """Microseconds since 1970 of ticks; None if it is no time of our days."""
     if text is None or not text.isascii() or not text.isdigit():
         return None
     time_us = int(text[:30]) // TICKS_PER_US - YEAR_1_TO_1970_US
@@ -166,7 +166,7 @@ class Beginning:
 
 
 def look_inside(archive: Archive, *, imu: bool) -> Beginning:
-    """Read log.bin until there are samples, of the second sensor with its schema if that is wanted.
+    """Read log.bin until there are samples, of the second sensor with its schema if that is requested.
 
     Raises:
         UnreadableError: the disk fails, or log.bin is packed in an unusual way.
@@ -190,7 +190,7 @@ def span_of(info: Info, beginning: Beginning) -> Span:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """Counts in one g, and the range in g, None where unknown."""
+    """Counts in one g, and the range in g, None if unknown."""
 
     lsb_per_g: float
     range_g: float | None

@@ -63,7 +63,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         UsageError: the rates contradict each other, or there is no such sensor.
     """
     if options.sensor not in (None, *SENSORS):
-        hint = f"one of {', '.join(SENSORS)}"
+        hint = f"use one of {', '.join(SENSORS)}"
         raise UsageError(f"no sensor {options.sensor!r} in it", path=path, hint=hint)
     if probe_file(path, options).compressed:
         raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
@@ -81,7 +81,7 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
 
     Raises:
         UnreadableError: it holds no samples, or nothing says their scale.
-        UsageError: the rates contradict each other, or the wanted sensor did not record.
+        UsageError: the rates contradict each other, or the requested sensor did not record.
     """
     beginning = header.look_inside(archive, imu=options.sensor == IMU)
     if options.sensor == IMU:
@@ -117,7 +117,7 @@ def open_activity_bin(
 
     Raises:
         UnreadableError: it holds no sample, or nothing says the rate.
-        UsageError: the rates contradict each other, or the wanted sensor is not in such devices.
+        UsageError: the rates contradict each other, or the requested sensor is not in such devices.
     """
     from accelcal_cli.formats.gt3x.activity import ActivityFile, has_samples  # few files are of this kind
 
@@ -148,7 +148,7 @@ def open_activity_bin(
 
 
 def activity_bin_rate(info: Info, options: ReadOptions, path: Path) -> int:
-    """Samples in a second of the older kind, which only info.txt tells."""
+    """Samples in a second of the older kind, which only info.txt states."""
     rate = info.rate_hz or options.rate_hz
     if rate is None or rate != int(rate):
         raise UnreadableError(
@@ -171,7 +171,7 @@ def first_time(file: LogFile) -> int:
 
 
 def lasted_s(info: Info, start_us: int) -> float | None:
-    """Length by the time of the last sample in info.txt, None where it makes no sense."""
+    """Length by the time of the last sample in info.txt, None if it makes no sense."""
     if info.last_us is None or info.last_us <= start_us:
         return None
     return (info.last_us - start_us) / MICROSECONDS

@@ -300,7 +300,7 @@ class Framer:
         return framed.batch(page)
 
     def _step(self, page: Page, index: int, framed: _Framed) -> int | None:
-        """Go on from `index`; gives where to, or None where more bytes are needed."""
+        """Go on from `index`; gives where to, or None if more bytes are needed."""
         if self._lost is not None:
             return self._search(page, index, framed)
         starts, end = page.follow(index, self._most)
@@ -389,7 +389,7 @@ def parameters_in(batch: Batch) -> dict[Key, int]:
 
 
 def number_of(parameters: Mapping[Key, int], key: Key) -> float | None:
-    """A parameter that is a float; None where it is missing or 0."""
+    """A parameter that is a float; None if it is missing or 0."""
     word = parameters.get(key)
     return float_of(word) if word else None
 

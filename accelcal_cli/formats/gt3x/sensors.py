@@ -132,7 +132,7 @@ class Schema:
 
 
 def parse_schema(data: bytes) -> Schema | None:
-    """A schema record's payload; None where it makes no sense."""
+    """A schema record's payload; None if it makes no sense."""
     if len(data) < _HEAD.size:
         return None
     number, column_count, samples = _HEAD.unpack_from(data)
@@ -228,7 +228,7 @@ def packed_samples(size: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def packed_bytes(samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many bytes so many samples take, the last half byte unused where they are odd, (k,)."""
+    """How many bytes so many samples take, the last half byte unused if their number is odd, (k,)."""
     return (samples * PAIR_BYTES + 1) // 2
 
 

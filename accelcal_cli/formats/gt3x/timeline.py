@@ -201,7 +201,7 @@ class IdleWatch:
             next_s: the second after the last one that is known.
 
         Returns:
-            what it slept through since then; None where the records do not say that.
+            what it slept through since then; None if the records do not say that.
         """
         self.note_times(np.array([second]))
         since, self._since = self._since, None

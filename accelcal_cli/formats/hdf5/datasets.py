@@ -51,7 +51,7 @@ class Track:
 
 
 def as_track(path: str, dataset: Any) -> Track | None:
-    """How a dataset can be read as rows of 1 or 3 numbers; None where it cannot.
+    """How a dataset can be read as rows of 1 or 3 numbers; None if it cannot.
 
     (n,), (n, 1) and (1, n) are rows of one, (n, 3) and (3, n) rows of three; (3, 3) and (1, 3)
     are read with the rows along the first axis.

@@ -135,7 +135,7 @@ def is_readable(file: Any, track: Track, path: Path) -> bool:
 
 
 def first_temperature(file: Any, track: Track, factor: float, path: Path) -> Temperature | None:
-    """A temperature dataset with its first value; None where it has no value at all."""
+    """A temperature dataset with its first value; None if it has no value at all."""
     rows = TrackRows(file, track, path)
     for start in range(0, track.rows, BLOCK_ROWS):
         degrees = units.millicelsius(*rows.read(start, min(start + BLOCK_ROWS, track.rows)), factor)
@@ -216,7 +216,7 @@ def header_problems(attributes: Attributes, damaged: int = 0) -> tuple[Problem, 
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Start, rate and stamps; None where the file does not say."""
+    """Start, rate and stamps; None if the file does not say."""
 
     rate_hz: float | None
     start_us: int | None = None

@@ -224,7 +224,7 @@ def _brief(error: Exception) -> str:
 
 @contextmanager
 def explaining(path: Path, missing: int, damaged: int = 0) -> Iterator[None]:
-    """Say with any error of ours that the file is cut short or damaged, where it is."""
+    """Add to any error of ours that the file is cut short or damaged, if it is."""
     try:
         yield
     except (UnreadableError, UsageError) as error:
@@ -262,7 +262,7 @@ def normal(name: str) -> str:
 
 
 def plain_value(value: object) -> str | float | None:
-    """An attribute as text or number; None where it is neither, empty or a list."""
+    """An attribute as text or number; None if it is neither, empty or a list."""
     if isinstance(value, np.ndarray):
         value = value.ravel()[0] if value.size == 1 else None
     if isinstance(value, bytes):
@@ -331,7 +331,7 @@ class Attributes:
         return value
 
     def number(self, *names: str) -> float | None:
-        """As a number, also from text such as `100 Hz`; None where it is not one."""
+        """As a number, also from text such as `100 Hz`; None if it is not one."""
         value = self.value(*names)
         if isinstance(value, str):
             found = re.match(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?", value)

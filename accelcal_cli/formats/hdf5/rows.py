@@ -88,7 +88,7 @@ class StoredChunks:
             self._begun = self._unpacking(range(start, stop))
 
     def read(self, rows: range) -> NDArray[Any] | None:
-        """Rows (n, width), from the first one of a chunk; None where h5py has to read them.
+        """Rows (n, width), from the first one of a chunk; None if h5py has to read them.
 
         Raises:
             OSError: a chunk holds too little; h5py would make it up from what lies in memory.
@@ -118,7 +118,7 @@ class StoredChunks:
         return True
 
     def _raw(self, row: int) -> bytes | None:
-        """A chunk by its first row, unpacked; None where it is absent, damaged or packed otherwise."""
+        """A chunk by its first row, unpacked; None if it is absent, damaged or packed otherwise."""
         place = [0] * self._ndim
         place[self._axis] = row
         try:
@@ -252,7 +252,7 @@ class TrackRows:
     those of chunks that were never written, are marked as lost.
 
     Args:
-        pool: unpacks ahead where it can; None where one thread does all.
+        pool: unpacks ahead where it can; None if one thread does all.
 
     Raises:
         UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
@@ -399,7 +399,7 @@ class TrackRows:
         return values, good
 
     def _middle(self, start: int, stop: int) -> int | None:
-        """A chunk border near the middle; None where the rows are lost together."""
+        """A chunk border near the middle; None if the rows are lost together."""
         step = self._chunk_rows * max(1, SMALLEST_LOSS_ROWS // self._chunk_rows)
         half = start + max(1, (stop - start) // 2 // step) * step
         return half if half < stop and self._stream is None else None
@@ -424,7 +424,7 @@ class TrackRows:
         return good
 
     def chunk_offset(self, row: int) -> int | None:
-        """Byte in the file of the HDF5 chunk that holds a row; None where there is none.
+        """Byte in the file of the HDF5 chunk that holds a row; None if there is none.
 
         Where the row's columns are in several chunks: the first one's, None if any is missing.
         """

@@ -53,7 +53,7 @@ _PER_C = {
 
 
 def accel_unit(text: str) -> str | None:
-    """One of g, mg, m/s2, counts for what a unit attribute says; None where unknown."""
+    """One of g, mg, m/s2, counts for what a unit attribute says; None if unknown."""
     name = normal(text.replace("m s-2", "m/s2").replace("s^-2", "s2").replace("s-2", "s2"))
     for unit, names in _ACCEL_UNITS.items():
         if name in names.split():
@@ -62,12 +62,12 @@ def accel_unit(text: str) -> str | None:
 
 
 def per_dps(text: str) -> float | None:
-    """What one deg/s is in a unit of turning; None where unknown."""
+    """What one deg/s is in a unit of turning; None if unknown."""
     return _factor(text, _PER_DPS)
 
 
 def per_celsius(text: str) -> float | None:
-    """What one degree Celsius is in a unit of temperature; None where unknown."""
+    """What one degree Celsius is in a unit of temperature; None if unknown."""
     return _factor(text, _PER_C)
 
 
@@ -85,9 +85,9 @@ class Scale:
 
     Attributes:
         lsb: counts in one unit of the result (g or deg/s).
-        divisor: what one unit of the result is in the dataset; None where its numbers are counts.
+        divisor: what one unit of the result is in the dataset; None if its numbers are counts.
         limit: largest believable magnitude, in units of the result; of no use for counts.
-        exact: the type that holds all counts of the dataset, None where some may not fit.
+        exact: the type that holds all counts of the dataset, None if some may not fit.
     """
 
     lsb: float
@@ -193,7 +193,7 @@ def parse_moment(value: str | float) -> tuple[int, bool] | None:
     """Microseconds since 1970 of a start attribute, and whether it is UTC for certain.
 
     A number counts s, ms, us or ns since 1970, by its size. A text is an ISO date and time;
-    only one with `Z` or an offset is UTC for certain. None where it is neither.
+    only one with `Z` or an offset is UTC for certain. None if it is neither.
     """
     if isinstance(value, float):
         unit = unit_by_size(value)
@@ -242,7 +242,7 @@ class StampScale:
 def typical_step(times: NDArray[np.int64]) -> tuple[float, int] | None:
     """Mean step between samples [us] without gaps, and how coarse equal stamps are [us].
 
-    The second is 0 where stamps differ from each other. None where there is no step forward.
+    The second is 0 where stamps differ from each other. None if there is no step forward.
     """
     changes = np.flatnonzero(np.diff(times)) + 1
     if len(changes) < 2:

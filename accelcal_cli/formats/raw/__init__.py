@@ -43,7 +43,7 @@ def find_layout(path: Path, options: ReadOptions) -> Path | None:
 def sniff(probe: Probe) -> int:
     """A dump is known by its layout alone: 100 named by the user, 95 its own, 40 its folder's.
 
-    Below 100 without the user's word, so that a dump with a signature goes to that format. A
+    Below 100 unless the user names it, so that a dump with a signature is read as that format. A
     `.raw` file for which rate and counts per g are given, but no layout, scores 30.
     """
     options = probe.options

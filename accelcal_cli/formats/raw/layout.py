@@ -175,7 +175,7 @@ def check_frame(layout: Layout) -> None:
 
 
 def check_stream(layout: Layout) -> None:
-    """Without pages nothing may be said of pages."""
+    """Without pages, no key about pages is allowed."""
     if layout.page_header_bytes or layout.page_trailer_bytes:
         raise ImpossibleError("dump.page_bytes is missing, but a page header or trailer is given")
     if layout.sequence or layout.stamp or layout.checksum:
@@ -249,7 +249,7 @@ class Keys:
         return UsageError(f"layout: {place} {message}", path=self._path, hint=hint)
 
     def raw(self, key: str) -> Any:
-        """The value as TOML gave it, None where absent."""
+        """The value as TOML gave it, None if absent."""
         self._known.add(key)
         return self._table.get(key)
 
@@ -273,7 +273,7 @@ class Keys:
         return self._required(key, self.optional_table(key))
 
     def optional_table(self, key: str) -> Keys | None:
-        """A table, or None where absent."""
+        """A table, or None if absent."""
         value = self.raw(key)
         if value is None:
             return None
@@ -286,7 +286,7 @@ class Keys:
         return self._required(key, self.optional_number(key, low, high))
 
     def optional_number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float | None:
-        """A finite number within low..high, or None where absent."""
+        """A finite number within low..high, or None if absent."""
         value = self.raw(key)
         if value is None:
             return None
@@ -307,7 +307,7 @@ class Keys:
         return value
 
     def text(self, key: str) -> str | None:
-        """A text, or None where absent."""
+        """A text, or None if absent."""
         value = self.raw(key)
         if value is not None and not isinstance(value, str):
             raise self.error(key, f"must be text in quotes, not {value!r}")

@@ -188,7 +188,7 @@ def rate_zero(field: Field) -> int:
 def on_grid(
     columns: list[NDArray[np.float64]], largest: float, step: float, faulty: NDArray[np.bool_]
 ) -> NDArray[np.int32]:
-    """Decimal fractions as whole steps, (n, 3); marks rows with a value that is none or too large."""
+    """Decimal fractions as whole steps, (n, 3); marks rows with a value that is not a number or too large."""
     counts = np.zeros((len(faulty), 3), np.int32)
     for axis, column in enumerate(columns):
         usable = np.abs(column) <= largest

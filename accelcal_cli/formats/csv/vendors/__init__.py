@@ -72,7 +72,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class ExportDescription:
-    """What a vendor's head tells. What it does not tell is found out as in any other file.
+    """What a vendor's header says. The rest is found out as in any other file.
 
     Attributes:
         title: whose export this is, for people.
@@ -111,7 +111,7 @@ class Vendor:
     Attributes:
         name: of the file that binds it.
         recognise: whether the first lines are this vendor's. Never raises.
-        describe: what they tell. Never raises: what is damaged is not told.
+        describe: what they say. Never raises: what is damaged is left out.
     """
 
     name: str
@@ -126,7 +126,7 @@ def all_vendors() -> tuple[Vendor, ...]:
 
 
 def export_description(head: bytes) -> ExportDescription | None:
-    """What the head of a vendor's export tells; None where it is no known vendor's."""
+    """What the head of a vendor's export says; None if it is not a known vendor's."""
     if not is_text(head[:HEAD_BYTES]):
         return None
     raw = head[:HEAD_BYTES].removeprefix(BYTE_ORDER_MARK).splitlines()[:HEAD_LINES]

@@ -1,6 +1,6 @@
 """ActiGraph: raw CSV as ActiLife and its imitators write it, behind a header of ten lines.
 
-The first line tells the model, the firmware, how dates are written, and the rate; the others the
+The first line states the model, the firmware, how dates are written, and the rate; the others the
 serial number and the start. Rows are x, y, z in g, with or without a time stamp before them, with or
 without a line of names. While it sleeps, the device repeats its last sample at the usual rate, or
 writes zeros (ActiGraph, "Idle Sleep Mode Explained"; github.com/actigraph/agcounts, issue 19).
@@ -32,7 +32,7 @@ def recognise(head: Head) -> bool:
 
 
 def describe(head: Head) -> ExportDescription:
-    """All that the header tells; ActiLife writes raw acceleration in g."""
+    """All that the header says; ActiLife writes raw acceleration in g."""
     first = head[0]
     model, firmware, dates = (_group(pattern, first) for pattern in (FIRST, FIRMWARE, DATES))
     return ExportDescription(

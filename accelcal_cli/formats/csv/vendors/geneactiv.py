@@ -28,7 +28,7 @@ def recognise(head: Head) -> bool:
 
 
 def describe(head: Head) -> ExportDescription:
-    """All that the header tells."""
+    """All that the header says."""
     match = FIRST.match(head[0])
     delimiter = match[1] if match else ","
     header = _pairs(head, delimiter)
