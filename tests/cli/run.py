@@ -33,13 +33,18 @@ class Ran:
 def run(capsys: pytest.CaptureFixture[str], *words: object) -> Ran:
     """Run in this process, through the same error handling as the console command."""
     capsys.readouterr()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exit_codes, "_watch_signals", lambda: None)
-        code = exit_codes.run_safely(
-            lambda: cli.main([str(word) for word in words], "accelcal", standalone_mode=False)
-        )
+    code = exit_code(*words)
     captured = capsys.readouterr()
     return Ran(code, captured.out, captured.err)
+
+
+def exit_code(*words: object) -> int:
+    """Run in this process; provenance names this command, as in a process of its own."""
+    arguments = [str(word) for word in words]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exit_codes, "_watch_signals", lambda: None)
+        patch.setattr(sys, "argv", ["accelcal", *arguments])
+        return exit_codes.run_safely(lambda: cli.main(arguments, "accelcal", standalone_mode=False))
 
 
 def command(*words: object) -> list[str]:
@@ -48,9 +53,9 @@ def command(*words: object) -> list[str]:
 
 
 def run_process(
-    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float | None = None
+    *words: object, stdin: bytes | None = None, cwd: Path | None = None, timeout: float = 300
 ) -> Ran:
-    """Run in a process of its own."""
+    """Run in a process of its own; what takes longer than `timeout` hangs."""
     done = subprocess.run(
         command(*words),
         input=stdin,

@@ -10,9 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.main import cli
-from tests.cli.run import Ran, run
+from tests.cli.run import Ran, exit_code, run
 from tests.recordings import directions, still_counts, write_raw
 
 NAMES = ("north/a.raw", "north/b.raw", "south/deep/c.raw")
@@ -52,16 +50,8 @@ def study(capsys: pytest.CaptureFixture[str], folder: Path, *words: object) -> R
 def run_in(folder: Path, *words: object) -> Ran:
     """Run in this process with a current folder; its workers are forked from the server of earlier runs."""
     out, err = io.StringIO(), io.StringIO()
-    with (
-        pytest.MonkeyPatch.context() as patch,
-        contextlib.chdir(folder),
-        contextlib.redirect_stdout(out),
-        contextlib.redirect_stderr(err),
-    ):
-        patch.setattr(exit_codes, "_watch_signals", lambda: None)
-        code = exit_codes.run_safely(
-            lambda: cli.main([str(word) for word in words], "accelcal", standalone_mode=False)
-        )
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        code = exit_code(*words)
     return Ran(code, out.getvalue(), err.getvalue())
 
 

@@ -1,4 +1,4 @@
-"""BorrowTask again: what is done anew when a device's recordings change, and after a kill."""
+"""Borrowing again: what is done anew when a device's recordings change, and after a kill."""
 
 from __future__ import annotations
 
