@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.recording import Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement
@@ -175,7 +176,7 @@ class RecordingRun:
         """
         recording, optimizer = self.reader.recording, judge.optimizer()
         method = judge.method(recording)
-        with jobs.hashing(self.bytes_at) as digest:
+        with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method)
             points = method.procedure.result()
             where = coverage(points)
