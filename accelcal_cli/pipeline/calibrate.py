@@ -179,9 +179,9 @@ class RecordingRun:
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method)
             points = method.procedure.result()
-            where = coverage(points)
-            damage = damage_verdict(facts, self.request.settings.max_damage_percent, where)
-            verdict = judge.verdict(self, Survey(recording, facts, method, points, where, damage))
+            covered = coverage(points)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
+            verdict = judge.verdict(self, Survey(recording, facts, method, points, covered, damage))
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows
