@@ -111,19 +111,19 @@ def _drift(drift: Drift | None, digits: str, recordings: int) -> list[str]:
 
 def _history(review: Review, device: DeviceReview) -> str:
     """A line for each recording, its path last."""
-    lines = aligned(HISTORY, [_recording(review, at) for at in device.rows]).splitlines()
-    paths = ["path", "----", *(printable(review.records.text["path"][at] or "-") for at in device.rows)]
+    lines = aligned(HISTORY, [_recording(review, index) for index in device.rows]).splitlines()
+    paths = ["path", "----", *(printable(review.records.text["path"][index] or "-") for index in device.rows)]
     width = max(map(len, lines))
     return "\n".join(f"{line.ljust(width)}  {path}" for line, path in zip(lines, paths, strict=True))
 
 
-def _recording(review: Review, at: int) -> list[str]:
+def _recording(review: Review, index: int) -> list[str]:
     text, moved = review.records.text, review.referred.records
-    cells = [_date(text["start_time"][at]), text["outcome"][at] or "-", str(review.usage[at])]
-    cells += [text["model"][at] or "-", _finite(float(review.records.number["after_mg"][at]), ".2f")]
-    for index in range(len(PARAMETERS))[OFFSETS]:
-        cells.append(_finite(1000 * float(moved.values[at, index]), "+.2f"))
-        cells.append(_finite(1000 * float(moved.errors[at, index]), ".2f"))
+    cells = [_date(text["start_time"][index]), text["outcome"][index] or "-", str(review.usage[index])]
+    cells += [text["model"][index] or "-", _finite(float(review.records.number["after_mg"][index]), ".2f")]
+    for offset in range(len(PARAMETERS))[OFFSETS]:
+        cells.append(_finite(1000 * float(moved.values[index, offset]), "+.2f"))
+        cells.append(_finite(1000 * float(moved.errors[index, offset]), ".2f"))
     return cells
 
 
@@ -202,7 +202,7 @@ def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str
     if values["as_json_"]:
         return json.dumps(as_json(reviewed, devices))
     if values["as_csv"]:
-        rows = [row(reviewed, device, at) for device in devices for at in device.rows]
+        rows = [row(reviewed, device, index) for device in devices for index in device.rows]
         return comma_separated(columns(), [list(map(_cell, one.values())) for one in rows])
     if values["device"] is not None:
         return "\n\n".join(detail(reviewed, device) for device in devices)

@@ -22,6 +22,7 @@ from accelcal_cli.core.settings import (
     DEFAULT,
     PROFILES,
     STILLNESS,
+    Option,
     PoseSettings,
     Setting,
     Settings,
@@ -118,14 +119,17 @@ def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], C
     shown = f"{default:g}" if isinstance(default, float) else default
     shown = option.default or shown
     text = option.help if shown is None else f"{option.help}  [default: {shown}]"
-    given = {"type": _type_of(declared), "metavar": option.metavar, "help": text} | words
+    given = {"type": _type_of(declared, option), "metavar": option.metavar, "help": text} | words
     return click.option(option.name, name, **given)
 
 
-def _type_of(declared: Setting) -> click.ParamType[Any] | None:
+def _type_of(declared: Setting, option: Option) -> click.ParamType[Any] | None:
     if declared.choices:
         return click.Choice(declared.choices)
-    return None if declared.low is None else Within(declared.low, declared.high)
+    low, high = option.bounds or (declared.low, declared.high)
+    if option.above is not None:
+        return Within(option.above, high, min_open=True)
+    return None if low is None else Within(low, high)
 
 
 def _settings_options(*names: str) -> list[Callable[[Any], Any]]:

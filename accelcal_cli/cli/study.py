@@ -232,6 +232,6 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         counts += [f"{number} {name}" for name, number in more.items() if number]
         counts += [counted(summary.left_out, "no recording")] if summary.left_out else []
         table = printable(study.out / f"{study.shard.basename}.csv")
-        number = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
-        exit_codes.say(f"{number}; see {table}")
+        total = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
+        exit_codes.say(f"{total}; see {table}")
     return exit_codes.SOME_FAILED if unfinished else exit_codes.of_all(observer.codes)

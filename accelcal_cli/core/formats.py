@@ -38,11 +38,11 @@ class ReadOptions:
         None,
         option=Option("--format", "Format of the recording.", "NAME", default="recognised by its content"),
     )
-    rate_hz: float | None = setting(None, 1e-3, 100_000, Option("--rate", "Sampling rate.", "HZ"))
+    rate_hz: float | None = setting(None, 1e-3, 100_000, Option("--rate", "Sampling rate.", "HZ", above=0))
     unit: str | None = setting(
         None, option=Option("--unit", "Unit of the raw values."), choices=("g", "mg", "m/s2", "counts")
     )
-    lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N"))
+    lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
     columns: tuple[str, str, str] | None = setting(
         None, option=Option("--columns", "Columns of x, y and z: names, or numbers counted from 0.")
     )

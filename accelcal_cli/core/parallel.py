@@ -1,8 +1,9 @@
 """The one place where threads are started.
 
 `prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a
-time, `BackgroundCalls` makes calls one after another beside the work of the caller, `BackgroundWriter`
-hands the bytes of a file to the system that way, and `thread_pool` is there for what fits none of them.
+time, `background_call` makes one call beside the work of a block, `BackgroundCalls` several, one after
+another, `BackgroundWriter` hands the bytes of a file to the system that way, and `thread_pool` is there for
+what fits none of them.
 Results come in the order of the items, whatever the number of threads.
 """
 
@@ -11,7 +12,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
 from threading import Lock
 from typing import Any, BinaryIO, TypeVar, cast
@@ -120,6 +121,13 @@ def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> It
         failed: Future[R] = Future()
         failed.set_exception(error)
         yield failed
+
+
+@contextmanager
+def background_call(name: str, call: Callable[..., R], *arguments: Any) -> Iterator[Future[R]]:
+    """A call made on a thread of this name beside the work of the block, which ends after it."""
+    with ThreadPoolExecutor(1, thread_name_prefix=name) as thread:
+        yield thread.submit(call, *arguments)
 
 
 class BackgroundCalls:

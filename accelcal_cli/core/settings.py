@@ -26,12 +26,16 @@ class Option:
         name: with `--no-` for one that switches off.
         metavar: what the help calls its value; None: by the type.
         default: as shown in the help; None: the field's own.
+        bounds: narrower ones for a number that is typed than for one in a report; None: the setting's.
+        above: a typed number need only be above this, in place of the lower bound; None: the bound holds.
     """
 
     name: str
     help: str
     metavar: str | None = None
     default: str | None = None
+    bounds: tuple[float, float] | None = None
+    above: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,13 +185,18 @@ class Settings:
         choices=tuple(STILLNESS),
     )
     segment_seconds: float = setting(
-        5.0, 1e-6, 3600, Option("--segment-seconds", "Length of a window.", default="depends on --stillness")
+        5.0,
+        1e-6,
+        3600,
+        Option("--segment-seconds", "Length of a window.", default="depends on --stillness", above=0),
     )
     stillness_threshold_g: float | None = setting(
         0.12,
         1e-9,
         4,
-        Option("--stillness-threshold-g", "Largest max - min in a still window (rules both, range)."),
+        Option(
+            "--stillness-threshold-g", "Largest max - min in a still window (rules both, range).", above=0
+        ),
     )
     stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
     stillness_axes: tuple[int, ...] = setting((0, 1, 2), 0, 2)
@@ -254,15 +263,22 @@ class PoseSettings:
         latitude, altitude_m, max_damage_percent: as in `Settings`.
     """
 
-    segment_seconds: float = setting(1.0, 0.1, 60, Option("--segment-seconds", "Length of a window."))
+    segment_seconds: float = setting(
+        1.0, 1e-6, 3600, Option("--segment-seconds", "Length of a window.", bounds=(0.1, 60))
+    )
     stillness_threshold_g: float = setting(
-        0.12, 1e-9, 4, Option("--stillness-threshold-g", "Largest max - min in a still window.")
+        0.12, 1e-9, 4, Option("--stillness-threshold-g", "Largest max - min in a still window.", above=0)
     )
     stillness_deviation_g: float = _as_in_settings("stillness_deviation_g")
     norm_low_g: float = _as_in_settings("norm_low_g")
     norm_high_g: float = _as_in_settings("norm_high_g")
     face_degrees: float = setting(
-        15.0, 1, 45, Option("--face-degrees", "Largest angle between the raw mean of a face and its axis.")
+        15.0,
+        0.1,
+        90,
+        Option(
+            "--face-degrees", "Largest angle between the raw mean of a face and its axis.", bounds=(1, 45)
+        ),
     )
     state_degrees: float = setting(2.0, 1e-3, 180)
     min_state_seconds: float = setting(2.0, 0, 3600)

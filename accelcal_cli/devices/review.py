@@ -28,6 +28,12 @@ DAMAGED_FROM_PERCENT = 0.1
 REPEATED = 2
 """Recordings that make a thing repeated."""
 
+DEVICE = ("serial", "device_model", "format", "device_firmware")
+TEMPERATURES = ("reference_c", "one_temperature_c")
+RESULT = ("path", "start_time", "outcome")
+ERRORS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "lost_percent")
+AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in table.PARAMETERS[table.OFFSETS])
+
 
 class Verdict(StrEnum):
     """What to do with a device."""
@@ -288,13 +294,6 @@ def _held_out(records: table.Records, usage: list[table.Usage], rows: list[int])
     return median(known) if known else None
 
 
-DEVICE = ("serial", "device_model", "format", "device_firmware")
-TEMPERATURES = ("reference_c", "one_temperature_c")
-SAID = ("path", "start_time", "outcome")
-ERRORS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "lost_percent")
-AT_ONE = tuple(f"{parameter.column}_at_one_temperature" for parameter in table.PARAMETERS[table.OFFSETS])
-
-
 def as_json(review: Review, devices: tuple[DeviceReview, ...]) -> dict[str, Any]:
     """All that is known of some devices; null for what is not."""
     kinds = [
@@ -328,7 +327,7 @@ def _device(review: Review, device: DeviceReview) -> dict[str, Any]:
         "held_out_mg": device.held_out_mg,
         "reference_c": device.reference_c,
         "parameters": {trend.parameter.name: _trend(trend) for trend in device.trends},
-        "history": [row(review, device, at) for at in device.rows],
+        "history": [row(review, device, position) for position in device.rows],
     }
 
 
@@ -342,49 +341,49 @@ def _trend(trend: Trend) -> dict[str, Any]:
     }
 
 
-def row(review: Review, device: DeviceReview, at: int) -> dict[str, Any]:
+def row(review: Review, device: DeviceReview, position: int) -> dict[str, Any]:
     """One recording of a device: a row of the CSV, in the study's units."""
     records = review.records
     whose = {"serial": device.key.serial, "device_model": device.key.model or None}
-    own = {"format": device.key.format or None, "device_firmware": records.text["device_firmware"][at]}
-    said = {name: records.text[name][at] for name in SAID}
-    numbers = {name: _number(records.number[name], at) for name in ERRORS}
+    own = {"format": device.key.format or None, "device_firmware": records.text["device_firmware"][position]}
+    result = {name: records.text[name][position] for name in RESULT}
+    numbers = {name: _number(records.number[name], position) for name in ERRORS}
     return {
         **whose,
         **own,
         "verdict": str(device.verdict),
-        **said,
-        "use": str(review.usage[at]),
-        "model": records.text["model"][at],
+        **result,
+        "use": str(review.usage[position]),
+        "model": records.text["model"][position],
         **numbers,
-        **_parameters(review, at),
-        "message": records.text["message"][at],
+        **_parameters(review, position),
+        "message": records.text["message"][position],
     }
 
 
 def columns() -> list[str]:
     """Names of a row's columns, in their order."""
-    parameters = [name for one in table.PARAMETERS for name in (one.column, f"se_{one.column}")]
+    values = [name for one in table.PARAMETERS for name in (one.column, f"se_{one.column}")]
     moved = [name for one in AT_ONE for name in (one, f"se_{one}")]
-    return [*DEVICE, "verdict", *SAID, "use", "model", *ERRORS, *parameters, *TEMPERATURES, *moved, "message"]
+    return [*DEVICE, "verdict", *RESULT, "use", "model", *ERRORS, *values, *TEMPERATURES, *moved, "message"]
 
 
-def _parameters(review: Review, at: int) -> dict[str, float | None]:
+def _parameters(review: Review, position: int) -> dict[str, float | None]:
     """Parameters with their standard errors, and the offsets at the device's one temperature."""
     records, moved = review.records, review.referred.records
     columns: dict[str, float | None] = {}
     for index, parameter in enumerate(table.PARAMETERS):
-        columns[parameter.column] = _number(records.values[:, index], at)
-        columns[f"se_{parameter.column}"] = _number(records.errors[:, index], at)
-    columns["reference_c"] = _number(records.number["reference_c"], at)
-    device = int(records.first.searchsorted(at, side="right")) - 1
+        columns[parameter.column] = _number(records.values[:, index], position)
+        columns[f"se_{parameter.column}"] = _number(records.errors[:, index], position)
+    columns["reference_c"] = _number(records.number["reference_c"], position)
+    device = int(records.first.searchsorted(position, side="right")) - 1
     columns["one_temperature_c"] = _number(review.referred.temperature_c, device)
     for name, index in zip(AT_ONE, range(12)[table.OFFSETS], strict=True):
-        columns[name] = _number(moved.values[:, index], at)
-        columns[f"se_{name}"] = _number(moved.errors[:, index], at)
+        columns[name] = _number(moved.values[:, index], position)
+        columns[f"se_{name}"] = _number(moved.errors[:, index], position)
     return columns
 
 
-def _number(held: table.Floats, at: int) -> float | None:
-    value = float(held[at])
+def _number(numbers: table.Floats, position: int) -> float | None:
+    value = float(numbers[position])
     return value if isfinite(value) else None

@@ -22,6 +22,27 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.study.records import FAILED
 from accelcal_cli.study.summary import PARAMETERS as COLUMNS
 
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+NAME = "study.parquet"
+TEXT = (
+    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
+    "start_time", "sha256",
+)  # fmt: skip
+NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")
+ERRORS = tuple(f"se_{name}" for name in COLUMNS)
+WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
+LARGEST = 1e9
+"""Of any number in a study's table that is looked at."""
+LEAST_ERROR = 1e-12
+"""Of a parameter; they are known to 2**-29."""
+DAY_S = 86_400
+EARLIEST_DAY = 10_957.0
+"""2000-01-01: before, no such device recorded; it is where clocks begin that were never set."""
+AHEAD_DAYS = 2.0
+"""A start so much later than now is a wrong clock, not another time zone."""
+
 
 class Kind(StrEnum):
     """What a parameter is."""
@@ -81,10 +102,6 @@ IDEAL = np.array([parameter.ideal for parameter in PARAMETERS])
 FACTOR = np.array([parameter.factor for parameter in PARAMETERS])
 
 
-Floats = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-
 @dataclass(frozen=True, slots=True, order=True)
 class DeviceKey:
     """What recordings must share to be compared: values of one sensor, read in one way.
@@ -141,25 +158,6 @@ class Records:
         return np.repeat(np.arange(len(self.devices)), np.diff(self.first))
 
 
-NAME = "study.parquet"
-TEXT = (
-    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
-    "start_time", "sha256",
-)  # fmt: skip
-NUMBERS = ("before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "reference_c", "lost_percent")
-ERRORS = tuple(f"se_{name}" for name in COLUMNS)
-WANTED = (*TEXT, *NUMBERS, *COLUMNS, *ERRORS)
-LARGEST = 1e9
-"""Of any number in a study's table that is looked at."""
-LEAST_ERROR = 1e-12
-"""Of a parameter; they are known to 2**-29."""
-DAY_S = 86_400
-EARLIEST_DAY = 10_957.0
-"""2000-01-01: before, no such device recorded; it is where clocks begin that were never set."""
-AHEAD_DAYS = 2.0
-"""A start so much later than now is a wrong clock, not another time zone."""
-
-
 def read(out: Path, now_s: float) -> Records:
     """The table of the study in a folder.
 
@@ -186,8 +184,8 @@ def columns(path: Path) -> dict[str, Any]:
         text = {name: _texts(table[name]) for name in TEXT}
         numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:
-        said = " ".join(str(error).split())
-        raise UnreadableError(f"cannot be read ({said})", path=path, hint="run the study again") from error
+        reason = " ".join(str(error).split())
+        raise UnreadableError(f"cannot be read ({reason})", path=path, hint="run the study again") from error
     return text | numbers
 
 
@@ -212,10 +210,10 @@ def _not_ours(path: Path, names: list[str], missing: list[str]) -> UnreadableErr
 
 
 def _texts(column: pa.ChunkedArray) -> list[str | None]:
-    found: list[Any] = column.to_pylist()
-    if not all(value is None or isinstance(value, str) for value in found):
+    texts: list[Any] = column.to_pylist()
+    if not all(text is None or isinstance(text, str) for text in texts):
         raise ValueError(f"a column of text is {column.type}")
-    return found
+    return texts
 
 
 def _floats(column: pa.ChunkedArray) -> Floats:
@@ -223,24 +221,24 @@ def _floats(column: pa.ChunkedArray) -> Floats:
     return np.array(column.to_pylist(), np.float64)
 
 
-def records(held: dict[str, Any], latest_day: float) -> Records:
+def records(table: dict[str, Any], latest_day: float) -> Records:
     """Columns as recordings of devices, in their order; see `Records`."""
-    named = [row for row, serial in enumerate(held["device_serial"]) if serial]
-    days = [day(start, latest_day) for start in held["start_time"]]
-    keys = {row: _device(held, row) for row in named}
+    named = [row for row, serial in enumerate(table["device_serial"]) if serial]
+    days = [day(start, latest_day) for start in table["start_time"]]
+    keys = {row: _device(table, row) for row in named}
     starts = [(isnan(begin), 0.0 if isnan(begin) else begin) for begin in days]
-    order = sorted(named, key=lambda row: (keys[row], starts[row], held["path"][row] or ""))
+    order = sorted(named, key=lambda row: (keys[row], starts[row], table["path"][row] or ""))
     devices = tuple(dict.fromkeys(keys[row] for row in order))
     number = {device: index for index, device in enumerate(devices)}
     counts = np.bincount([number[keys[row]] for row in order], minlength=len(devices))
-    pairs = zip(held["outcome"], held["device_serial"], strict=True)
+    pairs = zip(table["outcome"], table["device_serial"], strict=True)
     nameless = [outcome for outcome, serial in pairs if not serial]
-    values, errors = _parameters(held, order)
+    values, errors = _parameters(table, order)
     return Records(
         devices,
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        {name: [held[name][row] for row in order] for name in TEXT},
-        {name: _possible(held[name][order]) for name in NUMBERS},
+        {name: [table[name][row] for row in order] for name in TEXT},
+        {name: _possible(table[name][order]) for name in NUMBERS},
         values,
         errors,
         np.array([days[row] for row in order], np.float64),
@@ -249,22 +247,24 @@ def records(held: dict[str, Any], latest_day: float) -> Records:
     )
 
 
-def _device(held: dict[str, Any], row: int) -> DeviceKey:
-    return DeviceKey(held["device_serial"][row], held["device_model"][row] or "", held["format"][row] or "")
+def _device(table: dict[str, Any], row: int) -> DeviceKey:
+    return DeviceKey(
+        table["device_serial"][row], table["device_model"][row] or "", table["format"][row] or ""
+    )
 
 
-def _parameters(held: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]:
-    values = np.stack([held[name][order] for name in COLUMNS], axis=1)
-    errors = np.stack([held[name][order] for name in ERRORS], axis=1)
-    models = [held["model"][row] for row in order]
+def _parameters(table: dict[str, Any], order: list[int]) -> tuple[Floats, Floats]:
+    values = np.stack([table[name][order] for name in COLUMNS], axis=1)
+    errors = np.stack([table[name][order] for name in ERRORS], axis=1)
+    models = [table["model"][row] for row in order]
     free = np.array([_free(model) for model in models], bool).reshape(values.shape)
     values, errors = np.where(free, _possible(values), nan), _possible(errors)
     return values, np.where(np.isfinite(values) & (errors >= LEAST_ERROR), errors, nan)
 
 
-def _possible(held: Floats) -> Floats:
+def _possible(numbers: Floats) -> Floats:
     """NaN for what no study writes: a damaged table has no sums of squares that overflow."""
-    return np.where(np.abs(held) <= LARGEST, held, nan)
+    return np.where(np.abs(numbers) <= LARGEST, numbers, nan)
 
 
 def _free(model: str | None) -> list[bool]:
@@ -279,8 +279,8 @@ def day(start: str | None, latest_day: float) -> float:
     except ValueError:
         return nan
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    found = (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() / DAY_S
-    return found if EARLIEST_DAY <= found <= latest_day else nan
+    days = (moment - datetime(1970, 1, 1, tzinfo=UTC)).total_seconds() / DAY_S
+    return days if EARLIEST_DAY <= days <= latest_day else nan
 
 
 class Usage(StrEnum):
@@ -315,8 +315,8 @@ OWN = (Usage.USED, Usage.UNDATED, Usage.OTHER_MODEL, Usage.NO_ERRORS, Usage.GOOD
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
-    """What decides, by row, looked up once.
+class _Evidence:
+    """What decides on the usage of recordings, by row, looked up once.
 
     Attributes:
         file: the recording's hash; its row where it has none.
@@ -337,57 +337,59 @@ class _Seen:
 def usages(records: Records) -> list[Usage]:
     """The usage of each recording."""
     known = np.isfinite(records.values)
-    seen = _Seen(
+    evidence = _Evidence(
         records,
         [name or str(row) for row, name in enumerate(records.text["sha256"])],
         [row.tobytes() for row in records.values],
-        _each(known, any),
-        _each(known[:, SCALES], all),
-        _each(np.isfinite(records.errors), any),
+        _by_row(known, any),
+        _by_row(known[:, SCALES], all),
+        _by_row(np.isfinite(records.errors), any),
         np.isfinite(records.days).tolist(),
     )
-    return [use for device in range(len(records.devices)) for use in _of_device(seen, records.rows(device))]
-
-
-def _each(known: NDArray[np.bool_], whether: Callable[[Iterable[bool]], bool]) -> list[bool]:
-    return [whether(row) for row in known.tolist()]
-
-
-def _of_device(seen: _Seen, rows: range) -> list[Usage]:
-    pairs = {(seen.values[row], seen.file[row]) for row in rows}
-    sharing = Counter(values for values, _ in pairs)
-    files: set[str] = set()
-    found = []
-    for row in rows:
-        copy = seen.file[row] in files
-        files.add(seen.file[row])
-        found.append(Usage.COPY if copy else _single(seen, row, shared=sharing[seen.values[row]] > 1))
-    return _of_one_family(seen, rows, found)
-
-
-def _of_one_family(seen: _Seen, rows: range, found: list[Usage]) -> list[Usage]:
-    """Those that fitted the scale, or those that did not: the more; if as many, the former."""
-    scaled = [seen.scaled[row] for row, use in zip(rows, found, strict=True) if use in COUNTED]
-    usual = 2 * sum(scaled) >= len(scaled)
     return [
-        Usage.OTHER_MODEL if use in COUNTED and seen.scaled[row] is not usual else use
-        for row, use in zip(rows, found, strict=True)
+        use for device in range(len(records.devices)) for use in _of_device(evidence, records.rows(device))
     ]
 
 
-def _single(seen: _Seen, row: int, *, shared: bool) -> Usage:
-    own = NOT_OWN.get(seen.records.text["outcome"][row] or "")
+def _by_row(known: NDArray[np.bool_], whether: Callable[[Iterable[bool]], bool]) -> list[bool]:
+    return [whether(row) for row in known.tolist()]
+
+
+def _of_device(evidence: _Evidence, rows: range) -> list[Usage]:
+    pairs = {(evidence.values[row], evidence.file[row]) for row in rows}
+    sharing = Counter(values for values, _ in pairs)
+    files: set[str] = set()
+    usage = []
+    for row in rows:
+        copy = evidence.file[row] in files
+        files.add(evidence.file[row])
+        usage.append(Usage.COPY if copy else _single(evidence, row, shared=sharing[evidence.values[row]] > 1))
+    return _of_one_family(evidence, rows, usage)
+
+
+def _of_one_family(evidence: _Evidence, rows: range, usage: list[Usage]) -> list[Usage]:
+    """Those that fitted the scale, or those that did not: the more; if as many, the former."""
+    scaled = [evidence.scaled[row] for row, use in zip(rows, usage, strict=True) if use in COUNTED]
+    usual = 2 * sum(scaled) >= len(scaled)
+    return [
+        Usage.OTHER_MODEL if use in COUNTED and evidence.scaled[row] is not usual else use
+        for row, use in zip(rows, usage, strict=True)
+    ]
+
+
+def _single(evidence: _Evidence, row: int, *, shared: bool) -> Usage:
+    own = NOT_OWN.get(evidence.records.text["outcome"][row] or "")
     if own is not None:
         return own
-    if not seen.fitted[row]:
-        return Usage.REFUSED if seen.records.text["model"][row] is None else Usage.GOOD
+    if not evidence.fitted[row]:
+        return Usage.REFUSED if evidence.records.text["model"][row] is None else Usage.GOOD
     if shared:
         return Usage.SHARED
-    if not seen.weighed[row]:
+    if not evidence.weighed[row]:
         return Usage.NO_ERRORS
-    return Usage.USED if seen.dated[row] else Usage.UNDATED
+    return Usage.USED if evidence.dated[row] else Usage.UNDATED
 
 
-def mask(found: list[Usage], *wanted: Usage) -> NDArray[np.bool_]:
+def mask(usage: list[Usage], *wanted: Usage) -> NDArray[np.bool_]:
     """(n,) which recordings have one of these usages."""
-    return np.array([use in wanted for use in found], bool)
+    return np.array([use in wanted for use in usage], bool)

@@ -33,6 +33,11 @@ SIGNIFICANT = 3.0
 SLOPE_SPAN_C = 10.0
 """A drift of a temperature slope counts by what it does over this many degrees; our choice."""
 DAYS_A_MONTH = 365.25 / 12
+FEWEST = 3
+"""Recordings needed to report a drift: two give a line, but nothing that says how good it is."""
+TEMPERATURE_DOUBT_C = 4.0
+"""Standard deviation of the unknown mean temperature of a recording without slopes about the reference:
+our choice, of the order of the spread between people, seasons and bedrooms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +82,6 @@ class Rules:
         return np.repeat([self.drift_percent, self.drift_percent, self.drift_mg, slope], 3)
 
 
-FEWEST = 3
-"""Recordings needed to report a drift: two give a line, but nothing that says how good it is."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
     """Values of p parameters in n recordings, by device; NaN for none.
@@ -98,21 +99,21 @@ class Measured:
 
     def where(self, kept: NDArray[np.bool_]) -> Measured:
         """Without the values of other recordings."""
-        held = np.where(kept[:, np.newaxis], self.values, nan)
-        return Measured(held, self.errors, self.days, self.first)
+        values = np.where(kept[:, np.newaxis], self.values, nan)
+        return Measured(values, self.errors, self.days, self.first)
 
     def weights(self) -> Floats:
         """1 / SE^2, 0 where there is no value."""
         there = np.isfinite(self.values) & np.isfinite(self.errors)
         return np.divide(1.0, self.errors**2, out=np.zeros_like(self.errors), where=there)
 
-    def total(self, held: Floats) -> Floats:
+    def total(self, values: Floats) -> Floats:
         """Sums over each device's recordings, (d, p)."""
-        return np.asarray(np.add.reduceat(held, self.first[:-1], axis=0) if len(held) else held[:0])
+        return np.asarray(np.add.reduceat(values, self.first[:-1], axis=0) if len(values) else values[:0])
 
-    def spread(self, held: Floats) -> Floats:
+    def spread(self, values: Floats) -> Floats:
         """Values of the devices for each of their recordings, (n, p)."""
-        return np.repeat(held, np.diff(self.first), axis=0)
+        return np.repeat(values, np.diff(self.first), axis=0)
 
 
 class Mean(NamedTuple):
@@ -147,34 +148,34 @@ class Line(NamedTuple):
     scatter: float
 
 
-def means(held: Measured) -> list[list[Mean]]:
+def means(measured: Measured) -> list[list[Mean]]:
     """Weighted means, p of each device; errors f / sqrt(sum w), f^2 = chi^2 / (n - 1) if above 1, else 1."""
-    weights = held.weights()
-    number, total = held.total((weights > 0).astype(float)), held.total(weights)
-    values = np.where(weights > 0, held.values, 0.0)
+    weights = measured.weights()
+    number, total = measured.total((weights > 0).astype(float)), measured.total(weights)
+    values = np.where(weights > 0, measured.values, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        value = held.total(weights * values) / total
-        freedom = _where(number - 1, number > 1)
-        scatter = held.total(weights * (values - held.spread(value)) ** 2) / freedom
+        value = measured.total(weights * values) / total
+        freedom = _masked(number - 1, number > 1)
+        scatter = measured.total(weights * (values - measured.spread(value)) ** 2) / freedom
         error = _inflation(scatter) / np.sqrt(total)
-    columns = (value, _where(error, number > 0), scatter)
+    columns = (value, _masked(error, number > 0), scatter)
     return [[Mean(*cell) for cell in device] for device in _cells(number.astype(np.int64), *columns)]
 
 
-def lines(held: Measured, least_days: float) -> list[list[Line]]:
+def lines(measured: Measured, least_days: float) -> list[list[Line]]:
     """y = a + b (t - t0) with weights w = 1 / SE^2, t0 the weighted mean of the times; p of each device.
 
     b = sum w (t - t0) y / S, S = sum w (t - t0)^2; SE(b) = f / sqrt(S); at a time t the line's error is
     f sqrt(1 / sum w + (t - t0)^2 / S); f^2 = chi^2 / (n - 2) where that is above 1, else 1 (Birge, Physical
     Review 40, 207, 1932; the scale factor of the Particle Data Group).
     """
-    held = held.where(np.isfinite(held.days))
-    there = held.weights() > 0
-    number = held.total(there.astype(float))
-    begin, end = _extremes(held, there)
+    measured = measured.where(np.isfinite(measured.days))
+    there = measured.weights() > 0
+    number = measured.total(there.astype(float))
+    begin, end = _extremes(measured, there)
     enough = (number >= FEWEST) & (end - begin >= least_days)
     with np.errstate(divide="ignore", invalid="ignore"):
-        columns = [_where(one, enough) for one in _fitted(held, there, number, end)]
+        columns = [_masked(one, enough) for one in _fitted(measured, there, number, end)]
     return [[Line(*cell) for cell in device] for device in _cells(number.astype(np.int64), *columns)]
 
 
@@ -184,45 +185,43 @@ def _cells(*columns: NDArray[Any]) -> Iterator[Iterator[tuple[Any, ...]]]:
         yield zip(*device, strict=True)
 
 
-def _fitted(held: Measured, there: NDArray[np.bool_], number: Floats, at: Floats) -> tuple[Floats, ...]:
-    """Slope, its error, value and error at a day (d, p), scatter; see `lines`."""
-    weights, days = held.weights(), held.days[:, np.newaxis]
-    total = held.total(weights)
+def _fitted(
+    measured: Measured, there: NDArray[np.bool_], number: Floats, last_day: Floats
+) -> tuple[Floats, ...]:
+    """Slope, its error, value and error at the last day (d, p), scatter; see `lines`."""
+    weights, days = measured.weights(), measured.days[:, np.newaxis]
+    total = measured.total(weights)
     centre, middle = (
-        held.total(weights * np.where(there, column, 0.0)) / total for column in (days, held.values)
+        measured.total(weights * np.where(there, column, 0.0)) / total for column in (days, measured.values)
     )
-    away = np.where(there, days - held.spread(centre), 0.0)
-    off = np.where(there, held.values - held.spread(middle), 0.0)
-    square = held.total(weights * away**2)
-    slope = held.total(weights * away * off) / square
-    left = np.where(there, off - held.spread(slope) * away, 0.0)
-    scatter = held.total(weights * left**2) / (number - 2)
-    grown, late = _inflation(scatter), at - centre
-    error = grown * np.sqrt(1 / total + late**2 / square)
-    return slope, grown / np.sqrt(square), middle + slope * late, error, scatter
+    away = np.where(there, days - measured.spread(centre), 0.0)
+    off = np.where(there, measured.values - measured.spread(middle), 0.0)
+    square = measured.total(weights * away**2)
+    slope = measured.total(weights * away * off) / square
+    residual = np.where(there, off - measured.spread(slope) * away, 0.0)
+    scatter = measured.total(weights * residual**2) / (number - 2)
+    inflation, late = _inflation(scatter), last_day - centre
+    error = inflation * np.sqrt(1 / total + late**2 / square)
+    return slope, inflation / np.sqrt(square), middle + slope * late, error, scatter
 
 
 def _inflation(scatter: Floats) -> Floats:
     return np.sqrt(np.where(scatter > 1, scatter, 1.0))
 
 
-def _where(held: Floats, kept: NDArray[np.bool_]) -> Floats:
-    return np.asarray(np.where(kept, held, nan), np.float64)
+def _masked(values: Floats, kept: NDArray[np.bool_]) -> Floats:
+    """NaN in place of what is not kept."""
+    return np.asarray(np.where(kept, values, nan), np.float64)
 
 
-def _extremes(held: Measured, there: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _extremes(measured: Measured, there: NDArray[np.bool_]) -> tuple[Floats, Floats]:
     """First and last day of each device's values, (d, p); NaN where there are none."""
     if not len(there):
-        return held.values[:0], held.values[:0]
-    days = held.days[:, np.newaxis]
-    first = np.minimum.reduceat(np.where(there, days, np.inf), held.first[:-1], axis=0)
-    last = np.maximum.reduceat(np.where(there, days, -np.inf), held.first[:-1], axis=0)
-    return _where(first, np.isfinite(first)), _where(last, np.isfinite(last))
-
-
-TEMPERATURE_DOUBT_C = 4.0
-"""Standard deviation of the unknown mean temperature of a recording without slopes about the reference:
-our choice, of the order of the spread between people, seasons and bedrooms."""
+        return measured.values[:0], measured.values[:0]
+    days = measured.days[:, np.newaxis]
+    first = np.minimum.reduceat(np.where(there, days, np.inf), measured.first[:-1], axis=0)
+    last = np.maximum.reduceat(np.where(there, days, -np.inf), measured.first[:-1], axis=0)
+    return _masked(first, np.isfinite(first)), _masked(last, np.isfinite(last))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,14 +250,14 @@ def at_one_temperature(
         counted: (n,) the recordings that decide the temperature.
         temperature_c: for all devices; if None, the median of each device's reference temperatures.
     """
-    warm = np.isfinite(records.values[:, SLOPES]).all(axis=1) & np.isfinite(records.number["reference_c"])
-    chosen, slope = _of_devices(records, warm & counted, temperature_c)
-    at, mean = chosen[records.device_of()], slope[records.device_of()]
-    away = np.where(warm, at - records.number["reference_c"], nan)[:, np.newaxis]
+    sloped = np.isfinite(records.values[:, SLOPES]).all(axis=1) & np.isfinite(records.number["reference_c"])
+    chosen, slope = _of_devices(records, sloped & counted, temperature_c)
+    target_c, mean = chosen[records.device_of()], slope[records.device_of()]
+    away = np.where(sloped, target_c - records.number["reference_c"], nan)[:, np.newaxis]
     values, errors = records.values.copy(), records.errors.copy()
     moved = values[:, OFFSETS] + away * values[:, SLOPES]
-    spread = np.where(warm[:, np.newaxis], away * errors[:, SLOPES], TEMPERATURE_DOUBT_C * mean)
-    known = np.isfinite(at)[:, np.newaxis]
+    spread = np.where(sloped[:, np.newaxis], away * errors[:, SLOPES], TEMPERATURE_DOUBT_C * mean)
+    known = np.isfinite(target_c)[:, np.newaxis]
     values[:, OFFSETS] = np.where(known & np.isfinite(away), moved, values[:, OFFSETS])
     errors[:, OFFSETS] = np.where(
         known, np.hypot(errors[:, OFFSETS], np.nan_to_num(spread)), errors[:, OFFSETS]
@@ -267,21 +266,21 @@ def at_one_temperature(
 
 
 def _of_devices(
-    records: Records, warm: NDArray[np.bool_], temperature_c: float | None
+    records: Records, sloped: NDArray[np.bool_], temperature_c: float | None
 ) -> tuple[Floats, Floats]:
     """Temperature (d,) and weighted mean slope (d, 3) of each device that has slopes."""
     chosen = np.full(len(records.devices), nan)
     slope = np.full((len(records.devices), 3), nan)
     for device in range(len(records.devices)):
-        rows = [row for row in records.rows(device) if warm[row]]
+        rows = [row for row in records.rows(device) if sloped[row]]
         if not rows:
             continue
         own = float(np.median(records.number["reference_c"][rows]))
         chosen[device] = own if temperature_c is None else temperature_c
         weights = np.nan_to_num(1 / records.errors[rows, SLOPES] ** 2)
         total = weights.sum(axis=0)
-        held = (weights * records.values[rows, SLOPES]).sum(axis=0)
-        slope[device] = np.divide(held, total, out=np.zeros(3), where=total > 0)
+        weighted = (weights * records.values[rows, SLOPES]).sum(axis=0)
+        slope[device] = np.divide(weighted, total, out=np.zeros(3), where=total > 0)
     return chosen, slope
 
 
@@ -352,15 +351,17 @@ class Trend:
     drift: Drift | None
 
 
-def trends(records: Records, found: list[Usage], rules: Rules) -> list[tuple[Trend, ...]]:
+def trends(records: Records, usage: list[Usage], rules: Rules) -> list[tuple[Trend, ...]]:
     """Those of each device, of the parameters that were ever measured.
 
     Args:
         records: with their offsets at one temperature a device.
     """
-    held = Measured((records.values - IDEAL) * FACTOR, records.errors * FACTOR, records.days, records.first)
-    level = means(held.where(mask(found, Usage.USED, Usage.UNDATED)))
-    drift = lines(held.where(mask(found, Usage.USED)), rules.least_days)
+    measured = Measured(
+        (records.values - IDEAL) * FACTOR, records.errors * FACTOR, records.days, records.first
+    )
+    level = means(measured.where(mask(usage, Usage.USED, Usage.UNDATED)))
+    drift = lines(measured.where(mask(usage, Usage.USED)), rules.least_days)
     return [_of_device(*one) for one in zip(level, drift, strict=True)]
 
 

@@ -103,10 +103,10 @@ def collected(path: Path, options: ReadOptions, settings: Settings, progress: Pr
 
 
 def _row(path: Path, procedure: Procedure, settings: Settings) -> Row:
-    how = fitting(settings)
-    timed = Timed(how.fit)
+    fitter = fitting(settings)
+    timed = Timed(fitter.fit)
     try:
-        verdict = procedure.judge(replace(how, fit=timed))
+        verdict = procedure.judge(replace(fitter, fit=timed))
     except AccelcalError as error:
         return Row(printable(path), settings.optimizer, "failed", str(error))
     return _judged(Row(printable(path), settings.optimizer, "", ""), verdict, timed.seconds)

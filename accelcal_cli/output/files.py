@@ -23,6 +23,7 @@ LONG_NAME = 160
 
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
+METADATA_KEY = b"accelcal"
 
 
 def output_error(error: OSError, path: Path) -> OutputError:
@@ -165,19 +166,16 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-METADATA_KEY = b"accelcal"
-
-
 def metadata_of(path: Path) -> dict[str, Any]:
     """What a Parquet file of ours says of itself; empty for any other file, or none."""
     try:
-        metadata = json.loads(_held(path)) if path.is_file() else {}
+        metadata = json.loads(_our_metadata(path)) if path.is_file() else {}
     except (OSError, ValueError):
         return {}
     return metadata if isinstance(metadata, dict) else {}
 
 
-def _held(path: Path) -> bytes:
+def _our_metadata(path: Path) -> bytes:
     """The JSON of ours that a file carries. Loading pyarrow takes as long as all of accelcal."""
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.parallel import BackgroundWriter
+from accelcal_cli.core.parallel import BackgroundCalls, BackgroundWriter
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts
 from accelcal_cli.output.files import METADATA_KEY, output_error
@@ -155,9 +154,9 @@ class ParquetSink:
         self._schema = schema_of(columns, metadata)
         self._groups = [self._empty_group() for _ in range(min(threads, 2))]
         self._rows = 0
-        self._encoding: Future[None] | None = None
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="parquet")
-        self._thread.submit(int).result()
+        self._encoding = BackgroundCalls("parquet")
+        self._encoding.submit(int)
+        self._encoding.wait()
         try:
             self._file = _opened(path, threads)
             self._writer = pq.ParquetWriter(
@@ -197,7 +196,7 @@ class ParquetSink:
     def _flush(self) -> None:
         """Hand the full group to the thread, once it is done with the one before."""
         self._wait()
-        self._encoding = self._thread.submit(self._encode, self._groups[0], self._rows)
+        self._encoding.submit(self._encode, self._groups[0], self._rows)
         self._groups.reverse()
         self._rows = 0
         if len(self._groups) == 1:
@@ -213,10 +212,8 @@ class ParquetSink:
 
     def _wait(self) -> None:
         """Raises OutputError if the thread could not write."""
-        encoding, self._encoding = self._encoding, None
         try:
-            if encoding is not None:
-                encoding.result()
+            self._encoding.wait()
         except OSError as error:
             raise output_error(error, self.shown) from error
 
@@ -239,7 +236,7 @@ class ParquetSink:
         return self
 
     def __exit__(self, *_failure: object) -> None:
-        self._thread.shutdown()
+        self._encoding.close()
         with contextlib.suppress(OSError):
             self._writer.close()
         with contextlib.suppress(OSError):

@@ -37,6 +37,9 @@ from accelcal_cli.core.settings import EffectiveSettings
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
+SCHEMA_VERSION = 1
+LARGEST_BYTES = 64 << 20
+"""A report has some thousand entries at most; what is longer is none."""
 
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
@@ -319,11 +322,6 @@ def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
 _CHECKS: tuple[Callable[[Any, dict[str, Any], str], str | None], ...] = (
     _choice, _scalar, _keys, _items, _branches, _conditions,
 )  # fmt: skip
-
-
-SCHEMA_VERSION = 1
-LARGEST_BYTES = 64 << 20
-"""A report has some thousand entries at most; what is longer is none."""
 
 
 @dataclass(frozen=True, slots=True)

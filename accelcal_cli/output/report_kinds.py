@@ -19,6 +19,10 @@ from accelcal_cli.core.results import Holdout
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report_reading import Document
 
+FORMAT = "pool"
+TAKEN = ("calibration", "holdout", "fit", "coverage", "models_tried")
+"""Sections that a member's report has from its pool."""
+
 
 @dataclass(frozen=True, slots=True)
 class PointsInput(reports.JudgedInput):
@@ -58,11 +62,6 @@ def _windows(data: PointsInput) -> dict[str, Any]:
         "raw_error_mg": reports.rounded(data.raw_error_mg),
         "after_error_mg": reports.rounded(data.after_error_mg),
     }
-
-
-FORMAT = "pool"
-TAKEN = ("calibration", "holdout", "fit", "coverage", "models_tried")
-"""Sections that a member's report has from its pool."""
 
 
 @dataclass(frozen=True, slots=True)

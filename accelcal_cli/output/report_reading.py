@@ -20,6 +20,20 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, fault, report_schema
 
 NAME_ONE = "name a report, STEM.calibration.json"
+STRETCH = (0.5, 2.0)
+"""Gains of a sensor that measures about 1 g at rest lie well within (raw means of 0.5 to 1.5 g)."""
+LARGEST_OFFSET_G = 1.0
+LARGEST_SLOPE_G_PER_C = 0.1
+ABSOLUTE_ZERO_MC = -273_150
+
+FULL_GAIN = "12"
+"""Nine entries of K and the offsets, of orientations that were known."""
+
+USED = ("calibration", "recording", "coefficients", "outcome", "message")
+"""Sections that applying a report's coefficients to any recording needs."""
+
+COPIED = ("holdout", "fit", "coverage", "models_tried")
+"""Sections that hold for the recording itself, whatever it is applied by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +61,16 @@ def read_document(path: Path) -> Document:
     try:
         report = json.loads(data.decode(), parse_constant=_refuse_constant)
     except UnicodeDecodeError as error:
-        at = error.start
-        raise UnreadableError("is not UTF-8 text", path=path, byte_offset=at, hint=NAME_ONE) from error
+        start = error.start
+        raise UnreadableError("is not UTF-8 text", path=path, byte_offset=start, hint=NAME_ONE) from error
     except (ValueError, RecursionError) as error:
         raise UnreadableError(f"is not valid JSON ({error})", path=path, hint=NAME_ONE) from error
     if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
         raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
-    version, made = report["schema_version"], report["accelcal_version"]
+    version, writer = report["schema_version"], report["accelcal_version"]
     if version != SCHEMA_VERSION or isinstance(version, bool):
         raise UnreadableError(
-            f"has schema version {version!r} (of accelcal {made!r}), this version reads {SCHEMA_VERSION}",
+            f"has schema version {version!r} (of accelcal {writer!r}), this version reads {SCHEMA_VERSION}",
             path=path,
             hint="calibrate its recording again with this version, or use the version that wrote it",
         )
@@ -99,22 +113,6 @@ def damaged(document: Document, what: str) -> UnreadableError:
     """The error of a report that was not written so."""
     hint = "calibrate its recording again: accelcal did not write this report as it is now"
     return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
-
-
-STRETCH = (0.5, 2.0)
-"""Gains of a sensor that measures about 1 g at rest lie well within (raw means of 0.5 to 1.5 g)."""
-LARGEST_OFFSET_G = 1.0
-LARGEST_SLOPE_G_PER_C = 0.1
-ABSOLUTE_ZERO_MC = -273_150
-
-FULL_GAIN = "12"
-"""Nine entries of K and the offsets, of orientations that were known."""
-
-USED = ("calibration", "recording", "coefficients", "outcome", "message")
-"""Sections that applying a report's coefficients to any recording needs."""
-
-COPIED = ("holdout", "fit", "coverage", "models_tried")
-"""Sections that hold for the recording itself, whatever it is applied by."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.recording import Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement
@@ -175,12 +176,12 @@ class RecordingRun:
         """
         recording, optimizer = self.reader.recording, judge.optimizer()
         method = judge.method(recording)
-        with jobs.hashing(self.bytes_at) as digest:
+        with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method)
             points = method.procedure.result()
-            where = coverage(points)
-            damage = damage_verdict(facts, self.request.settings.max_damage_percent, where)
-            verdict = judge.verdict(self, Survey(recording, facts, method, points, where, damage))
+            covered = coverage(points)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
+            verdict = judge.verdict(self, Survey(recording, facts, method, points, covered, damage))
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows

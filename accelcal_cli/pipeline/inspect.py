@@ -51,14 +51,14 @@ def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool)
     """
     with open_marked(path, options) as reader:
         recording = reader.recording
-        how, method = fitting(settings), make_method(recording, settings)
+        fitter, method = fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         observer = FactsObserver(recording, method.rest_lsb)
         survey(pieces, method.segmenter, (observer, method.procedure))
     facts = observer.result()
     whole = full or facts.samples == recording.samples
     damage = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.result()))
-    prediction = damage or advised(method.procedure.judge(how), facts)
+    prediction = damage or advised(method.procedure.judge(fitter), facts)
     return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, prediction, whole)
 
 

@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -167,13 +166,6 @@ def check_unchanged(path: Path, before: FileStamp | None) -> None:
             path=path,
             hint="try again when it is complete (study --settle SECONDS waits until then)",
         )
-
-
-@contextlib.contextmanager
-def hashing(path: Path) -> Iterator[Future[str]]:
-    """The hash of a file, computed beside the work in the block."""
-    with ThreadPoolExecutor(1, thread_name_prefix="sha256") as pool:
-        yield pool.submit(sha256, path)
 
 
 @contextlib.contextmanager

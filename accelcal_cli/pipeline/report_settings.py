@@ -22,6 +22,16 @@ from accelcal_cli.output.report_reading import Document, damaged
 
 T = TypeVar("T")
 
+POINTS = "points"
+"""What `fit` calls the format of its tables."""
+
+NOT_SETTINGS = ("report_only", "input")
+FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
+"""What a report of a session says of its method, and no user can change."""
+
+NOT_POSE_SETTINGS = (*NOT_SETTINGS, *FIXED, "poses", "poses_sha256")
+NOT_OPTIONS = ("layout", "layout_sha256")
+
 
 @dataclass(frozen=True, slots=True)
 class Restored(Generic[T]):
@@ -101,17 +111,6 @@ def _of_tuple(value: Any, parts: tuple[Any, ...]) -> tuple[Any, ...]:
     if len(kinds) != len(value):
         raise TypeError
     return tuple(converted(item, kind) for item, kind in zip(value, kinds, strict=True))
-
-
-POINTS = "points"
-"""What `fit` calls the format of its tables."""
-
-NOT_SETTINGS = ("report_only", "input")
-FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
-"""What a report of a session says of its method, and no user can change."""
-
-NOT_POSE_SETTINGS = (*NOT_SETTINGS, *FIXED, "poses", "poses_sha256")
-NOT_OPTIONS = ("layout", "layout_sha256")
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,10 @@ from accelcal_cli.study.dask_worker import BEGAN, ENDED, PROGRESS, TOPIC, Worker
 from accelcal_cli.study.records import Finished, ProgressDelta, TaskFunction
 
 FILE_POLL_S = 0.5
+POLL_S = 1.0
+COUNT_S = 3.0
+GRACE_S = 10.0
+DONE = "done"
 Notify = Callable[[str], None]
 
 
@@ -98,12 +102,12 @@ def _check(library: Any, address: str, wait_s: float) -> None:
             f"--dask {printable(address)!r} is not an address", hint="use one such as tcp://host:8786"
         ) from error
     try:
-        there = asyncio.run(_version(library, address, wait_s))
+        version = asyncio.run(_version(library, address, wait_s))
     except Exception as error:
         raise _unreachable(address, error) from error
-    if there != library.__version__:
+    if version != library.__version__:
         raise ClusterError(
-            f"the scheduler at {address} has distributed {there}, this machine has {library.__version__}",
+            f"the scheduler at {address} has distributed {version}, this machine has {library.__version__}",
             hint="install the same version on every machine",
         )
 
@@ -139,16 +143,10 @@ def _address(named: str, wait_s: float) -> str:
 
 def _address_in(path: Path) -> str | None:
     try:
-        found = json.loads(path.read_text("utf-8"))["address"]
+        address = json.loads(path.read_text("utf-8"))["address"]
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return found if isinstance(found, str) else None
-
-
-POLL_S = 1.0
-COUNT_S = 3.0
-GRACE_S = 10.0
-DONE = "done"
+    return address if isinstance(address, str) else None
 
 
 @dataclass(slots=True)
@@ -313,9 +311,9 @@ class DaskSession:
     def _erred(self, key: str, running: _Running, error: Exception) -> Iterator[Finished]:
         """The work never raises: either its workers were killed, or they could not begin the task."""
         if type(error).__name__ != "KilledWorker":
-            said = " ".join(f"{type(error).__name__}: {error}".split())
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise ClusterError(
-                f"a worker cannot start a task ({said})",
+                f"a worker cannot start a task ({reason})",
                 hint="install the same accelcal on every machine",
             ) from error
         del self.running[key]

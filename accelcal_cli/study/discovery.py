@@ -31,6 +31,10 @@ SUMMARY = (".parquet", ".csv", ".json")
 FIRST = list(COLUMNS[:2])
 """With these columns the table of every version begins."""
 
+OURS = (jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
+TABLES = "csv"
+"""The one format whose suffixes other files often have."""
+
 
 def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
     """Refuse to overwrite with the summary what no study wrote; a recording not even with `force`.
@@ -61,15 +65,10 @@ def _summary(path: Path) -> bool:
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
-        held = json.loads(path.read_text(encoding="utf-8"))
-        return isinstance(held, dict) and "accelcal_version" in held and "recordings" in held
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        return isinstance(summary, dict) and "accelcal_version" in summary and "recordings" in summary
     except (OSError, ValueError, pa.ArrowException):
         return False
-
-
-OURS = (jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
-TABLES = "csv"
-"""The one format whose suffixes other files often have."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,16 +100,16 @@ def files(where: Where) -> list[Item]:
 
 def below_out(where: Where) -> list[Item]:
     """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
-    found, every = [], replace(where, include=(), exclude=())
+    items, every = [], replace(where, include=(), exclude=())
     for folder, place in places(where):
         if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
-            way = jobs.real(where.out).relative_to(jobs.real(folder))
-            found += [
+            out = jobs.real(where.out).relative_to(jobs.real(folder))
+            items += [
                 item
-                for item in _folder(every, folder / way, f"{place}{way.as_posix()}/")
+                for item in _folder(every, folder / out, f"{place}{out.as_posix()}/")
                 if _wanted(where, item.name.removeprefix(place))
             ]
-    return found
+    return items
 
 
 def _wanted(where: Where, below: str) -> bool:

@@ -44,14 +44,14 @@ class Ledger:
         Of several entries one whose outputs are there is taken."""
         if item.stamps[0] is None:
             return None
-        held = self._entries.get((item.name, name), ())
-        same = [one for one in held if one.stamps == item.stamps and one.asked == asked]
+        entries = self._entries.get((item.name, name), ())
+        same = [one for one in entries if one.stamps == item.stamps and one.asked == asked]
         return next((one for one in same if self.in_place(one)), same[0] if same else None)
 
     def as_it_was(self, item: Item, asked: str) -> Item:
         """The item with the stamps of its last own result, if it has one; as it is, if not."""
-        held = [one for one in self._entries.get((item.name, OWN), ()) if one.asked == asked and one.row]
-        return replace(item, stamps=held[-1].stamps) if held else item
+        own = [one for one in self._entries.get((item.name, OWN), ()) if one.asked == asked and one.row]
+        return replace(item, stamps=own[-1].stamps) if own else item
 
     def current(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
         """The entry that still stands: it is known, and its outputs are there."""
@@ -60,8 +60,8 @@ class Ledger:
 
     def latest(self, name: str, asked: str, which: str) -> Entry | None:
         """The last entry of a round whose outputs are there, whatever became of the file since."""
-        held = [one for one in self._entries.get((name, which), ()) if one.asked == asked and not one.failed]
-        return next((one for one in reversed(held) if self.in_place(one)), None)
+        good = [one for one in self._entries.get((name, which), ()) if one.asked == asked and not one.failed]
+        return next((one for one in reversed(good) if self.in_place(one)), None)
 
     def held(self, name: str, asked: str, rounds: Iterable[str]) -> list[Entry]:
         """The last entry of each of these rounds, whatever became of the file and of the outputs since."""
@@ -70,7 +70,7 @@ class Ledger:
 
     def in_place(self, entry: Entry) -> bool:
         """Whether the outputs that lie there are those of an entry."""
-        return all(file_stamp(self.out / name) == found for name, found in entry.outputs)
+        return all(file_stamp(self.out / name) == stamp for name, stamp in entry.outputs)
 
     def add(self, entry: Entry) -> None:
         """Keep an entry. A disk that is full costs the memory, not the work."""

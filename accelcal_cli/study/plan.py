@@ -21,6 +21,11 @@ from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.records import Entry, Item
 
 SLURM = "slurm"
+WRONG_USE = 2
+UNREADABLE = 3
+POOL, POOLED, BORROW = "pool", "pooled", "borrow"
+REPLACING = (POOLED, BORROW)
+"""Rounds after that of the own results that may replace one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,12 +61,12 @@ def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shar
         return Shard()
     if text == SLURM:
         return _slurm(environment)
-    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+    part = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+    if part is None or not 1 <= int(part[1]) <= int(part[2]):
         raise UsageError(
             f"--shard {text} is not a part such as 2/8", hint="give I/N with I from 1 to N, or slurm"
         )
-    return Shard(int(found[1]), int(found[2]))
+    return Shard(int(part[1]), int(part[2]))
 
 
 def _slurm(environment: Mapping[str, str]) -> Shard:
@@ -77,9 +82,6 @@ def _slurm(environment: Mapping[str, str]) -> Shard:
 
 
 WHOLE = Shard()
-POOL, POOLED, BORROW = "pool", "pooled", "borrow"
-REPLACING = (POOLED, BORROW)
-"""Rounds after that of the own results that may replace one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +148,6 @@ def ledger_of(study: Study) -> Ledger:
     return Ledger(own, [path for path in others if path != own])
 
 
-WRONG_USE = 2
-UNREADABLE = 3
-
-
 @dataclass(slots=True)
 class Plan:
     """What a study found, before it does anything.
@@ -181,9 +179,9 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     Raises:
         UsageError: one of the folders is not a folder, or they hold no recording.
     """
-    looking = _Planning(study, ledger, study.asked(), Plan())
-    looked = [looking.as_it_counts(item) for item in files(study.where)]
-    recordings = without_collisions([item for item in looked if not item.aside and looking.keeps(item)])
+    planning = _Planning(study, ledger, study.asked(), Plan())
+    items = [planning.as_it_counts(item) for item in files(study.where)]
+    recordings = without_collisions([item for item in items if not item.aside and planning.keeps(item)])
     if not recordings:
         raise UsageError(
             "no recording was found",
@@ -192,11 +190,11 @@ def plan(study: Study, ledger: Ledger) -> Plan:
         )
     for item in recordings:
         if study.shard.owns(item.name):
-            looking.place(item)
-    for item in looked:
+            planning.place(item)
+    for item in items:
         if item.aside and study.shard.owns(item.name):
-            looking.place_aside(item)
-    return looking.found
+            planning.place_aside(item)
+    return planning.plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,16 +204,16 @@ class _Planning:
     study: Study
     ledger: Ledger
     asked: str
-    found: Plan
+    plan: Plan
 
     def as_it_counts(self, now: Item) -> Item:
         """A file as it is; one that is left for later as it was when it was worked on."""
         if not (now.aside or _left_for_later(self.study, now)):
             return now
         item = self.ledger.as_it_was(now, self.asked)
-        self.found.late.add(now.name)
+        self.plan.late.add(now.name)
         if item.stamps != now.stamps:
-            self.found.changing.add(now.name)
+            self.plan.changing.add(now.name)
         return item
 
     def keeps(self, item: Item) -> bool:
@@ -227,45 +225,45 @@ class _Planning:
             options = self.study.request.options
             recording = item.refusal is not None or is_recording(item, options, asked_for=named)
         if not recording:
-            self.found.left_out.append(Entry(item.name, item.stamps, self.asked, None))
+            self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
         return recording
 
     def place(self, item: Item) -> None:
         """Put a recording where it belongs."""
         study, entry = self.study, self._standing(item)
-        begin = not study.collect and item.name not in self.found.late
+        begin = not study.collect and item.name not in self.plan.late
         again = (
             entry is not None
             and item.refusal is None
             and (study.request.force or entry.again or (study.retry_failed and entry.failed))
         )
         if entry is not None and not (again and begin):
-            self.found.done.append((item, entry))
+            self.plan.done.append((item, entry))
         else:
-            (self.found.todo if begin else self.found.waiting).append(item)
+            (self.plan.todo if begin else self.plan.waiting).append(item)
 
     def place_aside(self, item: Item) -> None:
         """A recording that `--include` does not name keeps the result that it has, if any."""
         known = self.ledger.known(item, self.asked)
         if known is not None and known.row is None:
-            self.found.left_out.append(known)
+            self.plan.left_out.append(known)
         elif (entry := self._standing(item)) is not None:
-            self.found.done.append((item, entry))
+            self.plan.done.append((item, entry))
 
     def _standing(self, item: Item) -> Entry | None:
         """The entry of a recording's own result; what a later round made of it may lie in its place."""
         if item.refusal is None:
             own = self.ledger.known(item, self.asked)
-            there = own is not None and (self.ledger.in_place(own) or self._replaced(item))
-            return own if there else None
+            stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
+            return own if stands else None
         code = WRONG_USE if item.source.is_file() else UNREADABLE
-        said = summary.failed(item, code, f"{printable(item.source)}: {item.refusal}")
-        return Entry(item.name, item.stamps, self.asked, said, again=True)
+        row = summary.failed(item, code, f"{printable(item.source)}: {item.refusal}")
+        return Entry(item.name, item.stamps, self.asked, row, again=True)
 
     def _replaced(self, item: Item) -> bool:
         """Whether the outputs are those of a later round, which can be taken back if the file is the same."""
         rounds = self.study.replacing
-        if rounds and item.name not in self.found.changing:
+        if rounds and item.name not in self.plan.changing:
             rounds = REPLACING
         later = [self.ledger.current(item, self.asked, name) for name in rounds]
         return any(entry is not None and not entry.failed for entry in later)

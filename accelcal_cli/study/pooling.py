@@ -78,16 +78,16 @@ def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[lis
 
 def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
     """The task of a pool of these members."""
-    held = [known.standing[name] for name in names]
-    rows: list[Row] = [one.own.row or {} for one in held]
+    states = [known.standing[name] for name in names]
+    rows: list[Row] = [one.own.row or {} for one in states]
     report = study.out / f"{_name(rows[0])}{REPORT_SUFFIX}"
     stands_for = Item(
         report.name.removesuffix(REPORT_SUFFIX),
         Job(report, report, report),
-        ((sum(one.item.size for one in held), 0),),
+        ((sum(one.item.size for one in states), 0),),
     )
-    members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(held, rows, strict=True))
-    stamps, inputs = tuple(one.item.stamps[0] for one in held), tuple(identity(line) for line in rows)
+    members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(states, rows, strict=True))
+    stamps, inputs = tuple(one.item.stamps[0] for one in states), tuple(identity(line) for line in rows)
     return PoolTask(
         stands_for, common_of(study), tuple(names), members, stamps, rows[0]["device_serial"], inputs
     )
@@ -144,7 +144,7 @@ class PooledTask(ReplacementTask):
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """See `Round`: a task for each member of a pool that has coefficients."""
-    found, common = [], common_of(study)
+    tasks, common = [], common_of(study)
     for members in members_of(study, known.standing):
         one = pool_of(study, known, members)
         entry = known.pools.get(one.item.name)
@@ -154,24 +154,24 @@ def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
         for name in members:
             own = known.standing[name].own
             inputs = (identity(own.row or {}), together)
-            found.append(PooledTask(known.standing[name].item, common, own, inputs, one.item.job.report))
-    return found
+            tasks.append(PooledTask(known.standing[name].item, common, own, inputs, one.item.job.report))
+    return tasks
 
 
 @guarded
 def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     """Apply a pool's coefficients to one of its recordings."""
     item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
-    found = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
-    if isinstance(found, str):
-        return task.result(calibrate(item.job, request, progress), task.kept(printable(found)))
-    return task.result(found, row_of(item, task.common, found) | _instead(task, found))
+    result = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
+    if isinstance(result, str):
+        return task.result(calibrate(item.job, request, progress), task.kept(printable(result)))
+    return task.result(result, row_of(item, task.common, result) | _instead(task, result))
 
 
 def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
     """Columns that say of which pool a row's coefficients are, and what they do to its own windows."""
-    said, windows = result.report["pool"], result.report["pool"]["own_windows"]
-    columns = {"pool": task.report.name, "pool_recordings": len(said["recordings"])}
+    pool_section, windows = result.report["pool"], result.report["pool"]["own_windows"]
+    columns = {"pool": task.report.name, "pool_recordings": len(pool_section["recordings"])}
     if windows is not None:
         columns |= {f"windows_{when}_mg": windows[f"{when}_mg"]["mean"] for when in ("before", "after")}
     return columns | summary.own(task.own_row)

@@ -39,6 +39,16 @@ SHORT_FOLDERS = ("/tmp", "/var/tmp")
 EXIT_PRIORITY = -200
 """multiprocessing removes its own folder in ours before (at -100)."""
 
+POLL_S = 1.0
+GRACE_S = 10.0
+TRIES = 5
+RETRY_S = 0.1
+"""It takes a moment until a killed server is known to be gone."""
+
+TERMINATED = 143
+SERVER_GONE = 255
+"""The exit code that multiprocessing gives a process whose server is gone."""
+
 
 @contextlib.contextmanager
 def forkserver_folder() -> Iterator[None]:
@@ -79,17 +89,6 @@ def _sweep(parent: Path, start: str) -> None:
             owner = entry.name.removeprefix(start).split("-")[0]
             if entry.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
                 shutil.rmtree(entry.path, ignore_errors=True)
-
-
-POLL_S = 1.0
-GRACE_S = 10.0
-TRIES = 5
-RETRY_S = 0.1
-"""It takes a moment until a killed server is known to be gone."""
-
-TERMINATED = 143
-SERVER_GONE = 255
-"""The exit code that multiprocessing gives a process whose server is gone."""
 
 
 @dataclass(slots=True)

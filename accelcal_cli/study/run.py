@@ -86,22 +86,22 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
     with lock.held(study.lock, lambda: _other_locks(study)), closing(ledger_of(study)) as ledger:
-        found = plan(study, ledger)
-        refuse_foreign(study.out, base, found.sources(), force=study.request.force)
+        planned = plan(study, ledger)
+        refuse_foreign(study.out, base, planned.sources(), force=study.request.force)
         study_run = StudyRun(study, ledger, observer)
-        study_run.run(found)
-        result = _summary(study, found, study_run)
+        study_run.run(planned)
+        result = _summary(study, planned, study_run)
         summary.write(result, study.out, base)
-        ledger.tidy([*study_run.entries(), *found.left_out, *_of_waiting(study, found, ledger)])
-        if study.shard.whole and not (found.waiting or study.where.include):
+        ledger.tidy([*study_run.entries(), *planned.left_out, *_of_waiting(study, planned, ledger)])
+        if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
 
 
-def _of_waiting(study: Study, found: Plan, ledger: Ledger) -> list[Entry]:
+def _of_waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
     """What is known of recordings that are not begun: a run with other options may build on it."""
     rounds = (OWN, *REPLACING)
-    return [entry for item in found.waiting for entry in ledger.held(item.name, study.asked(), rounds)]
+    return [entry for item in planned.waiting for entry in ledger.held(item.name, study.asked(), rounds)]
 
 
 def _other_locks(study: Study) -> tuple[Path, ...]:
@@ -111,14 +111,14 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
     return (study.out / "study.lock",)
 
 
-def _summary(study: Study, found: Plan, study_run: StudyRun) -> Summary:
+def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
     standing, pools = study_run.known.standing, study_run.known.pools
     last = [standing[name].last for name in sorted(standing)]
     return Summary(
         rows=[entry.row for entry in last if entry.row is not None],
         settings={**study.settings(), "pool": study.pool, "borrow": study.borrow},
-        waiting=len(found.waiting),
-        left_out=len(found.left_out),
+        waiting=len(planned.waiting),
+        left_out=len(planned.left_out),
         up_to_date=len(set(standing) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
     )
@@ -141,12 +141,12 @@ class StudyRun:
         self._planner = RoundPlanner(study, ledger)
         self._pending: dict[str, TaskResult] = {}
 
-    def run(self, found: Plan) -> None:
+    def run(self, planned: Plan) -> None:
         """All rounds."""
-        self._planner.untouched |= found.changing
-        for item, entry in found.done:
+        self._planner.untouched |= planned.changing
+        for item, entry in planned.done:
             self._own(item, TaskResult(entry, up_to_date=True))
-        self._calibrate(found.todo)
+        self._calibrate(planned.todo)
         for one in self._rounds:
             tasks = list(one.tasks(self.study, self.known))
             if one is self._rounds[-1]:
@@ -227,14 +227,14 @@ def preview(study: Study) -> dict[Item, str]:
         OutputError: a file is where the output folder should be.
     """
     places(study.where)
-    there = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
-    if not there.is_dir():
-        raise OutputError("cannot be made: a file is in its place", path=there)
+    existing = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
-    found = plan(study, ledger)
-    known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in found.done})
-    states = dict.fromkeys(found.todo, "todo") | dict.fromkeys(found.waiting, "waiting")
-    planner = RoundPlanner(study, ledger, found.changing)
+    planned = plan(study, ledger)
+    known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
+    states = dict.fromkeys(planned.todo, "todo") | dict.fromkeys(planned.waiting, "waiting")
+    planner = RoundPlanner(study, ledger, planned.changing)
     for one in rounds(study):
         todo, taken = planner.of(one, one.tasks(study, known))
         states |= {known.standing[name].item: "todo" for task in todo for name in task.names}

@@ -57,8 +57,8 @@ COLUMNS = (
 
 def failed(item: Item, code: int, message: str) -> dict[str, Any]:
     """The row of a recording that gave no report."""
-    said = {"outcome": FAILED, "message": message, "bytes": item.size, "accelcal_version": __version__}
-    return dict.fromkeys(COLUMNS) | {"path": printable(item.name), "exit_code": code} | said
+    failure = {"outcome": FAILED, "message": message, "bytes": item.size, "accelcal_version": __version__}
+    return dict.fromkeys(COLUMNS) | {"path": printable(item.name), "exit_code": code} | failure
 
 
 def of_report(
@@ -69,10 +69,10 @@ def of_report(
     Args:
         outputs: `parquet` and `report`, their names under OUT.
     """
-    known = {"path": printable(item.name), "exit_code": code}
-    said = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
-    found = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
-    return dict.fromkeys(COLUMNS) | known | said | found | outputs
+    identity = {"path": printable(item.name), "exit_code": code}
+    verdict = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
+    figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
+    return dict.fromkeys(COLUMNS) | identity | verdict | figures | outputs
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
@@ -81,64 +81,66 @@ def own(line: dict[str, Any]) -> dict[str, Any]:
 
 
 def _recording(report: dict[str, Any]) -> dict[str, Any]:
-    held, health = report["recording"], report["file_health"]
+    recording, health = report["recording"], report["file_health"]
     same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256", "lsb_per_g", "range_g")
     counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after")
     figures = ("rate_hz_measured", "lost_percent")
     return {
-        **{name: held[name] for name in same},
+        **{name: recording[name] for name in same},
         **{name: health[name] for name in counts + figures},
-        **{f"device_{name}": value for name, value in held["device"].items()},
-        "rate_hz": held["sample_rate_hz"],
-        "gaps": len(held["gaps"]) + held["gaps_omitted"],
+        **{f"device_{name}": value for name, value in recording["device"].items()},
+        "rate_hz": recording["sample_rate_hz"],
+        "gaps": len(recording["gaps"]) + recording["gaps_omitted"],
         "problems": sum(problem["count"] or 1 for problem in health["problems"]),
     }
 
 
 def _errors(report: dict[str, Any]) -> dict[str, Any]:
-    held = report["holdout"]
-    if held is None:
+    holdout = report["holdout"]
+    if holdout is None:
         return {}
-    low, high = held["ci95_mg"]
-    before = {"before_mg": held["before_mg"]["mean"], "postures": held["postures"], "points": held["points"]}
+    low, high = holdout["ci95_mg"]
+    before = {"before_mg": holdout["before_mg"]["mean"], **{n: holdout[n] for n in ("postures", "points")}}
     if report["calibration"] is None:
         return before
-    after = {"after_mg": held["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
-    return before | after | {"improvement_percent": held["improvement_percent"]}
+    after = {"after_mg": holdout["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
+    return before | after | {"improvement_percent": holdout["improvement_percent"]}
 
 
 def _coverage(report: dict[str, Any]) -> dict[str, Any]:
-    seen = report["coverage"]
+    coverage = report["coverage"]
     ends = {
         f"{end}_{axis}_g": value
         for end in ("min", "max")
-        for axis, value in zip(AXES, seen[f"axis_{end}_g"] or (), strict=False)
+        for axis, value in zip(AXES, coverage[f"axis_{end}_g"] or (), strict=False)
     }
-    return {"cells": seen["cells"], "condition_number": seen["condition_number"], **ends}
+    return {"cells": coverage["cells"], "condition_number": coverage["condition_number"], **ends}
 
 
-def _calibration(found: dict[str, Any] | None) -> dict[str, Any]:
-    if found is None:
+def _calibration(section: dict[str, Any] | None) -> dict[str, Any]:
+    if section is None:
         return {}
-    warm = found["temperature"]
-    slopes = {} if warm is None else dict(zip(PARAMETERS[9:], warm["slope_g_per_c"], strict=True))
-    gain = [value for row in found["gain"] for value in row]
+    temperature = section["temperature"]
+    slopes = (
+        {} if temperature is None else dict(zip(PARAMETERS[9:], temperature["slope_g_per_c"], strict=True))
+    )
+    gain = [value for row in section["gain"] for value in row]
     return {
-        "model": found["model"],
+        "model": section["model"],
         **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
-        **dict(zip(PARAMETERS[6:9], found["offset_g"], strict=True)),
+        **dict(zip(PARAMETERS[6:9], section["offset_g"], strict=True)),
         **slopes,
-        "reference_c": None if warm is None else warm["reference_c"],
-        **_standard_errors(found),
+        "reference_c": None if temperature is None else temperature["reference_c"],
+        **_standard_errors(section),
     }
 
 
-def _standard_errors(found: dict[str, Any]) -> dict[str, float]:
+def _standard_errors(section: dict[str, Any]) -> dict[str, float]:
     """Those of the parameters that the model leaves free: what was not fitted has none."""
-    known = found.get("standard_errors") or {}
-    model = MODELS.get(found["model"])
+    errors = section.get("standard_errors") or {}
+    model = MODELS.get(section["model"])
     free = range(len(PARAMETERS)) if model is None else model.free
-    named = {f"se_{PARAMETERS[index]}": known.get(PARAMETER_NAMES[index]) for index in free}
+    named = {f"se_{PARAMETERS[index]}": errors.get(PARAMETER_NAMES[index]) for index in free}
     return {name: value for name, value in named.items() if value is not None}
 
 

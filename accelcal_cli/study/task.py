@@ -140,14 +140,14 @@ def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, F
     paths.append(result.job.report)
     if common.request.integers and item.job.integers.exists():
         paths.append(item.job.integers)
-    found = [(_under(common, path), file_stamp(path)) for path in paths]
-    return tuple((name, held) for name, held in found if held is not None)
+    stamps = [(_under(common, path), file_stamp(path)) for path in paths]
+    return tuple((name, stamp) for name, stamp in stamps if stamp is not None)
 
 
 def problems_of(result: Result) -> tuple[str, ...]:
     """Code and message of each problem of a result's file."""
-    found = result.report["file_health"]["problems"]
-    return tuple(f"{problem['code']}: {problem['message']}" for problem in found)
+    problems = result.report["file_health"]["problems"]
+    return tuple(f"{problem['code']}: {problem['message']}" for problem in problems)
 
 
 @dataclass(frozen=True, slots=True)

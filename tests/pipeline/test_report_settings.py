@@ -33,8 +33,43 @@ def bounded(*kinds: Any) -> dict[str, tuple[float, float]]:
     return {name: (one.low, one.high) for name, one in declared.items() if None not in (one.low, one.high)}
 
 
-LIMITS = bounded(Settings, PoseSettings, ReadOptions)
-ADAPTIVE_LIMITS = bounded(Adaptive)
+LIMITS = {
+    "segment_seconds": (1e-6, 3600),
+    "stillness_threshold_g": (1e-9, 4),
+    "stillness_deviation_g": (1e-9, 4),
+    "stillness_axes": (0, 2),
+    "cells_per_g": (1, 1000),
+    "norm_low_g": (0, 10),
+    "norm_high_g": (0, 10),
+    "posture_degrees": (1e-3, 180),
+    "folds": (2, 1000),
+    "min_postures": (2, 1_000_000),
+    "coverage_g": (0, 4),
+    "max_error_mg": (0, 1e6),
+    "min_temperature_range_c": (0, 1e3),
+    "temperature_block_c": (1e-3, 1e3),
+    "face_degrees": (0.1, 90),
+    "state_degrees": (1e-3, 180),
+    "min_state_seconds": (0, 3600),
+    "max_condition": (1, 1e9),
+    "max_vector_error_mg": (0, 1e6),
+    "precision_mg": (1e-3, 1e3),
+    "latitude": (-90, 90),
+    "altitude_m": (-500, 9000),
+    "max_damage_percent": (0, 100),
+    "rate_hz": (1e-3, 1e5),
+    "lsb_per_g": (1e-9, 1e9),
+}
+"""What a report may hold, whichever of the records has the field."""
+
+ADAPTIVE_LIMITS = {
+    "acceleration_factor": (1, 30),
+    "rotation_factor": (1, 30),
+    "min_samples": (1, 1_000_000),
+    "min_windows": (1, 1_000_000),
+    "max_windows": (1, 1_000_000),
+    "held_windows": (1, 1_000_000),
+}
 
 
 def stored(request: Request) -> dict[str, Any]:
@@ -85,6 +120,12 @@ def test_every_number_has_its_limits() -> None:
         limits = bounded(record)
         for name, field in record.__dataclass_fields__.items():
             assert name in limits or not any(kind in str(field.type) for kind in ("int", "float")), name
+
+
+@pytest.mark.parametrize("kind", [Settings, PoseSettings, ReadOptions, Adaptive])
+def test_the_bounds_of_numbers_in_reports(kind: Any) -> None:
+    expected = ADAPTIVE_LIMITS if kind is Adaptive else LIMITS
+    assert bounded(kind) == {n: expected[n] for n in kind.__dataclass_fields__ if n in expected}
 
 
 @pytest.mark.parametrize("name", sorted(LIMITS))

@@ -1,0 +1,73 @@
+"""What each option of a setting accepts, written out: it may be more or less than a report may hold."""
+
+from __future__ import annotations
+
+import math
+
+import click
+import pytest
+
+from accelcal_cli.cli.main import cli
+
+RATE = {"calibrate", "study", "six-pose", "inspect", "apply", "evaluate methods", "evaluate stillness"}
+FITTING = {"calibrate", "study", "inspect"}
+WINDOWS = {*FITTING, "evaluate methods"}
+TINY = 5e-324
+"""The least number above zero."""
+
+BOUNDS: list[tuple[set[str], str, float, float]] = [
+    (RATE, "--rate", TINY, 100_000),
+    (RATE, "--lsb-per-g", TINY, 1e9),
+    (WINDOWS, "--segment-seconds", TINY, 3600),
+    ({"six-pose"}, "--segment-seconds", 0.1, 60),
+    ({*WINDOWS, "six-pose"}, "--stillness-threshold-g", TINY, 4),
+    ({"six-pose"}, "--face-degrees", 1, 45),
+    ({"calibrate", "study", "apply"}, "--precision", 0.001, 1000),
+    ({*FITTING, "six-pose", "fit", "gravity", "evaluate methods"}, "--latitude", -90, 90),
+    ({*FITTING, "six-pose", "fit", "gravity", "evaluate methods"}, "--altitude", -500, 9000),
+    ({*FITTING, "six-pose", "apply"}, "--max-damage", 0, 100),
+]
+CHOICES: list[tuple[set[str], str, tuple[str, ...]]] = [
+    (WINDOWS, "--profile", ("default", "paper")),
+    (WINDOWS, "--stillness", ("both", "range", "deviation", "adaptive")),
+    ({*WINDOWS, "fit"}, "--model", ("auto", "9", "6", "3")),
+    (RATE, "--unit", ("g", "mg", "m/s2", "counts")),
+    (RATE, "--date-format", ("dmy", "mdy", "ymd")),
+]
+
+
+def option(command: str, name: str) -> click.Parameter:
+    node: click.Command = cli
+    for word in command.split():
+        assert isinstance(node, click.Group)
+        node = node.get_command(click.Context(node), word)  # type: ignore[assignment]
+    return next(parameter for parameter in node.params if name in parameter.opts)
+
+
+def accepts(parameter: click.Parameter, text: str) -> bool:
+    try:
+        parameter.type(text, parameter, None)
+    except click.BadParameter:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "low", "high"),
+    [(command, *row) for commands, *row in BOUNDS for command in sorted(commands)],
+)
+def test_numbers_within_the_bounds_and_no_others(command: str, name: str, low: float, high: float) -> None:
+    parameter = option(command, name)
+    beyond = (math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf)
+    assert accepts(parameter, repr(float(low))) and accepts(parameter, repr(float(high)))
+    assert [number for number in beyond if accepts(parameter, repr(number))] == []
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "choices"),
+    [(command, *row) for commands, *row in CHOICES for command in sorted(commands)],
+)
+def test_choices(command: str, name: str, choices: tuple[str, ...]) -> None:
+    kind = option(command, name).type
+    assert isinstance(kind, click.Choice)
+    assert tuple(kind.choices) == choices
