@@ -26,7 +26,10 @@ def checked(values: Fixed, what: str, limit: int = LIMIT) -> Fixed:
     Raises:
         FixedPointOverflowError: one does not.
     """
-    if values.size and max(int(values.max()), -int(values.min())) >= limit:
+    if (
+        values.size
+        and not -limit < np.minimum.reduce(values, None) <= np.maximum.reduce(values, None) < limit
+    ):
         raise FixedPointOverflowError(
             f"{what} leaves the 32-bit fixed-point range of +-{LIMIT // ONE} g",
             hint="check the unit and --lsb-per-g",

@@ -69,7 +69,7 @@ def evaluate(points: PointSet, parameters: Fixed, tally: Tally) -> State:
     """
     if len(points) > MAX_POINTS:
         raise FixedPointOverflowError(f"{len(points)} points are more than the {MAX_POINTS} that sums hold")
-    p = np.moveaxis(checked(parameters, "a parameter", VALUE_LIMIT), -1, 0)[..., np.newaxis]
+    p = checked(parameters, "a parameter", VALUE_LIMIT).T[..., np.newaxis]
     shifted = _shifted(points, p)
     products = p[:3] * shifted
     products[1] += p[3] * shifted[0]
@@ -93,12 +93,11 @@ def cost(points: PointSet, state: State, tally: Tally) -> list[int]:
 
     The unit is 2**-(58 + weight bits); squares are summed in two halves so that nothing is lost.
     """
-    squares = np.atleast_2d(state.residual) ** 2
-    high = (squares >> FRACTION_BITS) * points.weights
-    low = (squares & _LOW_HALF) * points.weights
+    squares = state.residual.reshape(-1, len(points)) ** 2
+    high = (squares >> FRACTION_BITS) @ points.weights
+    low = (squares & _LOW_HALF) @ points.weights
     tally.count(1, 1, squares.size)
-    halves = zip(high.sum(axis=1), low.sum(axis=1), strict=True)
-    return [(int(top) << FRACTION_BITS) + int(rest) for top, rest in halves]
+    return [(top << FRACTION_BITS) + rest for top, rest in zip(high.tolist(), low.tolist(), strict=True)]
 
 
 def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) -> list[int]:
@@ -109,7 +108,7 @@ def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) ->
     """
     weighted = narrow(state.residual * points.weights, _WEIGHT_BITS)
     force = narrow(weighted * state.calibrated)
-    scale = _sums_of_products(force[_ROWS], state.shifted[_COLUMNS])
+    scale = _sums_of_products(force.take(_ROWS, 0), state.shifted.take(_COLUMNS, 0))
     plain = force.sum(axis=1).tolist()
     warm = [0, 0, 0] if points.tau is None else _sums_of_products(force, points.tau)
     tally.count(9, 10, len(points))
