@@ -53,7 +53,7 @@ def freshly_calibrated(capsys: Capture, path: Path, folder: Path, *words: object
 
 def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
     path = real_data / "vendor" / "zio_chest_1.56hz_14d.csv.gz"
-    code, report = calibrated(capsys, path, tmp_path)
+    code, report = calibrated(capsys, path, tmp_path, "--report-only")
     assert code == 0
     assert report["calibration"]["model"] == "9"
     assert report["holdout"]["after_mg"]["mean"] < 3.0
@@ -63,7 +63,7 @@ def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, cap
 @pytest.mark.parametrize(
     ("name", "raw_error_mg"),
     [
-        ("zio_chest_1.56hz_14d.csv.gz", 25.4),
+        pytest.param("zio_chest_1.56hz_14d.csv.gz", 25.4, marks=pytest.mark.nightly),
         ("actigraph_30hz_12h.csv.gz", 22.9),
         ("actigraph_gt3xplus_30hz_9h.csv.gz", 15.36),
     ],
@@ -78,7 +78,9 @@ def test_raw_errors_over_still_windows_are_the_known_ones(
 
 
 def test_zeros_that_a_device_wrote_are_left_out(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
-    code, report = calibrated(capsys, real_data / "vendor" / "actigraph_30hz_12h.csv.gz", tmp_path)
+    code, report = calibrated(
+        capsys, real_data / "vendor" / "actigraph_30hz_12h.csv.gz", tmp_path, "--report-only"
+    )
     assert code == 0
     assert report["calibration"]["model"] == "9"
     assert report["holdout"]["after_mg"]["mean"] < 2.5
@@ -165,7 +167,9 @@ def test_an_opal_file_asks_which_sensor_and_reads_it(
     assert report["recording"]["sample_rate_hz"] == 128
 
 
-@pytest.mark.parametrize("name", ["nilspod_84965c0.bin", "nilspod_92338c81.bin"])
+@pytest.mark.parametrize(
+    "name", ["nilspod_84965c0.bin", pytest.param("nilspod_92338c81.bin", marks=pytest.mark.nightly)]
+)
 def test_a_dump_through_a_layout(real_data: Path, tmp_path: Path, capsys: Capture, name: str) -> None:
     path = real_data / "imu" / name
     layout = tmp_path / "nilspod.toml"

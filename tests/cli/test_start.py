@@ -21,13 +21,22 @@ FOLDER = {"opal": "hdf5"}
 """The folder of a format, if it is not called like the format."""
 
 
+PRINT = "print('\\n' + json.dumps(sorted(sys.modules)), flush=True)"
+
+
+def lists(code: str, *arguments: str) -> list[frozenset[str]]:
+    """All lists of modules that code prints in a process of its own."""
+    command = [sys.executable, "-c", f"import json, os, sys\n{code}", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return [frozenset(json.loads(line)) for line in done.stdout.splitlines() if line.startswith("[")]
+
+
 @cache
 def imported(code: str) -> frozenset[str]:
     """All modules that are there after running code in a process of its own."""
-    code += "\nimport json, sys; print('\\n' + json.dumps(sorted(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return frozenset(json.loads(done.stdout.splitlines()[-1]))
+    (found,) = lists(f"{code}\n{PRINT}")
+    return found
 
 
 def calibrating(path: Path, *words: str, first: str = "") -> frozenset[str]:
@@ -40,8 +49,33 @@ def calibrating(path: Path, *words: str, first: str = "") -> frozenset[str]:
     return found
 
 
-def listing() -> frozenset[str]:
-    return imported("from accelcal_cli.formats import all_formats; all_formats()")
+LISTING = "from accelcal_cli.formats import all_formats; all_formats()"
+EACH = f"""{LISTING}
+for words in json.loads(sys.argv[1]):
+    if child := os.fork():
+        assert os.waitpid(child, 0)[1] == 0
+        continue
+    from accelcal_cli.cli.main import cli
+    assert cli.main(words, "accelcal", standalone_mode=False) == 0
+    {PRINT}
+    os._exit(0)
+"""
+"""Each command in a child of a process that knows all formats and has opened none."""
+
+
+@pytest.fixture(scope="module")
+def of_each_format(tmp_path_factory: pytest.TempPathFactory) -> dict[str, frozenset[str]]:
+    """Modules that calibrating a recording of each format imports."""
+    words = {}
+    for name in (item.name for item in all_formats()):
+        folder = tmp_path_factory.mktemp(name)
+        maker = importlib.import_module(f"tests.formats.make_{name}")
+        made = maker.make(folder, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
+        options = ("--report-only", "--no-temperature", "-q", "-d", str(folder / "out"))
+        sensor = () if made.options.sensor is None else ("--sensor", made.options.sensor)
+        words[name] = ["calibrate", str(made.path), *options, *sensor]
+    found = lists(EACH, json.dumps(list(words.values())))
+    return dict(zip(words, found, strict=True))
 
 
 def folders(modules: frozenset[str]) -> set[str]:
@@ -50,20 +84,19 @@ def folders(modules: frozenset[str]) -> set[str]:
 
 
 def test_listing_the_formats_imports_nothing_that_reads() -> None:
-    found = listing()
+    found = imported(LISTING)
     assert {FORMATS + FOLDER.get(item.name, item.name) for item in all_formats()} <= found
     assert not {name for name in found if name.startswith(FORMATS) and name.endswith((".reader", ".writer"))}
     assert not found & {"zipfile", "tomllib", "csv", "pyarrow", *(FORMATS + name for name in SHARED)}
 
 
 @pytest.mark.parametrize("name", [item.name for item in all_formats()])
-def test_calibrating_imports_what_reads_this_format_alone(name: str, tmp_path: Path) -> None:
-    maker = importlib.import_module(f"tests.formats.make_{name}")
-    made = maker.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
-    sensor = made.options.sensor
-    words = () if sensor is None else ("--sensor", sensor)
-    more = folders(calibrating(made.path, "--report-only", "--no-temperature", *words) - listing())
-    assert more - SHARED <= {FOLDER.get(name, name)}
+def test_calibrating_imports_what_reads_this_format_alone(
+    of_each_format: dict[str, frozenset[str]], name: str
+) -> None:
+    found, folder = of_each_format[name] - imported(LISTING), FOLDER.get(name, name)
+    assert f"{FORMATS}{folder}.reader" in found
+    assert folders(found) - SHARED <= {folder}
 
 
 def test_a_report_alone_is_written_without_pyarrow(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ from accelcal_cli.formats import all_formats
 from accelcal_cli.pipeline.survey import FactsObserver, make_method, open_marked, survey
 from tests.formats.expected import Expected
 
-MUTANTS = int(os.environ.get("ACCELCAL_FUZZ", "50"))
+MUTANTS = int(os.environ.get("ACCELCAL_FUZZ", "25"))
 SECONDS = 5.0
 MEMORY_BYTES = 400 << 20
 FAILURES = Path("fuzz_failures")

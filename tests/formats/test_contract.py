@@ -132,7 +132,7 @@ def test_a_preview_is_part_of_the_recording(made: tuple[Format, Expected]) -> No
 def damaged(path: Path, seed: int) -> Iterator[bytes]:
     data = path.read_bytes()
     random = np.random.RandomState(seed)
-    for _ in range(60):
+    for _ in range(25):
         mutant = bytearray(data)
         kind, at = random.randint(4), random.randint(len(data))
         size = random.randint(1, 600)

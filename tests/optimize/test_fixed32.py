@@ -170,4 +170,4 @@ def test_a_collapsed_axis_is_refused() -> None:
     noise = 0.05 * np.random.default_rng(1).standard_normal(40)
     ring = np.stack([noise, np.cos(turn), np.sin(turn)], axis=1)
     with pytest.raises(DivergedError, match="an axis collapsed"):
-        fixed32.fit(points(ring), MODELS["9"])
+        fixed32.fit(points(ring), MODELS["9"], replace(fixed32.DEFAULT, max_iterations=2000))

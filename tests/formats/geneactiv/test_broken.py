@@ -78,7 +78,7 @@ def check_cuts(path: Path, whole: bytes, ends: Iterable[int]) -> None:
 
 def test_a_file_cut_anywhere_gives_all_samples_before_the_cut(whole: bytes, tmp_path: Path) -> None:
     near = range(len(whole) - 3, len(whole))
-    check_cuts(tmp_path / "cut.bin", whole, [*range(1, 9000, 97), *range(8990, len(whole), 977), *near])
+    check_cuts(tmp_path / "cut.bin", whole, [*range(1, 9000, 197), *range(8990, len(whole), 1977), *near])
 
 
 @pytest.mark.nightly
@@ -129,7 +129,7 @@ def check_mutants(folder: Path, whole: bytes, number: int, seed: int) -> None:
 
 
 def test_changes_anywhere_give_rows_of_the_file_or_a_plain_error(whole: bytes, tmp_path: Path) -> None:
-    check_mutants(tmp_path, whole, 50, 1)
+    check_mutants(tmp_path, whole, 20, 1)
 
 
 @pytest.mark.nightly
@@ -141,7 +141,7 @@ def test_one_changed_byte_costs_one_page_at_most(whole: bytes, tmp_path: Path) -
     path, pick = tmp_path / "changed.bin", random.Random(5)
     start = whole.index(b"Recorded Data")
     table = COUNTS.reshape(PAGES, 300, 3)
-    for _ in range(100):
+    for _ in range(40):
         at = pick.randrange(start, len(whole) - 2)
         path.write_bytes(whole[:at] + bytes([pick.randrange(256)]) + whole[at + 1 :])
         rows = outcome(path, 900).rows

@@ -65,7 +65,9 @@ def test_rows_sleep_and_gaps(real_data: Path, name: str) -> None:
     assert (np.diff(found.times) > 0).all()
 
 
-@pytest.mark.parametrize("name", NEWER)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.nightly] * name.endswith("14h")) for name in NEWER]
+)
 def test_every_sample_time_and_sleep_is_that_of_pygt3x(real_data: Path, name: str) -> None:
     reader = pytest.importorskip("pygt3x.reader")
     found = read(real_data, name)
