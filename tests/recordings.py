@@ -60,6 +60,11 @@ def good_csv(folder: Path, name: str = "good.csv") -> Path:
     return write_csv(folder / name, still_counts(directions(60)))
 
 
+def good_raw(folder: Path, name: str = "good.raw") -> Path:
+    """The same as a headerless dump, which is read sooner."""
+    return write_raw(folder / name, still_counts(directions(60)))
+
+
 def write_raw(path: Path, counts: np.ndarray) -> Path:
     """A headerless dump with its layout file beside it."""
     path.write_bytes(counts.astype("<i2").tobytes())

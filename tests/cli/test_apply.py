@@ -27,7 +27,12 @@ def report_of(path: Path) -> dict:
 
 @pytest.mark.parametrize(
     ("samples", "words"),
-    [(50, ()), (499, ("--no-temperature",)), (10**7, ("--profile", "paper")), (1000, ("--model", "6"))],
+    [
+        (50, ()),
+        pytest.param(499, ("--no-temperature",), marks=pytest.mark.nightly),
+        (10**7, ("--profile", "paper")),
+        pytest.param(1000, ("--model", "6"), marks=pytest.mark.nightly),
+    ],
 )
 def test_its_own_coefficients_give_the_values_of_calibrate(
     tmp_path: Path, capsys: Capture, samples: int, words: tuple[str, ...]

@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli.core.settings import STILLNESS
 from tests.cli.run import assert_one_line, run
-from tests.recordings import GAIN, OFFSET_G, good_csv, worst_errors
+from tests.recordings import GAIN, OFFSET_G, good_csv, good_raw, worst_errors
 
 Capture = pytest.CaptureFixture[str]
 
@@ -22,7 +22,7 @@ def evaluated(capsys: Capture, *words: object) -> list[dict]:
 
 
 def with_truth(folder: Path) -> Path:
-    path = good_csv(folder)
+    path = good_raw(folder)
     known = {"K": GAIN.tolist(), "b": (-OFFSET_G).tolist()}
     (folder / "good.truth.json").write_text(json.dumps(known))
     return path
@@ -48,7 +48,7 @@ def test_figures_are_those_of_calibrate(tmp_path: Path, capsys: Capture) -> None
 
 
 def test_csv_is_one_table_of_all_recordings(tmp_path: Path, capsys: Capture) -> None:
-    one, two = good_csv(tmp_path, "one.csv"), good_csv(tmp_path, "two.csv")
+    one, two = good_raw(tmp_path, "one.raw"), good_raw(tmp_path, "two.raw")
     ran = run(capsys, "evaluate", "stillness", one, two, "--csv")
     assert ran.code == 0
     table = list(csv.DictReader(ran.lines))
@@ -63,7 +63,7 @@ def test_csv_is_one_table_of_all_recordings(tmp_path: Path, capsys: Capture) -> 
 
 
 def test_text_shows_the_truth_only_where_it_is_known(tmp_path: Path, capsys: Capture) -> None:
-    unknown = run(capsys, "evaluate", "stillness", good_csv(tmp_path))
+    unknown = run(capsys, "evaluate", "stillness", good_raw(tmp_path))
     known = run(capsys, "evaluate", "stillness", with_truth(tmp_path))
     assert (unknown.code, known.code, known.err) == (0, 0, "")
     assert "gain error" in known.out

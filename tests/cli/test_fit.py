@@ -126,6 +126,7 @@ def test_the_place_and_the_model_can_be_said(tmp_path: Path, capsys: Capture) ->
     assert forced["calibration"] is None or forced["calibration"]["model"] == "3"
 
 
+@pytest.mark.nightly
 def test_84_hours_of_a_geneactiv_as_ggir_saw_them(real_data: Path, capsys: Capture) -> None:
     ran = run(capsys, "fit", real_data / "points" / "geneactiv_84h_points.csv.gz", "--json")
     report = json.loads(ran.out)

@@ -36,10 +36,10 @@ def test_a_name_that_is_not_utf8(tmp_path: Path, capsys: Capture) -> None:
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        (("calibrate", "p.csv"), 3),
+        pytest.param(("calibrate", "p.csv"), 3, marks=pytest.mark.nightly),
         (("calibrate", "{good}", "-d", "out"), 5),
         (("calibrate", "{good}", "-d", "{out}"), 0),
-        (("study", ".", "-d", "out"), 5),
+        pytest.param(("study", ".", "-d", "out"), 5, marks=pytest.mark.nightly),
         (("study", "{folder}", "-d", "{out}"), 5),
     ],
 )

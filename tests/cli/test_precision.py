@@ -12,9 +12,9 @@ import pytest
 
 from accelcal_cli.pipeline.export import steps_per_g
 from tests.cli.run import run
+from tests.recordings import good_raw
 
 Capture = pytest.CaptureFixture[str]
-SAMPLE = Path(__file__).resolve().parent.parent.parent / "sample_data" / "recording.bin"
 
 
 @pytest.mark.parametrize(
@@ -28,25 +28,25 @@ def test_the_step_is_the_largest_power_of_two_within_the_precision(
 
 
 def values(folder: Path) -> np.ndarray:
-    return pd.read_parquet(folder / "recording.calibrated.parquet")[["x", "y", "z"]].to_numpy(np.float64)
+    return pd.read_parquet(folder / "good.calibrated.parquet")[["x", "y", "z"]].to_numpy(np.float64)
 
 
 def test_values_are_those_of_full_precision_on_the_grid(tmp_path: Path, capsys: Capture) -> None:
     fine, coarse = tmp_path / "fine", tmp_path / "coarse"
-    assert run(capsys, "calibrate", SAMPLE, "-d", fine).code == 0
-    assert run(capsys, "calibrate", SAMPLE, "-d", coarse, "--precision", 0.25).code == 0
+    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", fine).code == 0
+    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", coarse, "--precision", 0.25).code == 0
     steps = values(coarse) * 4096
     assert (steps == np.rint(steps)).all()
     assert np.abs(values(coarse) - values(fine)).max() <= 0.5 / 4096 + 1e-7
-    one, other = (json.loads((f / "recording.calibration.json").read_text()) for f in (fine, coarse))
+    one, other = (json.loads((f / "good.calibration.json").read_text()) for f in (fine, coarse))
     assert one["calibration"] == other["calibration"] and one["holdout"] == other["holdout"]
     assert other["settings"]["precision_mg"] == 0.25
-    sizes = [(f / "recording.calibrated.parquet").stat().st_size for f in (fine, coarse)]
+    sizes = [(f / "good.calibrated.parquet").stat().st_size for f in (fine, coarse)]
     assert sizes[1] < 0.6 * sizes[0]
 
 
 def test_a_result_of_another_precision_is_made_again(tmp_path: Path, capsys: Capture) -> None:
-    words = ("calibrate", SAMPLE, "-d", tmp_path)
+    words = ("calibrate", good_raw(tmp_path), "-d", tmp_path)
     assert run(capsys, *words).code == 0
     assert "up to date" not in run(capsys, *words, "--precision", 1).err
     assert "up to date" in run(capsys, *words, "--precision", 1).err
@@ -54,16 +54,16 @@ def test_a_result_of_another_precision_is_made_again(tmp_path: Path, capsys: Cap
 
 
 def test_coefficients_are_applied_at_any_precision(tmp_path: Path, capsys: Capture) -> None:
-    assert run(capsys, "calibrate", SAMPLE, "-d", tmp_path, "--precision", 1).code == 0
-    report, out = tmp_path / "recording.calibration.json", tmp_path / "fine"
-    assert run(capsys, "apply", "--coefficients", report, SAMPLE, "-d", out).code == 0
+    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", tmp_path, "--precision", 1).code == 0
+    report, out = tmp_path / "good.calibration.json", tmp_path / "fine"
+    assert run(capsys, "apply", "--coefficients", report, good_raw(tmp_path), "-d", out).code == 0
     steps = values(out) * 1024
     assert (steps != np.rint(steps)).any()
 
 
 def split(folder: Path) -> list[str]:
     """Columns whose bytes lie side by side."""
-    group = pq.ParquetFile(folder / "recording.calibrated.parquet").metadata.row_group(0)
+    group = pq.ParquetFile(folder / "good.calibrated.parquet").metadata.row_group(0)
     found = [group.column(index) for index in range(group.num_columns)]
     return [one.path_in_schema for one in found if "BYTE_STREAM_SPLIT" in one.encodings]
 
@@ -75,5 +75,5 @@ def split(folder: Path) -> list[str]:
 def test_bytes_are_split_where_three_counts_are_mixed_or_values_are_coarse(
     options: tuple[str | float, ...], names: list[str], tmp_path: Path, capsys: Capture
 ) -> None:
-    assert run(capsys, "calibrate", SAMPLE, "-d", tmp_path, *options).code == 0
+    assert run(capsys, "calibrate", good_raw(tmp_path), "-d", tmp_path, *options).code == 0
     assert split(tmp_path) == names

@@ -40,7 +40,13 @@ def test_all_formats_hold_the_same_samples_and_times(tmp_path: Path, capsys: Cap
     assert len(held[0][0]) == round(0.02 * 86_400 * 50)
 
 
-@pytest.mark.parametrize("name", FORMATS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.nightly] * (name not in ("csv", "flash", "gt3x")))
+        for name in FORMATS
+    ],
+)
 def test_the_truth_is_found_again(tmp_path: Path, capsys: Capture, name: str) -> None:
     words = ("--days", 0.4, "--rate", SLOWEST.get(name, 12.5), "--seed", 6, "--truth", 2, "-q", "--json")
     truth = json.loads(run(capsys, "simulate", tmp_path / "a", "--format", name, *words).out)

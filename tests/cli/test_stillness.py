@@ -11,7 +11,7 @@ import pytest
 from accelcal_cli.core.settings import STILLNESS
 from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run
-from tests.recordings import RATE_HZ, SECONDS, good_csv, worst_errors
+from tests.recordings import RATE_HZ, SECONDS, good_csv, good_raw, worst_errors
 
 Capture = pytest.CaptureFixture[str]
 NUMBERS = {
@@ -23,9 +23,9 @@ NUMBERS = {
 
 
 def reported(capsys: Capture, folder: Path, *words: object) -> dict:
-    path = folder / "good.csv"
+    path = folder / "good.raw"
     if not path.exists():
-        good_csv(folder)
+        good_raw(folder)
     ran = run(capsys, "calibrate", path, "--report-only", "--json", "--force", *words)
     assert ran.code in (0, 4), ran
     report = json.loads(ran.out)

@@ -53,12 +53,12 @@ def chosen(held: PointSet) -> str:
     ],
     ids=["ideal", "offset", "scale", "misalignment", "constant temperature error", "slopes"],
 )
+@pytest.mark.parametrize("seeds", [3, pytest.param(12, marks=pytest.mark.nightly)])
 def test_the_simplest_model_that_describes_the_sensor_is_chosen(
-    p: np.ndarray, warm: bool, model: str
+    p: np.ndarray, warm: bool, model: str, seeds: int
 ) -> None:
-    picks = Counter(chosen(spread(p, seed=seed, warm=warm)) for seed in range(6))
-    assert picks.most_common(1)[0][0] == model, picks
-    assert picks[model] >= 5, picks
+    picks = Counter(chosen(spread(p, seed=seed, warm=warm)) for seed in range(seeds))
+    assert picks[model] > 0.8 * seeds, picks
 
 
 def test_the_ladder_rises_by_number_of_parameters() -> None:

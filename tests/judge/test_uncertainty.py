@@ -22,7 +22,7 @@ def simulated(seed: int, model: str) -> PointSet:
     return oracle.points(v + NOISE * random.standard_normal((60, 3)), tau=tau)
 
 
-@pytest.mark.parametrize("model", ["9", "9T"])
+@pytest.mark.parametrize("model", [pytest.param("9", marks=pytest.mark.nightly), "9T"])
 def test_standard_errors_are_the_scatter_of_200_fits(model: str) -> None:
     free = list(MODELS[model].free)
     fits, claimed, worst = [], [], []
@@ -45,6 +45,7 @@ def test_standard_errors_are_the_scatter_of_200_fits(model: str) -> None:
     assert np.mean(worst) == pytest.approx(seen, rel=0.25)
 
 
+@pytest.mark.nightly
 def test_standard_errors_from_few_points_are_the_scatter_too() -> None:
     """14 points leave 5 degrees of freedom for the noise."""
     v = oracle.measured(NINE, oracle.directions(14))

@@ -136,6 +136,7 @@ def test_without_borrowing_it_goes_back_and_forth(
     assert results(out) == held
 
 
+@pytest.mark.nightly
 def test_shards_do_their_own_part_and_collected_they_borrow(
     folder: Path, out: Path, tmp_path: Path, capsys: Capture
 ) -> None:

@@ -29,7 +29,7 @@ LONG = "long.raw"
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Good recordings, a long one, and a damaged one."""
     found = study_folder(tmp_path_factory.mktemp("study") / "in", NAMES)
-    write_raw(found / LONG, still_counts(directions(480)))
+    write_raw(found / LONG, still_counts(directions(80)))
     (found / "zeros.cwa").write_bytes(bytes(4096))
     return found
 
@@ -88,7 +88,8 @@ def test_a_worker_that_is_killed_is_made_good_elsewhere(
     assert not list(out.rglob("*.tmp"))
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
     scheduler: Path, folder: Path, tmp_path: Path, number: int
 ) -> None:
@@ -152,6 +153,7 @@ def test_a_worker_may_come_later(folder: Path, tmp_path: Path) -> None:
         assert ended(process).code == 0
 
 
+@pytest.mark.nightly
 def test_it_waits_for_workers_until_the_scheduler_is_lost(folder: Path, tmp_path: Path) -> None:
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(cluster(tmp_path, 0))

@@ -88,6 +88,7 @@ def test_interrupted_it_leaves_nothing_half_written(folder: Path, tmp_path: Path
     assert not [path for path in out.rglob("*") if path.suffix in (".tmp", ".lock")]
 
 
+@pytest.mark.nightly
 def test_interrupted_at_the_terminal_while_workers_start_it_says_so_in_one_line(
     folder: Path, tmp_path: Path
 ) -> None:

@@ -76,6 +76,7 @@ def test_two_workers_give_the_same_bytes(done: Done, tmp_path: Path) -> None:
     assert results(tmp_path / "out") == results(done.out)
 
 
+@pytest.mark.nightly
 def test_three_shards_give_the_same_bytes(done: Done, tmp_path: Path) -> None:
     out = tmp_path / "out"
     for part in (3, 1, 2):

@@ -176,6 +176,7 @@ def test_real_actigraph_export_with_whole_seconds(real_data: Path) -> None:
     assert np.array_equal(found.times, even)
 
 
+@pytest.mark.nightly
 def test_real_fourteen_days_of_epoch_seconds(real_data: Path) -> None:
     path = real_data / "vendor" / "zio_chest_1.56hz_14d.csv.gz"
     found = read(path, 300_000)
