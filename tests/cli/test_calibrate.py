@@ -87,7 +87,7 @@ def test_json_prints_the_report_on_one_line(tmp_path: Path, capsys: Capture) -> 
     assert json.loads(ran.out) == report_of(tmp_path / "good.calibration.json")
 
 
-@pytest.mark.parametrize("samples", [1, 499, 4096, 10**7])
+@pytest.mark.parametrize("samples", [1, pytest.param(499, marks=pytest.mark.nightly), 10**7])
 def test_any_chunk_size_gives_the_same_bytes(tmp_path: Path, capsys: Capture, samples: int) -> None:
     path = write_raw(tmp_path / "a.raw", still_counts(directions(20)))
     run(capsys, "calibrate", path, "-d", tmp_path / "one")

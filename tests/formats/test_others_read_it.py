@@ -57,7 +57,7 @@ def by_pygt3x(path: Path) -> Found:
         ("gt3x", LINK, by_pygt3x),
     ],
 )
-@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
+@pytest.mark.parametrize("rate_hz", [pytest.param(50.0, marks=pytest.mark.nightly), 100.0])
 def test_samples_and_times(
     tmp_path: Path, name: str, scale: dict[str, float], reader: Callable[[Path], Found], rate_hz: float
 ) -> None:

@@ -129,8 +129,18 @@ def test_missing_rows_at_either_end(tmp_path: Path) -> None:
     assert found.recording.start_us == found.times[0]
 
 
-@pytest.mark.parametrize("piece", [1, 100, 1000])
-@pytest.mark.parametrize("chunk_samples", [1, 30, 1000])
+@pytest.mark.parametrize(
+    ("chunk_samples", "piece"),
+    [
+        (1, 1000),
+        (30, 100),
+        (1000, 1000),
+        *(
+            pytest.param(samples, piece, marks=pytest.mark.nightly)
+            for samples, piece in ((1, 1), (1, 100), (30, 1), (30, 1000), (1000, 1), (1000, 100))
+        ),
+    ],
+)
 def test_many_problems_become_few_records_whatever_the_blocks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int, chunk_samples: int
 ) -> None:
