@@ -61,7 +61,6 @@ def changed(here: Path, base: Path) -> set[str]:
     return {path.name.split(".")[0] for path in before | after if before.get(path) != after.get(path)}
 
 
-@pytest.mark.nightly
 def test_a_poorer_calibration_gives_way_to_a_better_one(base: Path) -> None:
     out = base / "out"
     assert borrowed_from(base) == dict.fromkeys(BORROWERS, "a/near.raw")
