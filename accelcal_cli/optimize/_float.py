@@ -21,6 +21,12 @@ Real = NDArray[np.floating[Any]]
 ENTRIES = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 """Where the first six parameters stand in K."""
 
+RISE_TOLERANCE = 2.0**-12
+"""A rise of the cost counts from one part in 4096, as in fixed point."""
+
+RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
+"""F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FloatPoints:
@@ -136,13 +142,6 @@ def least_squares(columns: Real, values: Real, weights: Real, singular: float) -
     if rank < columns.shape[1]:
         raise DivergedError("the points do not determine the parameters")
     return np.asarray(solution)
-
-
-RISE_TOLERANCE = 2.0**-12
-"""A rise of the cost counts from one part in 4096, as in fixed point."""
-
-RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
-"""F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,19 @@ _ROWS = [0, 1, 2, 1, 2, 2]
 _COLUMNS = [0, 1, 2, 0, 0, 1]
 """Of the entries of K, in the order of the parameters."""
 
+RATE_BITS = 24
+RISE_TOLERANCE_BITS = 12
+"""A rise of the cost counts from one part in 4096: below that it can be rounding."""
+
+SMALL_STEP = 1
+"""Steps of at most so many least significant bits are taken without momentum."""
+
+LEAST_SCALE = ONE // 4
+"""No accelerometer is so far off: a smaller scale means that the points do not determine it."""
+
+RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
+"""F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
+
 
 class Tally:
     """Counts the additions and multiplications of scalars that the arithmetic performs."""
@@ -110,10 +123,10 @@ def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) ->
     force = narrow(weighted * state.calibrated)
     scale = _sums_of_products(force.take(_ROWS, 0), state.shifted.take(_COLUMNS, 0))
     plain = force.sum(axis=1).tolist()
-    warm = [0, 0, 0] if points.tau is None else _sums_of_products(force, points.tau)
+    heated = [0, 0, 0] if points.tau is None else _sums_of_products(force, points.tau)
     tally.count(9, 10, len(points))
     k = [int(value) for value in parameters[:6]]
-    sums = scale + _turned_back(k, plain) + _turned_back(k, warm)
+    sums = scale + _turned_back(k, plain) + _turned_back(k, heated)
     weight = int(points.weights.sum())
     return [rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums]
 
@@ -133,20 +146,6 @@ def _turned_back(k: list[int], force: list[int]) -> list[int]:
         (k[1] * y + k[5] * z) >> FRACTION_BITS,
         (k[2] * z) >> FRACTION_BITS,
     ]
-
-
-RATE_BITS = 24
-RISE_TOLERANCE_BITS = 12
-"""A rise of the cost counts from one part in 4096: below that it can be rounding."""
-
-SMALL_STEP = 1
-"""Steps of at most so many least significant bits are taken without momentum."""
-
-LEAST_SCALE = ONE // 4
-"""No accelerometer is so far off: a smaller scale means that the points do not determine it."""
-
-RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
-"""F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
 
 
 @dataclass(frozen=True, slots=True)
