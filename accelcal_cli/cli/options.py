@@ -21,6 +21,7 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import (
     DEFAULT,
     PROFILES,
+    RANGE_RULES,
     STILLNESS,
     Option,
     PoseSettings,
@@ -240,7 +241,7 @@ def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
     if values["stillness_threshold_g"] is not None and chosen.stillness_threshold_g is None:
         raise UsageError(
             f"--stillness {chosen.stillness} has no limit on max - min",
-            hint="omit --stillness-threshold-g, or use --stillness both or range",
+            hint=f"omit --stillness-threshold-g, or use --stillness {' or '.join(RANGE_RULES)}",
         )
     if chosen.adaptive is None or seconds is None:
         return chosen

@@ -119,6 +119,11 @@ STILLNESS: dict[str, dict[str, Any]] = {
 }
 """Rules of stillness, as in `--stillness`, and the settings that make them."""
 
+RANGE_RULES = tuple(
+    name for name, numbers in STILLNESS.items() if numbers["stillness_threshold_g"] is not None
+)
+"""Those that limit max - min."""
+
 
 @dataclass(frozen=True, slots=True)
 class Settings:
@@ -195,7 +200,9 @@ class Settings:
         1e-9,
         4,
         Option(
-            "--stillness-threshold-g", "Largest max - min in a still window (rules both, range).", above=0
+            "--stillness-threshold-g",
+            f"Largest max - min in a still window (rules {', '.join(RANGE_RULES)}).",
+            above=0,
         ),
     )
     stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
