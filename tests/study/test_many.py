@@ -42,7 +42,7 @@ def measured(*words: object) -> tuple[int, float, int]:
 
 @pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
-def test_planning_and_a_rerun_take_less_than_a_millisecond_a_recording(folder: Path, tmp_path: Path) -> None:
+def test_planning_and_a_rerun_take_a_fifth_of_the_work_at_most(folder: Path, tmp_path: Path) -> None:
     code, planned_s, bytes_planned = measured("study", folder, "-d", tmp_path / "out", "--dry-run")
     assert code == 0
     code, worked_s, bytes_worked = measured("study", folder, "-d", tmp_path / "out", "-q")
@@ -52,6 +52,5 @@ def test_planning_and_a_rerun_take_less_than_a_millisecond_a_recording(folder: P
     print(
         f"{planned_s:.1f} {worked_s:.1f} {again_s:.1f} s, {bytes_planned} {bytes_worked} {bytes_again} bytes"
     )
-    assert planned_s < MANY / 1000
-    assert again_s < MANY / 1000
+    assert max(planned_s, again_s) < worked_s / 5
     assert max(bytes_planned, bytes_worked, bytes_again) < 400_000_000
