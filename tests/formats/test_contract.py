@@ -132,7 +132,7 @@ def test_a_preview_is_part_of_the_recording(made: tuple[Format, Expected]) -> No
 def damaged(path: Path, seed: int) -> Iterator[bytes]:
     data = path.read_bytes()
     random = np.random.RandomState(seed)
-    for _ in range(25):
+    for _ in range(60):
         mutant = bytearray(data)
         kind, at = random.randint(4), random.randint(len(data))
         size = random.randint(1, 600)
@@ -147,6 +147,7 @@ def damaged(path: Path, seed: int) -> Iterator[bytes]:
         yield bytes(mutant)
 
 
+@pytest.mark.nightly
 def test_damage_never_gives_anything_but_rows_or_an_error_of_ours(made: tuple[Format, Expected]) -> None:
     item, expected = made
     mutant = expected.path.with_name("mutant" + expected.path.suffix)

@@ -89,7 +89,7 @@ def test_a_layout_and_an_output_in_the_way_are_named_so_too(
 
 def test_several_at_once_in_one_process_do_not_disturb_each_other(tmp_path: Path) -> None:
     folder = study_folder(tmp_path / "in", NAMES)
-    for name in ("evening.csv.gz", "night.h5"):
+    for name in ("night.h5", "recording.bin"):
         (folder / name).symlink_to(ROOT / "sample_data" / name)
     alone = [calibrated(task, not_told).entry for task in tasks(folder, tmp_path / "one")]
     with ThreadPoolExecutor(5) as threads:
