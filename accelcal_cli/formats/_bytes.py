@@ -31,6 +31,7 @@ class ByteSource(Closing):
 
     Attributes:
         compressed: whether the file is gzip.
+        file_bytes: length of the file itself.
         broken: whether its bytes broke off (a truncated or damaged gzip) rather than ended.
     """
 
@@ -46,6 +47,7 @@ class ByteSource(Closing):
         self._ahead = b""
         try:
             self._file = path.open("rb")
+            self.file_bytes = os.fstat(self._file.fileno()).st_size
             self.compressed = self._file.read(len(GZIP_MAGIC)) == GZIP_MAGIC
             self._file.seek(0)
         except OSError as error:

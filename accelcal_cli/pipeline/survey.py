@@ -202,10 +202,17 @@ class PaperProcedure(Procedure):
 
 def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:
     """Windows by fate, from the segmenter's counts and the collector's."""
-    fates = ("complete", "moving", "filled", "clipped", "recovered", "joined")
-    used = counts.still - implausible - constant
-    found = {name: getattr(counts, name) for name in fates}
-    return WindowUse(**found, implausible=implausible, constant_left_out=constant, used=used)
+    return WindowUse(
+        complete=counts.complete,
+        moving=counts.moving,
+        filled=counts.filled,
+        clipped=counts.clipped,
+        recovered=counts.recovered,
+        joined=counts.joined,
+        implausible=implausible,
+        constant_left_out=constant,
+        used=counts.still - implausible - constant,
+    )
 
 
 def survey(

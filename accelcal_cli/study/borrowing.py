@@ -188,7 +188,8 @@ def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
         own = calibrate(item.job, request, progress)
         return task.result(own, task.kept("; ".join(loan.reasons)))
     number = len(loan.reasons)
-    accepted = {"borrowed_from": printable(task.donors[number][0]), **summary.own(task.own_row)}
+    lender, _ = task.donors[number]
+    accepted = {"borrowed_from": printable(lender), **summary.own(task.own_row)}
     row = row_of(item, task.common, loan.result) | accepted
     return task.result(loan.result, row, task.inputs[: number + 2])
 

@@ -190,7 +190,7 @@ def paged_file(path: Path, start_byte: int, page_bytes: int, *, proved: bool = T
         UnreadableError: it cannot be read.
     """
     with ByteSource(path) as source:
-        return PagedFile(path, start_byte, page_bytes, path.stat().st_size, source.compressed, proved)
+        return PagedFile(path, start_byte, page_bytes, source.file_bytes, source.compressed, proved)
 
 
 def is_erased(data: bytes) -> bool:
