@@ -88,11 +88,13 @@ class Trial:
     Attributes:
         holdout: its held-out error, None if it could not be fitted.
         reason: why it was not eligible, None if it was.
+        fit: to all points, where there is one.
     """
 
     model: str
     holdout: Holdout | None
     reason: str | None
+    fit: Fit | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,7 +74,7 @@ def fitting(settings: Settings) -> Fitting:
     """The fitting of the settings; raises UsageError for an unknown optimizer."""
     optimizer = named_optimizer(settings.optimizer)
     numbers = _numbers(optimizer, settings)
-    return Fitting(settings, lambda points, model: optimizer.fit(points, model, numbers), optimizer.models)
+    return Fitting(settings, lambda sets, model: optimizer.fits(sets, model, numbers), optimizer.models)
 
 
 def optimizer_json(settings: Settings) -> dict[str, Any]:
