@@ -10,10 +10,11 @@ import errno
 import hashlib
 import json
 import os
+import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.system import host, lives
@@ -24,6 +25,8 @@ LONG_NAME = 160
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
 METADATA_KEY = b"accelcal"
+_MODES = {"rb": os.O_RDONLY, "r+": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
+_PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def output_error(error: OSError, path: Path) -> OutputError:
@@ -59,7 +62,39 @@ def replacing(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise output_error(error, path) from error
     finally:
+        discard(temporary)
+
+
+def discard(temporary: Path) -> None:
+    """Remove a temporary as far as the disk allows it: what went wrong before is what is said."""
+    with contextlib.suppress(OSError):
         temporary.unlink(missing_ok=True)
+
+
+def open_plain(path: Path, mode: str) -> IO[Any]:
+    """Open a file of ours in a user's folder; mode `rb`, or `r+` or `a` for UTF-8 text.
+
+    A link could lead to somebody else's file, and a pipe would be waited for without end.
+
+    Raises:
+        OutputError: it is a link, a pipe or anything else but a plain file.
+        OSError: it is not there or cannot be opened.
+    """
+    try:
+        handle = os.open(path, _MODES[mode] | _PLAIN, 0o666)
+    except OSError as error:
+        if error.errno in (errno.ELOOP, errno.ENXIO, errno.EISDIR):
+            raise _not_plain(path) from error
+        raise
+    if not stat.S_ISREG(os.fstat(handle).st_mode):
+        os.close(handle)
+        raise _not_plain(path)
+    return os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8")
+
+
+def _not_plain(path: Path) -> OutputError:
+    hint = "move it away, or choose another folder with -d"
+    return OutputError("is not a plain file", path=path, hint=hint)
 
 
 def exists(path: Path) -> bool:

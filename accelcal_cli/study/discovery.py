@@ -23,6 +23,7 @@ from accelcal_cli.core.formats import Format, ReadOptions, probe_file
 from accelcal_cli.formats import all_formats, named_format
 from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
 from accelcal_cli.pipeline import jobs
+from accelcal_cli.study.ledger import is_ledger
 from accelcal_cli.study.records import Item
 from accelcal_cli.study.summary import COLUMNS
 
@@ -52,9 +53,9 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
 
 
 def _foreign(out: Path, base: str) -> Iterator[Path]:
-    for suffix in SUMMARY:
+    for suffix in (*SUMMARY, ".ledger"):
         path = out / f"{base}{suffix}"
-        if path.exists() and not _summary(path):
+        if path.exists() and not (path.is_file() and _summary(path)):
             yield path
 
 
@@ -62,12 +63,14 @@ def _summary(path: Path) -> bool:
     try:
         if path.suffix == ".parquet":
             return list(pq.read_schema(path).names[:2]) == FIRST
+        if path.suffix == ".ledger":
+            return is_ledger(path)
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
         summary = json.loads(path.read_text(encoding="utf-8"))
         return isinstance(summary, dict) and "accelcal_version" in summary and "recordings" in summary
-    except (OSError, ValueError, pa.ArrowException):
+    except (OSError, ValueError, RecursionError, pa.ArrowException):
         return False
 
 

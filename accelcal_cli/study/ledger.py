@@ -9,17 +9,23 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import sys
 import zlib
 from collections.abc import Iterable
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import IO, Any
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.output.files import replacing
+from accelcal_cli.output.files import open_plain, replacing
 from accelcal_cli.pipeline.jobs import file_stamp
 from accelcal_cli.study.records import OWN, Entry, Item
+
+LINE = re.compile(rb"^[0-9a-f]{8} \{", re.MULTILINE)
+HALF_A_LINE = re.compile(rb"\s*[0-9a-f]{0,8} ?")
+LOOKED_AT = 1 << 20
+"""Bytes of a file in which a line of ours is looked for."""
 
 
 class Ledger:
@@ -33,7 +39,7 @@ class Ledger:
         self.path = path
         self.out = path.parent
         self._entries: dict[tuple[str, str], list[Entry]] = {}
-        self._file: TextIO | None = None
+        self._file: IO[str] | None = None
         for one in (path, *others):
             for entry in _read(one):
                 self._entries.setdefault((entry.name, entry.round), []).append(entry)
@@ -75,9 +81,9 @@ class Ledger:
     def add(self, entry: Entry) -> None:
         """Keep an entry. A disk that is full costs the memory, not the work."""
         self._entries[entry.name, entry.round] = [entry]
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, OutputError):
             if self._file is None:
-                self._file = self.path.open("a", encoding="utf-8")
+                self._file = open_plain(self.path, "a")
                 self._file.write("\n")
             self._file.write(_line(entry))
             self._file.flush()
@@ -110,10 +116,21 @@ def _checksum(data: bytes) -> str:
 
 def _read(path: Path) -> list[Entry]:
     try:
-        with path.open("rb") as lines:
+        with open_plain(path, "rb") as lines:
             return [entry for line in lines if (entry := _parsed(line.strip())) is not None]
-    except OSError:
+    except (OSError, OutputError):
         return []
+
+
+def is_ledger(path: Path) -> bool:
+    """Whether a file can be a ledger, of which damage has left something: then it may be replaced.
+
+    Raises:
+        OSError, OutputError: see `open_plain`.
+    """
+    with open_plain(path, "rb") as file:
+        start = file.read(LOOKED_AT)
+    return HALF_A_LINE.fullmatch(start) is not None or LINE.search(start) is not None
 
 
 def _shared(row: dict[str, Any]) -> dict[str, Any]:
@@ -137,5 +154,5 @@ def _parsed(line: bytes) -> Entry | None:
             round=held["round"],
             inputs=tuple(held["inputs"]),
         )
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError):
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         return None

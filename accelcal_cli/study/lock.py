@@ -10,9 +10,9 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import LockedError
+from accelcal_cli.core.errors import LockedError, OutputError
 from accelcal_cli.core.system import host, lives
-from accelcal_cli.output.files import beside, output_error
+from accelcal_cli.output.files import beside, discard, open_plain, output_error
 
 try:
     import fcntl
@@ -20,7 +20,11 @@ except ImportError:  # pragma: no cover
     fcntl = None  # type: ignore[assignment]
 
 UNFINISHED_S = 60.0
-"""A lock without content is one whose writer is about to write it, or died before it could."""
+"""A lock without all its content is one whose writer is about to write it, or died before it could."""
+
+BEGINNING = '{"host": '
+LONGEST = 4096
+"""How the content of a lock begins, and more characters than it has."""
 
 
 @contextlib.contextmanager
@@ -46,8 +50,9 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
                 _check_free(other)
         yield
     finally:
-        if _read(path) == me:
-            path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError, OutputError):
+            if _read(path) == me:
+                path.unlink(missing_ok=True)
 
 
 def _check_free(path: Path) -> None:
@@ -80,7 +85,7 @@ def _create(path: Path, me: dict[str, Any]) -> bool:
         temporary.write_text(json.dumps(me), encoding="utf-8")
         return _link(temporary, path, me)
     finally:
-        temporary.unlink(missing_ok=True)
+        discard(temporary)
 
 
 def _link(temporary: Path, path: Path, me: dict[str, Any]) -> bool:
@@ -108,7 +113,7 @@ def _take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
 
     The file stays in place, so that of two that find it stale one cannot remove the other's.
     """
-    with contextlib.suppress(FileNotFoundError), path.open("r+", encoding="utf-8") as file:
+    with contextlib.suppress(FileNotFoundError), open_plain(path, "r+") as file:
         if fcntl is not None:
             fcntl.flock(file, fcntl.LOCK_EX)
         if _parsed(file.read()) == owner and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
@@ -120,17 +125,27 @@ def _take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
 
 
 def _read(path: Path) -> dict[str, Any] | None:
-    """Who holds a lock; an empty record where it does not say, None if there is no lock."""
+    """Who holds a lock; an empty record where it does not say yet, None if there is no lock.
+
+    Raises:
+        OutputError: the file is not a lock of ours.
+    """
     try:
-        return _parsed(path.read_text("utf-8", "replace"))
+        with open_plain(path, "rb") as file:
+            text = file.read(LONGEST).decode(errors="replace")
     except FileNotFoundError:
         return None
+    owner = _parsed(text)
+    if not owner and not text.startswith(BEGINNING[: len(text)]):
+        hint = "move it away, or choose another folder with -d"
+        raise OutputError("was not written by accelcal", path=path, hint=hint)
+    return owner
 
 
 def _parsed(text: str) -> dict[str, Any]:
     try:
         found = json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) and isinstance(found.get("pid"), int) else {}
 

@@ -65,6 +65,8 @@ def test_a_recording_of_the_summarys_name_is_not_overwritten(
         ("study.csv", "path,age\n1,2\n"),
         ("study.json", '{"mine": 1}'),
         ("study.json", "["),
+        ("study.json", "[" * 100_000),
+        ("study.ledger", "what I did: 17 recordings\n"),
         ("study.parquet", ""),
     ],
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import subprocess
@@ -40,6 +41,19 @@ def test_an_error_leaves_the_old_file_and_no_temporary(tmp_path: Path, error: ty
         raise error
     assert target.read_text() == "old"
     assert names(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("code", [errno.EROFS, errno.EIO, errno.ESTALE])
+def test_a_disk_that_fails_at_the_clearing_too_is_said_as_what_it_did_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int
+) -> None:
+    def fails(*_arguments: object, **_options: object) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(Path, "replace", fails)
+    monkeypatch.setattr(Path, "unlink", fails)
+    with pytest.raises(OutputError, match=rf"a\.txt: cannot be written \({os.strerror(code)}\)"):
+        write_text(tmp_path / "a.txt", "x")
 
 
 def test_a_missing_folder_is_an_output_error_with_the_path(tmp_path: Path) -> None:

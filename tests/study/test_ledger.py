@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import zlib
 from collections.abc import Callable
@@ -57,6 +58,22 @@ def test_a_damaged_line_is_not_read_and_the_others_are(
     assert (ran.code, f"{unchanged} unchanged" in ran.err) == (0, True), ran.err
     assert results(out) == results(base / "out")
     assert (out / "study.ledger").read_text().splitlines() == lines
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_a_ledger_that_is_not_a_plain_file_is_neither_followed_nor_waited_for(
+    base: Path, tmp_path: Path, capsys: Capture, kind: str
+) -> None:
+    out, target = shutil.copytree(base / "out", tmp_path / "out"), tmp_path / "mine"
+    target.write_bytes((out / "study.ledger").read_bytes())
+    (out / "study.ledger").unlink()
+    if kind == "link":
+        (out / "study.ledger").symlink_to(target)
+    else:
+        os.mkfifo(out / "study.ledger")
+    ran = run(capsys, "study", base / "in", "-d", out)
+    assert target.read_bytes() == (base / "out" / "study.ledger").read_bytes()
+    assert (ran.code, "study.ledger" in ran.err) == (5, True), ran.err
 
 
 def test_a_line_is_its_checksum_and_its_json(base: Path) -> None:

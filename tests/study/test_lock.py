@@ -69,7 +69,7 @@ def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
     assert path.exists()
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", '{"pid": "x"}'])
+@pytest.mark.parametrize("text", ["", "{", '{"host": "x", "pi', '{"host": "x", "pid": "y"}'])
 def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: str) -> None:
     path = tmp_path / "study.lock"
     path.write_text(text)
@@ -78,6 +78,31 @@ def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: st
     os.utime(path, (1, 1))
     with held(path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
+
+
+@pytest.mark.parametrize("text", ["my notes", "[]", '{"pid": "x"}', "[" * 100_000])
+def test_a_file_that_is_not_a_lock_is_kept(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "study.lock"
+    path.write_text(text)
+    os.utime(path, (1, 1))
+    with pytest.raises(OutputError, match=r"study\.lock: was not written by accelcal"), held(path):
+        pass
+    assert path.read_text() == text
+
+
+@pytest.mark.parametrize("kind", ["link", "dangling", "pipe"])
+def test_what_is_not_a_plain_file_is_neither_followed_nor_waited_for(tmp_path: Path, kind: str) -> None:
+    path, target = tmp_path / "study.lock", tmp_path / "somebody else's"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to(target)
+    if kind == "link":
+        target.write_text("")
+        os.utime(target, (1, 1))
+    with pytest.raises(OutputError, match=r"study\.lock: is not a plain file"), held(path):
+        pass
+    assert not target.exists() or target.read_text() == ""
 
 
 def test_of_two_that_find_it_stale_one_wins(tmp_path: Path, dead: int) -> None:
