@@ -26,12 +26,12 @@ MISSING = (
 )
 """Cells that stand for a missing value; the same list is given to pyarrow."""
 
-NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
+NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?|[+-]?(inf|infinity)", re.IGNORECASE)
 POINT_NUMBER = re.compile(r"[+-]?\d*\.\d*([eE][+-]?\d+)?")
 COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?")
 DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d.*)?( ?[AaPp][Mm])?")
-BRACKETS = re.compile(r"[\[(]\s*(.*?)\s*[\])]\s*$")
+BRACKET = re.compile(r"[\[(]")
 WORDS = {
     "g": ("g", "gs", "gn", "g0", "gravity"),
     "mg": ("mg", "millig", "milli-g"),
@@ -118,8 +118,11 @@ def is_unit_cell(text: str) -> bool:
 
 def name_and_hint(name: str) -> tuple[str, str | None]:
     """A column's name without its bracketed unit, and the words in the brackets."""
-    match = BRACKETS.search(name)
-    return (name[: match.start()].strip(), match[1]) if match else (name.strip(), None)
+    name = name.strip()
+    match = BRACKET.search(name, 0, len(name) - 1)
+    if match is None or name[-1] not in "])":
+        return name, None
+    return name[: match.start()].strip(), name[match.end() : -1].strip()
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ FASTEST_HZ = 1000.0
 FIRST = re.compile(r"Data\s+(?:Table\s+)?File\s+Created\s+By\s+ActiGraph\s+(\S+)", re.IGNORECASE)
 RATE = re.compile(r"\bat\s*(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz", re.IGNORECASE)
 FIRMWARE = re.compile(r"Firmware\s+v?(\S+)")
-DATES = re.compile(r"date\s+format\s+(.{5,12}?)\s+(?:at\s*\d|Filter|-{3})", re.IGNORECASE)
+DATES = re.compile(r"date\s+format\s+(\S.{3,10}?\S)\s+(?:at\s*\d|Filter|-{3})", re.IGNORECASE)
 KEY = re.compile(r"\W*(?:(?:Serial|Start|Epoch|Window|Cycle|Download|Current)\b|-{5,})")
 CLOCK = re.compile(r"(\d{1,2})[:.](\d\d)[:.](\d\d)\s*([AP]M)?", re.IGNORECASE)
 

@@ -12,7 +12,7 @@ from accelcal_cli.core.clock import WIDEST_OFFSET_H
 from accelcal_cli.core.recording import Device
 from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Vendor
 
-FIRST = re.compile(r"\W*Device Type\s*([,;\t])\s*GENEActiv", re.IGNORECASE)
+FIRST = re.compile(r"\W*Device Type[^\S\t]*([,;\t])\s*GENEActiv", re.IGNORECASE)
 ROW = re.compile(r'"?\d{4}-\d\d-\d\d[ T]\d\d:\d\d:\d\d')
 ZONE = re.compile(r"GMT\s*([+-])(\d{1,2})(?::?(\d\d))?$")
 RANGE = re.compile(r"-(\d{1,3}(?:\.\d{1,3})?) to (\d{1,3}(?:\.\d{1,3})?)$")
