@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
+Channels = dict[str, NDArray[Any]]
+"""Channels beside the counts, each with a value or three for each row, by their names in Chunk: only those
+that a recording has. Readers pass them on whole, so that only what decodes a channel needs to name it."""
+
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
 
 FLOAT_LSB_PER_G = float(1 << 24)
@@ -224,6 +228,17 @@ def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
     """Some rows (a slice, a mask or numbers) of the columns that a record has, by name."""
     columns = {name: getattr(record, name) for name in names}
     return {name: column[rows] for name, column in columns.items() if column is not None}
+
+
+def cut_channels(channels: Channels, rows: Any) -> Channels:
+    """Some rows (a slice, a mask or numbers) of all channels."""
+    return {name: values[rows] for name, values in channels.items()}
+
+
+def joined_channels(parts: Sequence[Channels]) -> Channels:
+    """Channels one after the other; one that a part does not have is left out."""
+    names = [name for name in parts[0] if all(name in part for part in parts)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
 def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
