@@ -10,12 +10,12 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.recording import Counts
+from accelcal_cli.core.recording import Channels, Counts
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock
 from accelcal_cli.formats.geneactiv import scan
 from accelcal_cli.formats.geneactiv.header import Scale
-from accelcal_cli.formats.geneactiv.scan import Found
+from accelcal_cli.formats.geneactiv.scan import Found, Head
 
 REMEMBERED_PAGES = 1 << 15
 MIXERS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F], np.uint64)
@@ -123,10 +123,13 @@ class Decoder:
             rows=rows,
             counts=counts(samples, self._settings.scale),
             sequence=np.array([int(head[1]) for head in heads], np.int64),
-            temperature_mc=np.repeat(
-                np.array([scan.temperature_mc(head[3]) for head in heads], np.int32), rows
-            ),
+            channels={name: np.repeat(values, rows) for name, values in page_channels(heads).items()},
         )
+
+
+def page_channels(heads: Sequence[Head]) -> Channels:
+    """What the text of each page says beside its samples, (p,) each."""
+    return {"temperature_mc": np.array([scan.temperature_mc(head[3]) for head in heads], np.int32)}
 
 
 def unhexed(bodies: Sequence[bytes]) -> bytes | None:
