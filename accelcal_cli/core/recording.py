@@ -14,10 +14,6 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
-Channels = dict[str, NDArray[Any]]
-"""Channels beside the counts, each with a value or three for each row, by their names in Chunk: only those
-that a recording has. Readers pass them on whole, so that only what decodes a channel needs to name it."""
-
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
 
 FLOAT_LSB_PER_G = float(1 << 24)
@@ -42,6 +38,9 @@ CHANNELS: dict[str, np.generic | None] = {
 """Columns of a Chunk with a value or three for each row: all that slicing, masking, copying and joining
 need to know of a channel. The value stands for the rows of a chunk without the channel when it is joined
 to one that has it; None: the joined chunk is without the channel too."""
+
+Channels = dict[str, NDArray[Any]]
+"""Channels beside the counts, by their name in Chunk; only those that a recording has."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,12 +234,6 @@ def cut_channels(channels: Channels, rows: Any) -> Channels:
     return {name: values[rows] for name, values in channels.items()}
 
 
-def joined_channels(parts: Sequence[Channels]) -> Channels:
-    """Channels one after the other; one that a part does not have is left out."""
-    names = [name for name in parts[0] if all(name in part for part in parts)]
-    return {name: np.concatenate([part[name] for part in parts]) for name in names}
-
-
 def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
     """Columns of records one after the other, by name; None if one of the records has none."""
     parts = {name: [getattr(record, name) for record in records] for name in names}
@@ -248,6 +241,12 @@ def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, An
         name: None if any(column is None for column in columns) else np.concatenate(columns)
         for name, columns in parts.items()
     }
+
+
+def joined_channels(parts: Sequence[Channels]) -> Channels:
+    """Channels one after the other; one that a part does not have is left out."""
+    names = [name for name in parts[0] if all(name in part for part in parts)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
 class Closing:
