@@ -22,16 +22,17 @@ from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
-from accelcal_cli.formats.geneactiv.decode import Decoder, Settings, page_channels, unhexed
-from accelcal_cli.formats.geneactiv.header import (
+from accelcal_cli.formats.geneactiv.decode import (
     RAW_LIMIT,
-    RESET_DATE,
-    Header,
+    Decoder,
     Scale,
+    Settings,
     factory_scale,
-    parse_header,
+    page_channels,
     raw_scale,
+    unhexed,
 )
+from accelcal_cli.formats.geneactiv.header import RESET_DATE, Header, parse_header
 from accelcal_cli.formats.geneactiv.scan import Head, Part, TextFile
 
 PAGES = 64
