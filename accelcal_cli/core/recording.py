@@ -39,6 +39,9 @@ CHANNELS: dict[str, np.generic | None] = {
 need to know of a channel. The value stands for the rows of a chunk without the channel when it is joined
 to one that has it; None: the joined chunk is without the channel too."""
 
+Channels = dict[str, NDArray[Any]]
+"""Channels beside the counts, by their name in Chunk; only those that a recording has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Device:
@@ -224,6 +227,11 @@ def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
     """Some rows (a slice, a mask or numbers) of the columns that a record has, by name."""
     columns = {name: getattr(record, name) for name in names}
     return {name: column[rows] for name, column in columns.items() if column is not None}
+
+
+def cut_channels(channels: Channels, rows: Any) -> Channels:
+    """Some rows (a slice, a mask or numbers) of all channels."""
+    return {name: values[rows] for name, values in channels.items()}
 
 
 def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
