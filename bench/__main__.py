@@ -77,6 +77,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--runs", type=int, default=3)
     parser.add_argument("--only", help="names of cases, separated by commas")
     parser.add_argument("--peers", type=Path, help="python of a venv with actipy and scikit-digital-health")
+    parser.add_argument("--against", type=Path, help="python of a venv with another version of accelcal")
     parser.add_argument("--json", type=Path, default=Path("bench_data/latest.json"))
     return parser.parse_args()
 
@@ -103,19 +104,26 @@ def _unpack(packed: Path, path: Path) -> None:
 
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
     path = recording(case, options)
-    out = path.parent / "out"
-    calibrate = [*ACCELCAL, "calibrate", str(path), "-d", str(out), "--format", case.format, "--force", "-q"]
+    calibrate = [*ACCELCAL, *_calibrate(case, path, "out")]
     floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
     commands: dict[str, Sequence[str]] = {
         f"{case.name}: floor": [*floor, str(path.parent / "floor.parquet")] if case.writes else floor,
         f"{case.name}: accelcal": calibrate,
         f"{case.name}: accelcal --report-only": [*calibrate, "--report-only"],
     }
+    if options.against:
+        other = [str(options.against), "-P", "-m", "accelcal_cli", *_calibrate(case, path, "out.other")]
+        commands[f"{case.name}: other"] = other
+        commands[f"{case.name}: other --report-only"] = [*other, "--report-only"]
     if options.peers:
         commands |= peer_commands(options.peers, case.name, path)
     found = timed(commands, options.runs)
     least = found[f"{case.name}: floor"].wall_s
     return [_row(name, timing, least) for name, timing in found.items()]
+
+
+def _calibrate(case: Case, path: Path, out: str) -> list[str]:
+    return ["calibrate", str(path), "-d", str(path.parent / out), "--format", case.format, "--force", "-q"]
 
 
 def _row(name: str, timing: Timing, floor_s: float) -> dict[str, Any]:

@@ -20,9 +20,10 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.core.system import workers
 from accelcal_cli.study.discovery import Where
-from accelcal_cli.study.plan import Study, overlooked, shard
+from accelcal_cli.study.plan import overlooked
 from accelcal_cli.study.records import FAILED, Item
 from accelcal_cli.study.run import preview, run
+from accelcal_cli.study.study import Study, shard
 from accelcal_cli.study.summary import Summary
 from accelcal_cli.study.task import TaskResult
 

@@ -198,6 +198,8 @@ class Optimizer:
     Attributes:
         name: as in `--optimizer`.
         fit: (points, model, settings) -> Fit; `settings` are the optimizer's own numbers.
+        fit_each: the same of several sets of points at a time, all with temperatures or none, with the
+            same results as one by one; None if it would not be faster.
         settings: profile name -> those numbers.
         models: names of the models it can fit.
         arithmetic: what its operations cost on a microcontroller depends on it.
@@ -211,6 +213,13 @@ class Optimizer:
     models: tuple[str, ...] = tuple(MODELS)
     arithmetic: Arithmetic = "float"
     needs: str | None = None
+    fit_each: Callable[[Sequence[PointSet], Model, Any], list[Fit]] | None = None
+
+    def fits(self, sets: Sequence[PointSet], model: Model, settings: Any) -> list[Fit]:
+        """A fit of each set; raises what `fit` raises for one of them."""
+        if self.fit_each is not None:
+            return self.fit_each(sets, model, settings)
+        return [self.fit(points, model, settings) for points in sets]
 
 
 @dataclass(frozen=True, slots=True)

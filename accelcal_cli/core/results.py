@@ -88,11 +88,13 @@ class Trial:
     Attributes:
         holdout: its held-out error, None if it could not be fitted.
         reason: why it was not eligible, None if it was.
+        fit: to all points, where there is one.
     """
 
     model: str
     holdout: Holdout | None
     reason: str | None
+    fit: Fit | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,6 +152,19 @@ class Jumps:
 
 
 @dataclass(frozen=True, slots=True)
+class SampleCounts:
+    """Samples by what is particular to them; the report's `file_health` has them by these names.
+
+    Attributes:
+        filled_samples: of idle sleep, when the device measured nothing.
+        clipped_samples_before: at the sensor's range as measured, before calibration.
+    """
+
+    filled_samples: int = 0
+    clipped_samples_before: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class Facts:
     """A recording as it was found.
 
@@ -173,8 +188,7 @@ class Facts:
     gaps: tuple[Gap, ...]
     gaps_omitted: int
     problems: tuple[Problem, ...]
-    filled: int
-    clipped: int
+    counts: SampleCounts
     has_temperature: bool
     has_gyroscope: bool
     still_error_mg: float | None = None

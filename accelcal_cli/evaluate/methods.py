@@ -6,7 +6,7 @@ Also what is known of a simulated recording, and how far a calibration is from t
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -17,11 +17,11 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError, printable
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import Calibration, Fit, Model, PointSet
+from accelcal_cli.core.points import MODELS, Calibration
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
-from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.survey import Fitting, Procedure, fitting, make_method, open_marked, survey
 
 TRUTH_SUFFIX = ".truth.json"
 TABLE_3_OF_F = (
@@ -61,21 +61,6 @@ class Row:
     seconds: float | None = None
 
 
-class Timed:
-    """An optimizer's fit that remembers how long its last call took."""
-
-    def __init__(self, fit: Callable[[PointSet, Model], Fit]) -> None:
-        self.fit = fit
-        self.seconds = 0.0
-
-    def __call__(self, points: PointSet, model: Model) -> Fit:
-        """Fit, and take the time."""
-        start = perf_counter()
-        fit = self.fit(points, model)
-        self.seconds = perf_counter() - start
-        return fit
-
-
 def compare(
     path: Path, options: ReadOptions, settings: Settings, optimizers: tuple[str, ...], progress: ProgressMaker
 ) -> Iterator[Row]:
@@ -104,15 +89,24 @@ def collected(path: Path, options: ReadOptions, settings: Settings, progress: Pr
 
 def _row(path: Path, procedure: Procedure, settings: Settings) -> Row:
     fitter = fitting(settings)
-    timed = Timed(fitter.fit)
     try:
-        verdict = procedure.judge(replace(fitter, fit=timed))
+        verdict = procedure.judge(fitter)
     except AccelcalError as error:
         return Row(printable(path), settings.optimizer, "failed", str(error))
-    return _judged(Row(printable(path), settings.optimizer, "", ""), verdict, timed.seconds)
+    seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
+    return _judged(Row(printable(path), settings.optimizer, "", ""), verdict, seconds)
 
 
-def _judged(row: Row, verdict: Judgement, seconds: float) -> Row:
+def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float:
+    """How long the fit to all points takes alone."""
+    assert verdict.calibration is not None
+    points, model = procedure.result(), MODELS[verdict.calibration.model]
+    start = perf_counter()
+    fitter.fit((points,), model)
+    return perf_counter() - start
+
+
+def _judged(row: Row, verdict: Judgement, seconds: float | None) -> Row:
     holdout, fit = verdict.holdout, verdict.fit
     judged = replace(
         row, outcome=str(verdict.outcome), message=verdict.message, points=verdict.coverage.cells

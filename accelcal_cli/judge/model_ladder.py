@@ -6,7 +6,7 @@ calibration does to the postures of the fold that it has not seen.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import cos, radians
 
@@ -20,7 +20,8 @@ from accelcal_cli.core.results import Coverage, Holdout, Trial
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge import errors
 
-FitFunction = Callable[[PointSet, Model], Fit]
+FitFunction = Callable[[Sequence[PointSet], Model], list[Fit]]
+"""The optimizer: a fit of a model to each of some sets of points."""
 
 LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
 """By number of parameters; the simpler model comes first."""
@@ -96,20 +97,21 @@ class Sample:
     block: NDArray[np.int64]
 
 
-def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Holdout:
-    """Folds of whole postures; each is judged by a fit of the others.
+def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> tuple[Holdout, Fit]:
+    """Folds of whole postures, each judged by a fit of the others; and the fit to all points.
 
     A random hold-out would leave neighbours of every held-out point in the fit and hide failure.
     """
     points, label = sample.points, sample.label
     fold = folds(label, number)
+    left_out = [fold == one for one in sorted(set(fold.tolist()))]
+    *fits, whole = fit([*(points.select(~out) for out in left_out), points], model)
     blocks: dict[int, float] = {}
     before: dict[int, float] = {}
     after: dict[int, float] = {}
-    for left_out in sorted(set(fold.tolist())):
-        fitted, unseen = points.select(fold != left_out), points.select(fold == left_out)
-        where, weights, block = label[fold == left_out], unseen.weights, sample.block[fold == left_out]
-        parameters = fit(fitted, model).parameters
+    for out, fitted in zip(left_out, fits, strict=True):
+        unseen, parameters = points.select(out), fitted.parameters
+        where, weights, block = label[out], unseen.weights, sample.block[out]
         before |= errors.per_posture(errors.deviations_mg(unseen, IDENTITY), weights, where)
         left = errors.deviations_mg(unseen, parameters)
         after |= errors.per_posture(left, weights, where)
@@ -118,7 +120,7 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> Hold
     method = f"{number} folds of whole postures"
     posture = dict(zip(sample.block.tolist(), label.tolist(), strict=True))
     compared = tuple((posture[key], blocks[key]) for key in sorted(blocks))
-    return of_postures(method, len(points), pairs, compared)
+    return of_postures(method, len(points), pairs, compared), whole
 
 
 def control(points: PointSet, parameters: tuple[int, ...]) -> Holdout:
@@ -174,18 +176,18 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
     if reason is not None:
         return Trial(model.name, None, reason)
     try:
-        holdout = blocked(evidence.sample, model, fit, settings.folds)
-        doubt = _doubt(evidence.sample.points, model, fit, settings)
+        holdout, whole = blocked(evidence.sample, model, fit, settings.folds)
     except DivergedError:
         return Trial(model.name, None, "the fit diverges: the points do not determine it")
-    return Trial(model.name, holdout if doubt is None else None, doubt)
+    doubt = _doubt(evidence.sample.points, model, whole, settings)
+    return Trial(model.name, holdout if doubt is None else None, doubt, whole)
 
 
-def _doubt(points: PointSet, model: Model, fit: FitFunction, settings: Settings) -> str | None:
+def _doubt(points: PointSet, model: Model, fit: Fit, settings: Settings) -> str | None:
     """Why a model that fits the held-out postures may still be wrong elsewhere on the sphere."""
     if not model.free:
         return None
-    known = errors.uncertainty(points, fit(points, model).parameters, model)
+    known = errors.uncertainty(points, fit.parameters, model)
     if known is None:
         return "the points do not determine it"
     if settings.model == "auto" and known.worst_direction_mg >= settings.max_error_mg:

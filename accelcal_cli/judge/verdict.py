@@ -55,7 +55,7 @@ def judge(
 
     Args:
         points: calibration points of one recording.
-        fit: (points, model) -> Fit, the optimizer.
+        fit: the optimizer.
         models: names of the models that it can fit.
         why_none: the reason, where there are no points.
         label: (n,) posture numbers, where they are known; else found by direction.
@@ -72,14 +72,10 @@ def judge(
     trials = model_ladder.try_models(Evidence(Sample(points, label, blocks), coverage, models), settings, fit)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, coverage, settings)
-    if outcome is Outcome.REFUSED or chosen.holdout is None:
-        return Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
-    try:
-        fitted = fit(points, MODELS[chosen.model])
-    except DivergedError:
-        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
     verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
-    return _complete(verdict, chosen.model, fitted, points, label, settings.gravity)
+    if outcome is Outcome.REFUSED or chosen.fit is None:
+        return verdict
+    return _complete(verdict, chosen.model, chosen.fit, points, label, settings.gravity)
 
 
 def judge_paper(
@@ -103,10 +99,10 @@ def judge_paper(
         return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", coverage, ())
     name = "9" if "9" in models else "6"
     try:
-        fitted = fit(fit_points, MODELS[name])
+        (fitted,) = fit((fit_points,), MODELS[name])
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
-    trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None)
+    trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None, fitted)
     others = (
         () if name == "9" else (Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment"),)
     )

@@ -10,9 +10,11 @@ or are given head room for 8192 points. Every narrowing is checked, nothing wrap
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, checked, narrow, rounded_quotient
@@ -42,30 +44,60 @@ RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 """F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
 
 
-class Tally:
-    """Counts the additions and multiplications of scalars that the arithmetic performs."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Stack:
+    """Several sets of points side by side, as many columns as the largest has points.
 
-    def __init__(self) -> None:
-        self.additions = 0
-        self.multiplications = 0
+    A smaller set is filled up with its first point, of no weight: it adds nothing to any sum.
 
-    def count(self, additions: int, multiplications: int, times: int = 1) -> None:
-        """Add `times` repetitions of so many operations."""
-        self.additions += additions * times
-        self.multiplications += multiplications * times
+    Attributes:
+        xyz: (3, k, n).
+        weights: (k, n).
+        tau: (k, n), or None without temperatures.
+        number: (k,) points of each set.
+        weight: (k,) sum of the weights of each.
+    """
 
-    def total(self) -> Operations:
-        """What was counted so far."""
-        return Operations(self.additions, self.multiplications)
+    xyz: Fixed
+    weights: NDArray[np.int64]
+    tau: Fixed | None
+    number: list[int]
+    weight: list[int]
+
+    def select(self, rows: list[int]) -> Stack:
+        """Some of the sets."""
+        tau = None if self.tau is None else self.tau[rows]
+        number, weight = [self.number[row] for row in rows], [self.weight[row] for row in rows]
+        return Stack(self.xyz[:, rows], self.weights[rows], tau, number, weight)
+
+
+def stacked(sets: Sequence[PointSet]) -> Stack:
+    """Sets of points, none empty, side by side; all have temperatures, or none.
+
+    Raises:
+        FixedPointOverflowError: one has more than MAX_POINTS points.
+    """
+    number = [len(points) for points in sets]
+    width = max(number)
+    if width > MAX_POINTS:
+        raise FixedPointOverflowError(f"{width} points are more than the {MAX_POINTS} that sums hold")
+    place = np.arange(width)
+    real = place < np.array(number)[:, np.newaxis]
+    filled = [(points, np.where(own, place, 0)) for points, own in zip(sets, real, strict=True)]
+    xyz = np.stack([points.xyz[rows].T for points, rows in filled], axis=1)
+    weights = np.stack([points.weights[rows] for points, rows in filled]) * real
+    taus = [points.tau[rows] for points, rows in filled if points.tau is not None]
+    tau = np.stack(taus) if taus else None
+    return Stack(xyz, weights, tau, number, [int(weight) for weight in weights.sum(axis=1)])
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The model at one set of parameters: u = v + o + s tau, a = K u, r = |a|^2 - 1.
+    """The model at one set of parameters for each set of points: u = v + o + s tau, a = K u, r = |a|^2 - 1.
 
     Attributes:
-        shifted, calibrated: u and a, (3, n) or (3, k, n).
-        residual: (n,) or (k, n).
+        shifted, calibrated: u and a, (3, k, n).
+        residual: (k, n).
     """
 
     shifted: Fixed
@@ -73,68 +105,63 @@ class State:
     residual: Fixed
 
 
-def evaluate(points: PointSet, parameters: Fixed, tally: Tally) -> State:
-    """Apply (12,) or (k, 12) parameters to n points (F eq. 7-9).
+def evaluate(stack: Stack, parameters: Fixed) -> State:
+    """Apply (k, 12) parameters to k sets of points, or to the only one (F eq. 7-9).
+
+    It takes 9 additions and 9 multiplications a point.
 
     Raises:
-        FixedPointOverflowError: a parameter, a point or a residual leaves its range, or there are
-            more than MAX_POINTS points.
+        FixedPointOverflowError: a parameter, a point or a residual leaves its range.
     """
-    if len(points) > MAX_POINTS:
-        raise FixedPointOverflowError(f"{len(points)} points are more than the {MAX_POINTS} that sums hold")
     p = checked(parameters, "a parameter", VALUE_LIMIT).T[..., np.newaxis]
-    shifted = _shifted(points, p)
+    shifted = stack.xyz + p[6:9]
+    if stack.tau is not None:
+        shifted += narrow(p[9:] * stack.tau)
+    checked(shifted, "a shifted point", VALUE_LIMIT)
     products = p[:3] * shifted
     products[1] += p[3] * shifted[0]
     products[2] += p[4] * shifted[0] + p[5] * shifted[1]
     calibrated = checked(narrow(products), "a calibrated point", VALUE_LIMIT)
     squared = calibrated[0] ** 2 + calibrated[1] ** 2 + calibrated[2] ** 2
     residual = checked(narrow(squared - (ONE << FRACTION_BITS)), "a residual", RESIDUAL_LIMIT)
-    tally.count(9, 9, residual.size)
     return State(shifted, calibrated, residual)
 
 
-def _shifted(points: PointSet, p: Fixed) -> Fixed:
-    shifted = points.xyz.T.reshape(3, *(1,) * (p.ndim - 2), -1) + p[6:9]
-    if points.tau is not None:
-        shifted += narrow(p[9:] * points.tau)
-    return checked(shifted, "a shifted point", VALUE_LIMIT)
-
-
-def cost(points: PointSet, state: State, tally: Tally) -> list[int]:
+def cost(stack: Stack, state: State) -> list[int]:
     """Exact weighted sums of squared residuals, one for each set of parameters.
 
     The unit is 2**-(58 + weight bits); squares are summed in two halves so that nothing is lost.
+    It takes an addition and a multiplication a point.
     """
-    squares = state.residual.reshape(-1, len(points)) ** 2
-    high = (squares >> FRACTION_BITS) @ points.weights
-    low = (squares & _LOW_HALF) @ points.weights
-    tally.count(1, 1, squares.size)
+    squares = state.residual**2
+    high = ((squares >> FRACTION_BITS) * stack.weights).sum(axis=1)
+    low = ((squares & _LOW_HALF) * stack.weights).sum(axis=1)
     return [(top << FRACTION_BITS) + rest for top, rest in zip(high.tolist(), low.tolist(), strict=True)]
 
 
-def gradient(points: PointSet, state: State, parameters: Fixed, tally: Tally) -> list[int]:
-    """Gradient of the weighted mean of r^2, twelve fixed-point integers (29 fraction bits).
+def gradients(stack: Stack, state: State, parameters: list[list[int]]) -> list[list[int]]:
+    """Gradient of the weighted mean of r^2 of each set, twelve fixed-point integers (29 fraction bits).
 
     Chain rule on F eq. 7-9: d/dk_ij = 4 mean(r a_i u_j); d/do = 4 K^T mean(r a); d/ds the same
-    with r a tau.
+    with r a tau. It takes 9 additions and 10 multiplications a point.
     """
-    weighted = narrow(state.residual * points.weights, _WEIGHT_BITS)
+    weighted = narrow(state.residual * stack.weights, _WEIGHT_BITS)
     force = narrow(weighted * state.calibrated)
     scale = _sums_of_products(force.take(_ROWS, 0), state.shifted.take(_COLUMNS, 0))
-    plain = force.sum(axis=1).tolist()
-    heated = [0, 0, 0] if points.tau is None else _sums_of_products(force, points.tau)
-    tally.count(9, 10, len(points))
-    k = [int(value) for value in parameters[:6]]
+    plain = force.sum(axis=2).T.tolist()
+    heated = [[0, 0, 0]] * len(plain) if stack.tau is None else _sums_of_products(force, stack.tau)
+    return list(map(_gradient, scale, plain, heated, parameters, stack.weight))
+
+
+def _gradient(scale: list[int], plain: list[int], heated: list[int], k: list[int], weight: int) -> list[int]:
     sums = scale + _turned_back(k, plain) + _turned_back(k, heated)
-    weight = int(points.weights.sum())
     return [rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums]
 
 
-def _sums_of_products(left: Fixed, right: Fixed) -> list[int]:
-    """Sums over the points of left * right in units of 2**-29, with head room for MAX_POINTS."""
-    totals = narrow(left * right, _HEAD_ROOM_BITS).sum(axis=1)
-    found: list[int] = (totals >> (FRACTION_BITS - _HEAD_ROOM_BITS)).tolist()
+def _sums_of_products(left: Fixed, right: Fixed) -> list[list[int]]:
+    """Sums over the points of left * right in units of 2**-29, with head room for MAX_POINTS, by set."""
+    totals = narrow(left * right, _HEAD_ROOM_BITS).sum(axis=2)
+    found: list[list[int]] = (totals.T >> (FRACTION_BITS - _HEAD_ROOM_BITS)).tolist()
     return found
 
 
@@ -179,15 +206,27 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
             MAX_POINTS points.
         DivergedError: no point has any weight, or an axis collapsed.
     """
-    if not model.free or not len(points):
-        return Fit(IDENTITY, 0, "nothing to fit", Tally().total())
-    if not points.weights.any():
+    return fit_each((points,), model, settings)[0]
+
+
+def fit_each(sets: Sequence[PointSet], model: Model, settings: Settings = DEFAULT) -> list[Fit]:
+    """Fit each of some sets of points, all with temperatures or none; the same bits as one by one.
+
+    The sets go through the descent together: each step is a few operations on arrays, whose cost hardly
+    depends on the number of sets.
+
+    Raises:
+        FixedPointOverflowError, DivergedError: see `fit`; one set is enough.
+    """
+    filled = [points for points in sets if model.free and len(points)]
+    if not all(points.weights.any() for points in filled):
         raise DivergedError("no point has any weight")
     descent = _forward if settings.forward_step else _accelerated
-    found = descent(points, model, settings)
-    if min(found.parameters[:3]) < LEAST_SCALE:
+    found = descent(filled, model, settings)
+    if any(min(one.parameters[:3]) < LEAST_SCALE for one in found):
         raise DivergedError("an axis collapsed: the points do not determine its scale")
-    return found
+    fits, nothing = iter(found), Fit(IDENTITY, 0, "nothing to fit", Operations())
+    return [next(fits) if model.free and len(points) else nothing for points in sets]
 
 
 def _rates(settings: Settings) -> list[int]:
@@ -195,80 +234,145 @@ def _rates(settings: Settings) -> list[int]:
     return [round(settings.rates[name] * (1 << RATE_BITS)) for name in groups for _ in range(3)]
 
 
-def _ints(parameters: Fixed) -> tuple[int, ...]:
-    return tuple(int(value) for value in parameters)
+def _operations(points: int, costs: int, gradients: int = 0, others: int = 0) -> Operations:
+    """Those of so many costs and gradients of so many points, and others that come in pairs."""
+    return Operations(
+        (10 * costs + 9 * gradients) * points + others, (10 * costs + 10 * gradients) * points + others
+    )
 
 
-def _forward(points: PointSet, model: Model, settings: Settings) -> Fit:
-    """F's iteration to the letter: forward differences, fixed rates, so many iterations.
+def _forward(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
+    """F's iteration to the letter, set by set: forward differences, fixed rates, so many iterations."""
+    return [_forward_of_one(stacked((points,)), model, settings) for points in sets]
 
-    The update is counted as F does, an addition and a multiplication for each group of three
-    parameters with one learning rate: M (100 N + 3) in all for nine parameters.
-    """
-    tally, rates = Tally(), _rates(settings)
+
+def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
+    """The update is counted as F does, an addition and a multiplication for each group of three
+    parameters with one learning rate: M (100 N + 3) in all for nine parameters."""
+    rates, number = _rates(settings), settings.max_iterations
     history: list[tuple[int, ...]] = []
     p = np.array(IDENTITY, np.int64)
     probes = np.zeros((len(model.free) + 1, 12), np.int64)
     probes[range(1, len(model.free) + 1), model.free] = settings.forward_step
-    unit = settings.forward_step * int(points.weights.sum()) << (FRACTION_BITS + RATE_BITS)
-    for _ in range(settings.max_iterations):
-        base, *probed = cost(points, evaluate(points, p + probes, tally), tally)
+    unit = settings.forward_step * stack.weight[0] << (FRACTION_BITS + RATE_BITS)
+    for _ in range(number):
+        base, *probed = cost(stack, evaluate(stack, p + probes))
         for index, value in zip(model.free, probed, strict=True):
             p[index] -= rounded_quotient((value - base) * rates[index] << FRACTION_BITS, unit)
-        tally.count(len(model.free) // 3, len(model.free) // 3)
         if settings.keep_history:
-            history.append(_ints(p))
-    return Fit(_ints(p), settings.max_iterations, "iterations", tally.total(), tuple(history))
+            history.append(tuple(p.tolist()))
+    costs, updates = number * len(probes), number * (len(model.free) // 3)
+    operations = _operations(stack.number[0], costs, others=updates)
+    return Fit(tuple(p.tolist()), number, "iterations", operations, tuple(history))
 
 
-def _accelerated(points: PointSet, model: Model, settings: Settings) -> Fit:
-    """Descent with momentum along the exact gradient until a step vanishes.
+@dataclass(slots=True, eq=False)
+class _Descent:
+    """One set of points on its way down the exact gradient, with momentum.
 
     Momentum age / (age + 3) (Nesterov 1983) is dropped where it points uphill (O'Donoghue,
     Candes 2015) and where the cost rises; a rise after a plain step halves the rates.
+
+    Attributes:
+        points: how many there are.
+        free: indices of the parameters that may change.
+        rates: twelve learning rates.
+        keep_history: see `Settings`.
+        here, before: where it stands, and stood a step ago.
+        best, lowest: where the cost was lowest so far, and that cost.
+        age: steps since the momentum was dropped.
+        costs, gradients: how many it took.
     """
-    tally, rates = Tally(), _rates(settings)
-    history: list[tuple[int, ...]] = []
-    here = before = best = np.array(IDENTITY, np.int64)
+
+    points: int
+    free: tuple[int, ...]
+    rates: list[int]
+    keep_history: bool
+    here: list[int] = field(default_factory=lambda: list(IDENTITY))
+    before: list[int] = field(default_factory=list)
+    best: list[int] = field(default_factory=list)
     lowest: int | None = None
-    age = 0
-    for iteration in range(1, settings.max_iterations + 1):
-        ahead = here + (here - before) * age // (age + 3)
-        state = evaluate(points, ahead, tally)
-        (reached,) = cost(points, state, tally)
-        if lowest is not None and reached > lowest + (lowest >> RISE_TOLERANCE_BITS):
-            rates = [rate >> 1 for rate in rates]
-            here = before = best
-            age = 0
-            continue
-        if lowest is None or reached < lowest:
-            lowest, best = reached, ahead
-        slope = gradient(points, state, ahead, tally)
-        step = _step(slope, rates, model)
-        if settings.keep_history:
-            history.append(_ints(ahead - step))
-        if not step.any() and age == 0:
-            return Fit(_ints(ahead), iteration, "step below one bit", tally.total(), tuple(history))
-        before, here = here, ahead - step
-        age = age + 1 if np.abs(step).max() > SMALL_STEP and _downhill(slope, here - before) else 0
-    return Fit(_ints(best), settings.max_iterations, "iterations", tally.total(), tuple(history))
+    age: int = 0
+    costs: int = 0
+    gradients: int = 0
+    history: list[tuple[int, ...]] = field(default_factory=list)
+
+    def ahead(self) -> list[int]:
+        """Where momentum carries it: there cost and gradient are wanted."""
+        if not self.age:
+            return self.here
+        age, pairs = self.age, zip(self.here, self.before, strict=True)
+        return [here + (here - before) * age // (age + 3) for here, before in pairs]
+
+    def advance(self, ahead: list[int], cost: int, slope: list[int]) -> bool:
+        """Go a step on from `ahead`, or back to the best place; True if the step vanishes there."""
+        self.costs += 1
+        if self.lowest is not None and cost > self.lowest + (self.lowest >> RISE_TOLERANCE_BITS):
+            self.rates = [rate >> 1 for rate in self.rates]
+            self.here, self.before, self.age = self.best, self.best, 0
+            return False
+        self.gradients += 1
+        if self.lowest is None or cost < self.lowest:
+            self.lowest, self.best = cost, ahead
+        after = self._after(ahead, slope)
+        if self.keep_history:
+            self.history.append(tuple(after))
+        if after == ahead and not self.age:
+            return True
+        self.before, self.here = self.here, after
+        self.age = self.age + 1 if self._strides(ahead) and self._downhill(slope) else 0
+        return False
+
+    def _after(self, ahead: list[int], slope: list[int]) -> list[int]:
+        after = list(ahead)
+        for index in self.free:
+            after[index] -= rounded_quotient(slope[index] * self.rates[index], 1 << RATE_BITS)
+        return after
+
+    def _strides(self, ahead: list[int]) -> bool:
+        """Whether the step from `ahead` is more than a small one."""
+        here = self.here
+        return any(abs(here[index] - ahead[index]) > SMALL_STEP for index in self.free)
+
+    def _downhill(self, slope: list[int]) -> bool:
+        here, before = self.here, self.before
+        return sum(slope[index] * (here[index] - before[index]) for index in self.free) < 0
+
+    def found(self, parameters: list[int], iterations: int, stop: str) -> Fit:
+        """What came of it."""
+        operations = _operations(self.points, self.costs, self.gradients)
+        return Fit(tuple(parameters), iterations, stop, operations, tuple(self.history))
 
 
-def _downhill(slope: list[int], move: Fixed) -> bool:
-    return sum(a * int(b) for a, b in zip(slope, move, strict=True)) < 0
-
-
-def _step(slope: list[int], rates: list[int], model: Model) -> Fixed:
-    step = np.zeros(12, np.int64)
-    for index in model.free:
-        step[index] = rounded_quotient(slope[index] * rates[index], 1 << RATE_BITS)
-    return step
+def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
+    """All sets at a time, each until its step vanishes."""
+    if not sets:
+        return []
+    rates, keep, last = _rates(settings), settings.keep_history, settings.max_iterations
+    descents = [_Descent(len(points), model.free, rates, keep) for points in sets]
+    fits: list[Fit | None] = [None] * len(sets)
+    stack, left = stacked(sets), list(range(len(sets)))
+    for iteration in range(1, last + 1):
+        aheads = [descents[row].ahead() for row in left]
+        state = evaluate(stack, np.array(aheads, np.int64))
+        of_each = zip(left, aheads, cost(stack, state), gradients(stack, state, aheads), strict=True)
+        ended = {row: ahead for row, ahead, c, slope in of_each if descents[row].advance(ahead, c, slope)}
+        for row, ahead in ended.items():
+            fits[row] = descents[row].found(ahead, iteration, "step below one bit")
+        if len(ended) == len(left):
+            break
+        if ended:
+            stack = stack.select([place for place, row in enumerate(left) if row not in ended])
+            left = [row for row in left if row not in ended]
+    of_all = zip(fits, descents, strict=True)
+    return [fit or descent.found(descent.best, last, "iterations") for fit, descent in of_all]
 
 
 OPTIMIZER = Optimizer(
     name="fixed32",
     title="gradient descent in 32-bit fixed point (Farago, Maczak, Gingl 2024)",
     fit=fit,
+    fit_each=fit_each,
     settings={"default": DEFAULT, "paper": PAPER},
     arithmetic="integer",
 )

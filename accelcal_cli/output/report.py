@@ -32,7 +32,16 @@ from accelcal_cli.core.points import (
     PointSet,
 )
 from accelcal_cli.core.recording import Device, Problem, Recording
-from accelcal_cli.core.results import Coverage, ErrorSummary, Facts, Gap, Holdout, Judgement, Trial
+from accelcal_cli.core.results import (
+    Coverage,
+    ErrorSummary,
+    Facts,
+    Gap,
+    Holdout,
+    Judgement,
+    SampleCounts,
+    Trial,
+)
 from accelcal_cli.core.settings import EffectiveSettings
 
 EQUATION = "a = K (v + o + s (T - Tref))"
@@ -369,13 +378,17 @@ class FileHealth:
     """The report's `file_health`, in the order of its keys; by default that of no samples."""
 
     problems: list[dict[str, Any]] = field(default_factory=list)
-    filled_samples: int = 0
-    clipped_samples_before: int = 0
+    counts: SampleCounts = field(default_factory=SampleCounts)
     clipped_samples_after: int | None = None
     rate_hz_measured: float | None = None
     lost_bytes: int = 0
     lost_percent: float = 0.0
     clock: dict[str, Any] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The object; each of the counts is a key of its own."""
+        keys = asdict(self)
+        return {"problems": keys.pop("problems"), **keys.pop("counts"), **keys}
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,7 +441,7 @@ def document(
         "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),
         "models_tried": [trial_json(trial) for trial in verdict.trials],
-        "file_health": asdict(health),
+        "file_health": health.as_json(),
     }
 
 
@@ -483,8 +496,7 @@ def _health(data: ReportInput) -> FileHealth:
     facts = data.facts
     return FileHealth(
         problems=[problem_json(problem) for problem in facts.problems],
-        filled_samples=facts.filled,
-        clipped_samples_before=facts.clipped,
+        counts=facts.counts,
         clipped_samples_after=data.clipped_after,
         rate_hz_measured=None if facts.rate_hz is None else round(facts.rate_hz, 6),
         **damage_json(facts),

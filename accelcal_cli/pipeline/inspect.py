@@ -103,8 +103,8 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
         },
         "file_health": {
             "problems": [problem_json(problem) for problem in facts.problems],
-            "filled_samples": facts.filled,
-            "clipped_samples": facts.clipped,
+            "filled_samples": facts.counts.filled_samples,
+            "clipped_samples": facts.counts.clipped_samples_before,
             "rate_hz_measured": None if facts.rate_hz is None else round(facts.rate_hz, 6),
             **damage_json(facts),
             "clock": clock_json(recording, facts, whole=inspection.whole),

@@ -21,7 +21,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import Optimizer, PointSet, WindowCounts, Windows, joined_windows
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
-from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps
+from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps, SampleCounts
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.model_ladder import FitFunction
@@ -74,7 +74,7 @@ def fitting(settings: Settings) -> Fitting:
     """The fitting of the settings; raises UsageError for an unknown optimizer."""
     optimizer = named_optimizer(settings.optimizer)
     numbers = _numbers(optimizer, settings)
-    return Fitting(settings, lambda points, model: optimizer.fit(points, model, numbers), optimizer.models)
+    return Fitting(settings, lambda sets, model: optimizer.fits(sets, model, numbers), optimizer.models)
 
 
 def optimizer_json(settings: Settings) -> dict[str, Any]:
@@ -357,23 +357,22 @@ class FactsObserver(Observer):
             text = f"{self._problems_omitted} further problems are not listed"
             problems.append(Problem("more_problems", text, None, self.samples, self._problems_omitted))
         return Facts(
-            self.samples,
-            self.first_us,
-            self.last_us,
-            self._rate_hz(),
-            tuple(self.gaps),
-            self.gaps_omitted,
-            tuple(problems),
-            self.filled,
-            self.clipped,
-            self.has_temperature,
-            self.has_gyroscope,
-            self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
-            utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
-            self._lost_bytes,
-            self._used_bytes,
-            Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
-            self._zone_change(),
+            samples=self.samples,
+            first_us=self.first_us,
+            last_us=self.last_us,
+            rate_hz=self._rate_hz(),
+            gaps=tuple(self.gaps),
+            gaps_omitted=self.gaps_omitted,
+            problems=tuple(problems),
+            counts=SampleCounts(self.filled, self.clipped),
+            has_temperature=self.has_temperature,
+            has_gyroscope=self.has_gyroscope,
+            still_error_mg=self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
+            utc_offset_s=utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
+            lost_bytes=self._lost_bytes,
+            used_bytes=self._used_bytes,
+            jumps=Jumps(len(self.gaps) + self.gaps_omitted - self._back, self._gap_us, self._back),
+            zone_change=self._zone_change(),
         )
 
     @property

@@ -19,9 +19,9 @@ from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.pipeline.apply import borrow
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.study import summary
-from accelcal_cli.study.plan import BORROW, Study
 from accelcal_cli.study.records import Entry, ProgressCallback
 from accelcal_cli.study.rounds import Round, StudyState, common_of
+from accelcal_cli.study.study import BORROW, Study
 from accelcal_cli.study.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 Row = Mapping[str, Any]

@@ -1,144 +1,26 @@
-"""What a study should do (`Study`; `Shard` for a part of it), what was done before, and what is left."""
+"""What of a study was done before, and what is left: a `Plan` of the own results, then a `RoundPlanner`.
+
+All that decides whether an earlier result stands is here and in `ledger.py`. A worker looks once more at the
+report that is there (`pipeline/outputs.py`), for a study whose ledger is lost.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
-import re
 import time
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.study import summary
-from accelcal_cli.study.discovery import Where, below_out, files, is_recording, without_collisions
+from accelcal_cli.study.discovery import below_out, files, is_recording, without_collisions
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.records import Entry, Item
+from accelcal_cli.study.rounds import Round, RoundTask
+from accelcal_cli.study.study import REPLACING, WHOLE, Study
 
-SLURM = "slurm"
 WRONG_USE = 2
 UNREADABLE = 3
-POOL, POOLED, BORROW = "pool", "pooled", "borrow"
-REPLACING = (POOLED, BORROW)
-"""Rounds after that of the own results that may replace one."""
-
-
-@dataclass(frozen=True, slots=True)
-class Shard:
-    """Part `index` (from 1) of `number`."""
-
-    index: int = 1
-    number: int = 1
-
-    def owns(self, name: str) -> bool:
-        """Whether a recording of this name is this shard's; no other recording decides on it."""
-        digest = hashlib.sha256(name.encode("utf-8", "surrogateescape")).digest()
-        return int.from_bytes(digest[:8], "big") % self.number == self.index - 1
-
-    @property
-    def whole(self) -> bool:
-        """Whether it is all of the study."""
-        return self.number == 1
-
-    @property
-    def basename(self) -> str:
-        """Of the summary, the ledger and the lock."""
-        return "study" if self.whole else f"study.{self.index}-of-{self.number}"
-
-
-def shard(text: str | None, environment: Mapping[str, str] = os.environ) -> Shard:
-    """The shard that `--shard` means: `2/8`, or `slurm` for this task of a job array.
-
-    Raises:
-        UsageError: it is neither, or this is no task of a job array whose numbers rise by one.
-    """
-    if text is None:
-        return Shard()
-    if text == SLURM:
-        return _slurm(environment)
-    part = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
-    if part is None or not 1 <= int(part[1]) <= int(part[2]):
-        raise UsageError(
-            f"--shard {text} is not a part such as 2/8", hint="give I/N with I from 1 to N, or slurm"
-        )
-    return Shard(int(part[1]), int(part[2]))
-
-
-def _slurm(environment: Mapping[str, str]) -> Shard:
-    """Slurm's sbatch(1), "output environment variables": the array's task, its least and how many."""
-    names = ("SLURM_ARRAY_TASK_ID", "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_COUNT")
-    words = [environment.get(name, "") for name in names]
-    if not all(word.isdecimal() for word in words):
-        raise UsageError("--shard slurm works only in a job array", hint="submit it with sbatch --array")
-    task, least, number = map(int, words)
-    if not 0 <= task - least < number:
-        raise UsageError("--shard slurm needs an array with consecutive task numbers", hint="use --array=1-N")
-    return Shard(task - least + 1, number)
-
-
-WHOLE = Shard()
-
-
-@dataclass(frozen=True, slots=True)
-class Study:
-    """What is asked for.
-
-    Attributes:
-        jobs: workers; None for as many as CPUs and memory allow, or as the cluster has.
-        timeout_s: the longest one recording may take.
-        settle_s: files modified within this many seconds are skipped for now.
-        newer_than_s: what was last changed before [s since 1970] is not begun.
-        retry_failed: try again what failed and has not changed.
-        collect: begin nothing; sum up what the shards have done.
-        dask: address or scheduler file of the cluster that does the work; None for processes here.
-        pool: recordings of one device are calibrated as one.
-        borrow: what cannot be calibrated well may use coefficients of its device's other recordings.
-    """
-
-    where: Where
-    request: Request
-    jobs: int | None = None
-    timeout_s: float | None = None
-    settle_s: float = 0.0
-    newer_than_s: float | None = None
-    retry_failed: bool = False
-    shard: Shard = WHOLE
-    collect: bool = False
-    dask: str | None = None
-    pool: bool = False
-    borrow: bool = False
-
-    @property
-    def out(self) -> Path:
-        """Folder of the outputs."""
-        return self.where.out
-
-    @property
-    def lock(self) -> Path:
-        """What one run at a time holds."""
-        return self.out / f"{self.shard.basename}.lock"
-
-    def settings(self) -> dict[str, Any]:
-        """All that decides the recordings' own results but the recordings and their layout files."""
-        return {
-            **self.request.effective_settings(self.request.options.layout).as_json(),
-            "integers": self.request.integers,
-        }
-
-    @property
-    def replacing(self) -> tuple[str, ...]:
-        """The later rounds whose results may replace a recording's own."""
-        return ((POOLED,) if self.pool else ()) + ((BORROW,) if self.borrow else ())
-
-    def asked(self) -> str:
-        """A hash of settings and version: an earlier entry with another no longer stands."""
-        text = json.dumps([__version__, self.settings()], sort_keys=True, default=str)
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def ledger_of(study: Study) -> Ledger:
@@ -232,12 +114,8 @@ class _Planning:
         """Put a recording where it belongs."""
         study, entry = self.study, self._standing(item)
         begin = not study.collect and item.name not in self.plan.late
-        again = (
-            entry is not None
-            and item.refusal is None
-            and (study.request.force or entry.again or (study.retry_failed and entry.failed))
-        )
-        if entry is not None and not (again and begin):
+        redo = entry is not None and item.refusal is None and _is_redone(study, entry)
+        if entry is not None and not (redo and begin):
             self.plan.done.append((item, entry))
         else:
             (self.plan.todo if begin else self.plan.waiting).append(item)
@@ -269,6 +147,47 @@ class _Planning:
         return any(entry is not None and not entry.failed for entry in later)
 
 
+@dataclass(slots=True)
+class RoundPlanner:
+    """What is done in a round, and what stands from an earlier run.
+
+    Attributes:
+        untouched: names of recordings that must not be read, since they wait and are not what they were, and
+            of all that would be pooled with one.
+    """
+
+    study: Study
+    ledger: Ledger
+    untouched: set[str] = field(default_factory=set)
+
+    def of(
+        self, one: Round, tasks: Sequence[RoundTask]
+    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
+        """Tasks to do, and those with an entry to take.
+
+        What is not to be touched keeps what it has: it is never among the first.
+        """
+        todo, taken = [], []
+        latest, asked = self.ledger.latest, self.study.asked()
+        for task in tasks:
+            waits = not self.untouched.isdisjoint(task.names)
+            if waits:
+                self.untouched |= set(task.names)
+            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
+            if entry is not None:
+                taken.append((task, entry))
+            elif not waits:
+                todo.append(task)
+        return todo, taken
+
+    def _standing(self, one: Round, task: RoundTask) -> Entry | None:
+        """What an earlier run made of a task, if that is what would come of it now."""
+        study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
+        if entry is None or _is_redone(study, entry):
+            return None
+        return entry if task.stands(entry) else None
+
+
 def overlooked(study: Study) -> int:
     """How many recordings are no part of the study because they lie below OUT.
 
@@ -283,3 +202,8 @@ def _left_for_later(study: Study, item: Item) -> bool:
     """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile."""
     too_new = study.settle_s > 0 and time.time() - item.changed_s < study.settle_s
     return too_new or (study.newer_than_s is not None and item.changed_s < study.newer_than_s)
+
+
+def _is_redone(study: Study, entry: Entry) -> bool:
+    """Whether what was done is done again, although neither recording nor settings have changed."""
+    return study.request.force or entry.again or (study.retry_failed and entry.failed)

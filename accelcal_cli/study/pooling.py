@@ -20,9 +20,9 @@ from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_re
 from accelcal_cli.pipeline.pool import apply_pool, pool
 from accelcal_cli.study import summary
 from accelcal_cli.study.borrowing import GOOD, Row, identity, pools
-from accelcal_cli.study.plan import POOL, POOLED, Study
 from accelcal_cli.study.records import FAILED, Entry, Item, ProgressCallback, RecordingState
 from accelcal_cli.study.rounds import Round, StudyState, common_of
+from accelcal_cli.study.study import POOL, POOLED, Study
 from accelcal_cli.study.task import Common, ReplacementTask, StageProgress, TaskResult, guarded, row_of
 
 PREFIX = "study.pool."

@@ -19,8 +19,8 @@ from accelcal_cli.output.files import sweep, sweep_of
 from accelcal_cli.study import records
 from accelcal_cli.study.dask_client import Cluster, Notify
 from accelcal_cli.study.dask_worker import WorkerRequirements, calibrate_in_user_folder, code
-from accelcal_cli.study.plan import Study
 from accelcal_cli.study.process_pool import ProcessPool
+from accelcal_cli.study.study import Study
 from accelcal_cli.study.task import BUG, Common, Task, TaskResult, calibrated
 
 PRELOAD = "accelcal_cli.study.preload"

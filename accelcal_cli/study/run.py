@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 from accelcal_cli.core.errors import OutputError
@@ -15,10 +15,11 @@ from accelcal_cli.study import lock, summary
 from accelcal_cli.study.borrowing import BORROWING
 from accelcal_cli.study.discovery import places, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
-from accelcal_cli.study.plan import REPLACING, Plan, Study, ledger_of, plan
+from accelcal_cli.study.plan import Plan, RoundPlanner, ledger_of, plan
 from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
 from accelcal_cli.study.records import OWN, Entry, Item, RecordingState
 from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
+from accelcal_cli.study.study import REPLACING, Study
 from accelcal_cli.study.summary import Summary
 from accelcal_cli.study.task import CalibrationTask, TaskResult, calibrated
 
@@ -28,47 +29,6 @@ def rounds(study: Study) -> tuple[Round, ...]:
     if not study.shard.whole:
         return ()
     return ((POOLING, APPLY_POOLS) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
-
-
-@dataclass(slots=True)
-class RoundPlanner:
-    """What is done in a round, and what stands from an earlier run.
-
-    Attributes:
-        untouched: names of recordings that must not be read, since they wait and are not what they were, and
-            of all that would be pooled with one.
-    """
-
-    study: Study
-    ledger: Ledger
-    untouched: set[str] = field(default_factory=set)
-
-    def of(
-        self, one: Round, tasks: Sequence[RoundTask]
-    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
-        """Tasks to do, and those with an entry to take.
-
-        What is not to be touched keeps what it has: it is never among the first.
-        """
-        todo, taken = [], []
-        latest, asked = self.ledger.latest, self.study.asked()
-        for task in tasks:
-            waits = not self.untouched.isdisjoint(task.names)
-            if waits:
-                self.untouched |= set(task.names)
-            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
-            if entry is not None:
-                taken.append((task, entry))
-            elif not waits:
-                todo.append(task)
-        return todo, taken
-
-    def _standing(self, one: Round, task: RoundTask) -> Entry | None:
-        """What an earlier run made of a task, if that is what would come of it now."""
-        study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
-        if entry is None or entry.again or study.request.force or (study.retry_failed and entry.failed):
-            return None
-        return entry if task.stands(entry) else None
 
 
 def run(study: Study, observer: StudyObserver) -> Summary:

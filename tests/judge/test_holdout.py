@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -11,19 +9,17 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import deviations_mg, interval95, per_posture, summary
-from accelcal_cli.judge.model_ladder import Sample, control, folds, postures
+from accelcal_cli.judge.model_ladder import FitFunction, Sample, control, folds, postures
 from accelcal_cli.judge.model_ladder import blocked as blocked_sample
 from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, clusters, four_postures, spread
-from tests.optimize.oracle import fast_fit, points
+from tests.optimize.oracle import fast_fit, fast_fits, one_by_one, points
 
 NINE_FREE = MODELS["9"]
 
 
-def blocked(
-    held: PointSet, label: np.ndarray, model: Model, fit: Callable[[PointSet, Model], Fit], number: int
-) -> Holdout:
-    return blocked_sample(Sample(held, label, label), model, fit, number)
+def blocked(held: PointSet, label: np.ndarray, model: Model, fit: FitFunction, number: int) -> Holdout:
+    return blocked_sample(Sample(held, label, label), model, fit, number)[0]
 
 
 def test_every_fold_is_judged_by_a_fit_of_the_others() -> None:
@@ -35,17 +31,19 @@ def test_every_fold_is_judged_by_a_fit_of_the_others() -> None:
         seen_sets.append({row.tobytes() for row in seen.xyz})
         return fast_fit(seen, model)
 
-    blocked(held, label, NINE_FREE, fit, 5)
+    _, whole = blocked_sample(Sample(held, label, label), NINE_FREE, one_by_one(fit), 5)
+    assert whole == fast_fit(held, NINE_FREE)
     fold = folds(label, 5)
     everything = {row.tobytes() for row in held.xyz}
-    left_out = [everything - seen for seen in seen_sets]
+    *left_out, none = [everything - seen for seen in seen_sets]
+    assert none == set()
     assert left_out == [{row.tobytes() for row in held.xyz[fold == number]} for number in range(5)]
 
 
 def test_figures_are_those_of_a_plain_computation() -> None:
     held = spread(NINE, number=60)
     label = postures(held, 20.0)
-    found = blocked(held, label, NINE_FREE, fast_fit, 4)
+    found = blocked(held, label, NINE_FREE, fast_fits, 4)
     after: dict[int, float] = {}
     for number in range(4):
         out = label % 4 == number
@@ -62,19 +60,19 @@ def test_figures_are_those_of_a_plain_computation() -> None:
 
 def test_every_posture_counts_the_same_however_many_points_it_has() -> None:
     g = np.array([[1.0, 0, 0]] * 50 + [[0, 1.1, 0], [0, 0, 1.2]])
-    found = blocked(points(g), np.array([0] * 50 + [1, 2]), MODELS["0"], fast_fit, 3)
+    found = blocked(points(g), np.array([0] * 50 + [1, 2]), MODELS["0"], fast_fits, 3)
     assert found.before.mean == found.after.mean == pytest.approx(100, abs=1e-3)
 
 
 def test_the_identity_changes_nothing() -> None:
     held = spread(NINE)
-    found = blocked(held, postures(held, 15.0), MODELS["0"], fixed32.fit, 5)
+    found = blocked(held, postures(held, 15.0), MODELS["0"], fixed32.fit_each, 5)
     assert found.before == found.after
 
 
 def test_held_out_error_is_honest_about_known_errors() -> None:
     held = spread(NINE, noise=0.002)
-    found = blocked(held, postures(held, 15.0), NINE_FREE, fixed32.fit, 5)
+    found = blocked(held, postures(held, 15.0), NINE_FREE, fixed32.fit_each, 5)
     assert found.before.mean > 15
     assert 1.2 < found.after.mean < 2.2, "2 mg of noise leave 1.6 mg of mean error"
     assert found.ci95[0] < found.after.mean < found.ci95[1]
@@ -85,8 +83,8 @@ def test_four_postures_look_perfect_on_a_random_hold_out_alone() -> None:
     for seed in range(4):
         held, which = clusters(four_postures(seed), NINE, seed=seed)
         random = np.random.default_rng(seed).permutation(len(held))
-        naive.append(blocked(held, random, NINE_FREE, fast_fit, 5).after.mean)
-        honest.append(blocked(held, which, NINE_FREE, fast_fit, 5).after.mean)
+        naive.append(blocked(held, random, NINE_FREE, fast_fits, 5).after.mean)
+        honest.append(blocked(held, which, NINE_FREE, fast_fits, 5).after.mean)
     assert max(naive) < 2, "neighbours of every held-out point are in the fit"
     assert np.mean(honest) > 10 and np.median(honest) > 5 * np.median(naive)
 
@@ -105,6 +103,6 @@ def test_the_control_set_is_judged_point_by_point() -> None:
 
 def test_one_posture_is_judged_by_a_fit_of_nothing() -> None:
     held = points(np.array([[1.02, 0, 0], [1.0, 0.01, 0]]))
-    found = blocked(held, np.zeros(2, np.int64), NINE_FREE, fixed32.fit, 5)
+    found = blocked(held, np.zeros(2, np.int64), NINE_FREE, fixed32.fit_each, 5)
     assert found.before == found.after
     assert found.ci95 == (0.0, float("inf"))

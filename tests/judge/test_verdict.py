@@ -16,11 +16,20 @@ from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.optimize import ellipsoid, fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
-from tests.optimize.oracle import IDEAL, directions, fast_fit, measured, points, random_directions
+from tests.optimize.oracle import (
+    IDEAL,
+    directions,
+    fast_fit,
+    fast_fits,
+    measured,
+    one_by_one,
+    points,
+    random_directions,
+)
 
 
 def test_no_points_are_refused() -> None:
-    found = judge(points(np.empty((0, 3))), DEFAULT, fast_fit)
+    found = judge(points(np.empty((0, 3))), DEFAULT, fast_fits)
     assert found.outcome is Outcome.REFUSED
     assert found.message.startswith("no still window was found; record longer")
     assert found.calibration is None and found.holdout is None and found.trials == ()
@@ -29,7 +38,7 @@ def test_no_points_are_refused() -> None:
 @pytest.mark.parametrize(("number", "text"), [(1, "only 1 posture,"), (8, "only 8 postures,")])
 def test_too_few_postures_are_refused(number: int, text: str) -> None:
     held, _ = clusters(directions(number), NINE, width=0.02)
-    found = judge(held, DEFAULT, fast_fit)
+    found = judge(held, DEFAULT, fast_fits)
     assert found.outcome is Outcome.REFUSED
     assert text in found.message and "at least 9 are needed" in found.message
     assert found.calibration is None and found.coverage.cells == len(held)
@@ -37,12 +46,12 @@ def test_too_few_postures_are_refused(number: int, text: str) -> None:
 
 def test_nine_postures_are_enough() -> None:
     held, _ = clusters(directions(9), NINE, width=0.02)
-    assert judge(held, DEFAULT, fast_fit).trials
+    assert judge(held, DEFAULT, fast_fits).trials
 
 
 def test_a_misaligned_sensor_is_calibrated_with_all_evidence() -> None:
     held = spread(NINE)
-    found = judge(held, DEFAULT, fixed32.fit)
+    found = judge(held, DEFAULT, fixed32.fit_each)
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.fit is not None and found.fit_errors is not None
     assert found.calibration.model == "9" and found.calibration.temperature is None
@@ -66,7 +75,7 @@ def test_a_misaligned_sensor_is_calibrated_with_all_evidence() -> None:
 
 def test_a_sensor_that_warms_is_calibrated_with_slopes() -> None:
     held = spread(WARM, warm=True)
-    found = judge(held, DEFAULT, fixed32.fit)
+    found = judge(held, DEFAULT, fixed32.fit_each)
     assert (found.outcome, found.calibration is not None) == (Outcome.CALIBRATED, True)
     assert found.calibration.model == "9T" and found.calibration.temperature == held.temperature
     assert found.calibration.slope_g_per_c() == pytest.approx(WARM[9:] / 4.0, abs=5e-4)
@@ -74,7 +83,7 @@ def test_a_sensor_that_warms_is_calibrated_with_slopes() -> None:
 
 @pytest.mark.parametrize(("p", "model"), [(OFFSET, "3"), (SIX, "6")])
 def test_a_smaller_model_says_why(p: np.ndarray, model: str) -> None:
-    found = judge(spread(p), DEFAULT, fast_fit)
+    found = judge(spread(p), DEFAULT, fast_fits)
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == model
     omitted = "scale and misalignment are" if model == "3" else "misalignment is"
@@ -88,13 +97,13 @@ def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
 
 
 def test_a_model_reduced_by_coverage_names_the_missing_side() -> None:
-    found = judge(one_sided(OFFSET), DEFAULT, fast_fit)
+    found = judge(one_sided(OFFSET), DEFAULT, fast_fits)
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.message.endswith("scale and misalignment are left out: no stillness with z below -0.3 g")
 
 
 def test_a_good_sensor_is_left_alone() -> None:
-    found = judge(spread(IDEAL), DEFAULT, fast_fit)
+    found = judge(spread(IDEAL), DEFAULT, fast_fits)
     assert found.outcome is Outcome.ALREADY_GOOD
     assert found.calibration is not None and found.calibration.parameters == IDENTITY
     assert "no model improves on the" in found.message
@@ -102,7 +111,7 @@ def test_a_good_sensor_is_left_alone() -> None:
 
 def test_a_sensor_that_nothing_helps_is_refused() -> None:
     noisy = spread(IDEAL, noise=0.06)
-    found = judge(noisy, DEFAULT, fast_fit)
+    found = judge(noisy, DEFAULT, fast_fits)
     assert found.outcome is Outcome.REFUSED
     assert found.calibration is None and found.holdout is not None
     assert "no model improves" in found.message and "record longer" in found.message
@@ -110,23 +119,23 @@ def test_a_sensor_that_nothing_helps_is_refused() -> None:
 
 def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
     scaled = np.array([0.85, 0.85, 0.85, 0, 0, 0, 0, 0, 0, 0, 0, 0])
-    found = judge(spread(scaled, noise=0.03), DEFAULT, fast_fit)
+    found = judge(spread(scaled, noise=0.03), DEFAULT, fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.holdout is not None and found.holdout.after.mean >= 10
     assert "10 mg is the limit" in found.message and f"{found.holdout.after.mean:.1f} mg" in found.message
-    lenient = judge(spread(scaled, noise=0.03), replace(DEFAULT, max_error_mg=60.0), fast_fit)
+    lenient = judge(spread(scaled, noise=0.03), replace(DEFAULT, max_error_mg=60.0), fast_fits)
     assert lenient.calibration is not None
 
 
 def test_a_refusal_names_the_sides_that_are_missing() -> None:
-    found = judge(one_sided(IDEAL, noise=0.06), DEFAULT, fast_fit)
+    found = judge(one_sided(IDEAL, noise=0.06), DEFAULT, fast_fits)
     assert found.outcome is Outcome.REFUSED
     assert "there is no stillness with z below -0.3 g" in found.message
 
 
 @pytest.mark.parametrize("model", ["3", "6", "9"])
 def test_a_model_can_be_forced(model: str) -> None:
-    found = judge(spread(NINE), replace(DEFAULT, model=model, max_error_mg=50.0), fast_fit)
+    found = judge(spread(NINE), replace(DEFAULT, model=model, max_error_mg=50.0), fast_fits)
     assert found.calibration is not None and found.calibration.model == model
     assert found.message.startswith(f"model {model} as asked for: ")
     assert [trial.model for trial in found.trials] == ["0", model]
@@ -134,7 +143,7 @@ def test_a_model_can_be_forced(model: str) -> None:
 
 
 def test_a_forced_model_that_does_not_improve_is_refused() -> None:
-    found = judge(spread(IDEAL, number=40, noise=0.005), replace(DEFAULT, model="9"), fast_fit)
+    found = judge(spread(IDEAL, number=40, noise=0.005), replace(DEFAULT, model="9"), fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.message.startswith("model 9 as asked for does not improve: ")
 
@@ -146,16 +155,16 @@ def overflowing() -> PointSet:
 
 
 def test_points_out_of_range_are_no_traceback_but_a_reason() -> None:
-    found = judge(overflowing(), DEFAULT, fixed32.fit)
+    found = judge(overflowing(), DEFAULT, fixed32.fit_each)
     reasons = {trial.model: trial.reason for trial in found.trials}
     assert reasons["9"] == "the fit diverges: the points do not determine it"
-    forced = judge(overflowing(), replace(DEFAULT, model="9"), fixed32.fit)
+    forced = judge(overflowing(), replace(DEFAULT, model="9"), fixed32.fit_each)
     assert forced.outcome is Outcome.REFUSED
     assert forced.message == "model 9 cannot be fitted: the fit diverges: the points do not determine it"
 
 
 def test_a_verdict_can_be_repeated() -> None:
-    assert judge(spread(NINE), DEFAULT, fixed32.fit) == judge(spread(NINE), DEFAULT, fixed32.fit)
+    assert judge(spread(NINE), DEFAULT, fixed32.fit_each) == judge(spread(NINE), DEFAULT, fixed32.fit_each)
 
 
 def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
@@ -166,20 +175,20 @@ def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
 
 def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, ["xn", "z0"], PAPER, fast_fit)
+    found = judge_paper(fitted, control, ["xn", "z0"], PAPER, fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert "subsets without two points: xn z0" in found.message
 
 
 def test_the_paper_needs_control_points() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control.select(np.zeros(18, bool)), [], PAPER, fast_fit)
+    found = judge_paper(fitted, control.select(np.zeros(18, bool)), [], PAPER, fast_fits)
     assert found.outcome is Outcome.REFUSED and "0 control points" in found.message
 
 
 def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, [], PAPER, fast_fit)
+    found = judge_paper(fitted, control, [], PAPER, fast_fits)
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.holdout is not None
     p = fast_fit(fitted, MODELS["9"]).parameters
@@ -190,11 +199,11 @@ def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
 
 
 def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
-    settings = replace(DEFAULT, optimizer="ellipsoid")
-    found = judge(spread(NINE), replace(settings, max_error_mg=50.0), ellipsoid.fit, ellipsoid.MODELS)
+    settings, fit = replace(DEFAULT, optimizer="ellipsoid"), one_by_one(ellipsoid.fit)
+    found = judge(spread(NINE), replace(settings, max_error_mg=50.0), fit, ellipsoid.MODELS)
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.message.endswith("misalignment is left out: optimizer ellipsoid fits no misalignment")
-    forced = judge(spread(NINE), replace(settings, model="9"), ellipsoid.fit, ellipsoid.MODELS)
+    forced = judge(spread(NINE), replace(settings, model="9"), fit, ellipsoid.MODELS)
     assert forced.outcome is Outcome.REFUSED
     assert forced.message == "model 9 cannot be fitted: optimizer ellipsoid fits no misalignment"
 
@@ -202,7 +211,7 @@ def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() 
 def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
     fitted, control = two_sets(NINE)
     settings = replace(PAPER, optimizer="ellipsoid", max_error_mg=50.0)
-    found = judge_paper(fitted, control, [], settings, ellipsoid.fit, ellipsoid.MODELS)
+    found = judge_paper(fitted, control, [], settings, one_by_one(ellipsoid.fit), ellipsoid.MODELS)
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == "6"
     assert "optimizer ellipsoid fits no misalignment" in found.message
@@ -211,7 +220,7 @@ def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_b
 def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     flat = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    found = judge(points(flat), DEFAULT, fast_fit)
+    found = judge(points(flat), DEFAULT, fast_fits)
     assert found.outcome is Outcome.REFUSED
     assert found.message.startswith("no model could be tried: no stillness with z beyond +-0.3 g")
 
@@ -219,9 +228,9 @@ def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:
 def test_postures_that_are_known_are_taken_as_they_are() -> None:
     held = spread(NINE)
     label = np.arange(len(held), dtype=np.int64) % 12
-    found = judge(held, DEFAULT, fast_fit, label=label)
+    found = judge(held, DEFAULT, fast_fits, label=label)
     assert found.holdout is not None and found.holdout.postures == 12
-    few = judge(held, DEFAULT, fast_fit, label=label % 3)
+    few = judge(held, DEFAULT, fast_fits, label=label % 3)
     assert few.message.startswith("stillness in only 3 postures")
 
 
@@ -231,7 +240,7 @@ def test_results_are_in_standard_g_where_the_place_is_known() -> None:
     d = directions(150)
     standard = points(measured(NINE, d * g) + 0.001 * np.random.default_rng(3).standard_normal(d.shape))
     local = PointSet(np.rint(standard.xyz / g).astype(np.int64), standard.weights, standard.windows)
-    found, plain = judge(local, place, fixed32.fit), judge(local, DEFAULT, fixed32.fit)
+    found, plain = judge(local, place, fixed32.fit_each), judge(local, DEFAULT, fixed32.fit_each)
     assert found.calibration is not None and plain.calibration is not None
     assert found.calibration.gravity == place.gravity
     assert np.array_equal(found.calibration.gain(), plain.calibration.gain())

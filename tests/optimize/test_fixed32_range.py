@@ -14,7 +14,7 @@ from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.fixed import LIMIT, ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, Fit, PointSet
 from accelcal_cli.optimize import fixed32
-from accelcal_cli.optimize.fixed32 import MAX_POINTS, Tally, cost, evaluate, gradient
+from accelcal_cli.optimize.fixed32 import MAX_POINTS, cost, evaluate, gradients, stacked
 from tests.optimize.oracle import directions, measured, points, random_directions
 
 SHORT = replace(fixed32.DEFAULT, max_iterations=60, keep_history=True)
@@ -27,7 +27,7 @@ def unbounded(held: PointSet) -> PointSet:
     return PointSet(held.xyz.astype(object), held.weights.astype(object), held.windows, tau, held.temperature)
 
 
-def outcome(run: Callable[[], Fit]) -> Fit | str:
+def outcome(run: Callable[[], Fit | list[Fit]]) -> Fit | list[Fit] | str:
     try:
         return run()
     except DivergedError as error:
@@ -96,9 +96,9 @@ def test_a_unit_that_is_wrong_by_a_factor_is_an_error_with_a_hint() -> None:
 )
 def test_the_error_names_the_first_value_that_leaves_its_range(place: float, gain: float, what: str) -> None:
     parameters = np.array([round(gain * ONE)] * 3 + [0] * 9, np.int64)
-    held = points(np.full((1, 3), place))
+    held = stacked([points(np.full((1, 3), place))])
     with pytest.raises(FixedPointOverflowError, match=f"^{what} leaves"):
-        evaluate(held, parameters, Tally())
+        evaluate(held, parameters[np.newaxis])
 
 
 def extreme(number: int, g: float) -> PointSet:
@@ -106,25 +106,38 @@ def extreme(number: int, g: float) -> PointSet:
     return points(np.tile([g, 0.0, 0.0], (number, 1)))
 
 
+def sums(held: PointSet) -> tuple[list[int], list[list[int]]]:
+    """Cost and gradient of the ideal sensor."""
+    stack, ideal = stacked([held]), [list(IDENTITY)]
+    state = evaluate(stack, np.array(ideal, np.int64))
+    return cost(stack, state), gradients(stack, state, ideal)
+
+
 @pytest.mark.parametrize("number", [1, MAX_POINTS])
 def test_the_largest_sums_of_the_allowed_number_of_points_are_exact(number: int) -> None:
-    held, tally = extreme(number, 1.41421), Tally()
-    state = evaluate(held, np.array(IDENTITY, np.int64), tally)
-    limitless = unbounded(held)
-    expected = evaluate(limitless, np.array(IDENTITY, np.int64), tally)
-    assert cost(held, state, tally) == cost(limitless, expected, tally)
-    one = np.array(IDENTITY, np.int64)
-    assert gradient(held, state, one, tally) == gradient(limitless, expected, one, tally)
+    held = extreme(number, 1.41421)
+    assert sums(held) == sums(unbounded(held))
 
 
-def test_more_points_than_there_is_head_room_for_do_not_wrap() -> None:
-    held, one = extreme(3 * MAX_POINTS, 1.41421), np.array(IDENTITY, np.int64)
-    limitless, tally = unbounded(held), Tally()
-    try:
-        found = gradient(held, evaluate(held, one, tally), one, tally)
-    except FixedPointOverflowError:
-        return
-    assert found == gradient(limitless, evaluate(limitless, one, tally), one, tally)
+def test_more_points_than_there_is_head_room_for_are_refused() -> None:
+    with pytest.raises(FixedPointOverflowError, match=f"^{MAX_POINTS + 1} points are more than the"):
+        fixed32.fit(extreme(MAX_POINTS + 1, 1.0), MODELS["9"])
+
+
+@given(
+    st.lists(any_points(), min_size=1, max_size=4),
+    st.booleans(),
+    st.sampled_from(["3", "6", "9", "9T"]),
+    st.sampled_from([SHORT, PAPER]),
+)
+def test_sets_side_by_side_are_fitted_as_each_alone(
+    sets: list[PointSet], warm: bool, model: str, numbers: fixed32.Settings
+) -> None:
+    taus = [np.full(len(held), ONE // 3) if held.tau is None else held.tau for held in sets]
+    alike = [replace(held, tau=tau if warm else None) for held, tau in zip(sets, taus, strict=True)]
+    alone = [outcome(lambda held=held: fixed32.fit(held, MODELS[model], numbers)) for held in alike]
+    together = outcome(lambda: fixed32.fit_each(alike, MODELS[model], numbers))
+    assert together == alone if all(isinstance(found, Fit) for found in alone) else together in alone
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -137,10 +150,10 @@ def test_cost_and_gradient_are_those_of_float64(seed: int) -> None:
         tau=random.uniform(-1.5, 1.5, number),
     )
     change = random.integers(-ONE // 20, ONE // 20, 12)
-    p, tally = np.array(IDENTITY, np.int64) + change, Tally()
-    state = evaluate(held, p, tally)
-    slope = np.array(gradient(held, state, p, tally)) / ONE
-    (total,) = cost(held, state, tally)
+    p, stack = np.array(IDENTITY, np.int64) + change, stacked([held])
+    state = evaluate(stack, p[np.newaxis])
+    (slope,) = np.array(gradients(stack, state, [p.tolist()])) / ONE
+    (total,) = cost(stack, state)
     weights = held.weights / held.weights.sum()
     expected = float(weights @ residuals(held, p / ONE) ** 2)
     assert abs(total / 2**58 / int(held.weights.sum()) - expected) < 1e-7

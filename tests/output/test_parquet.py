@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.results import Facts
+from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.output import parquet
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.output.parquet import Column, ParquetSink, columns_of
@@ -42,8 +42,7 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
         gaps=(),
         gaps_omitted=0,
         problems=(),
-        filled=0,
-        clipped=0,
+        counts=SampleCounts(),
         has_temperature=temperature,
         has_gyroscope=gyroscope,
         utc_offset_s=3600 if utc else None,

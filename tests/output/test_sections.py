@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -20,8 +21,8 @@ def described(name: str) -> dict[str, Any]:
     """The report's `optimizer` of a sensor with known errors."""
     optimizer = named_optimizer(name)
 
-    def fit(held: PointSet, model: Model) -> Fit:
-        return optimizer.fit(held, model, optimizer.settings["default"])
+    def fit(sets: Sequence[PointSet], model: Model) -> list[Fit]:
+        return optimizer.fits(sets, model, optimizer.settings["default"])
 
     found = calibration_json(
         judge(spread(NINE), DEFAULT, fit, optimizer.models),

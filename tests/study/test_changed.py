@@ -9,10 +9,11 @@ from accelcal_cli.study.borrowing import borrowed
 from accelcal_cli.study.borrowing import tasks as borrowing_tasks
 from accelcal_cli.study.discovery import Where
 from accelcal_cli.study.ledger import Ledger
-from accelcal_cli.study.plan import Study, plan
+from accelcal_cli.study.plan import plan
 from accelcal_cli.study.pooling import make_pool, pool_tasks, pooled, pooled_tasks
 from accelcal_cli.study.records import RecordingState
 from accelcal_cli.study.rounds import StudyState
+from accelcal_cli.study.study import Study
 from accelcal_cli.study.task import CalibrationTask, Common, calibrated
 from tests.device_recordings import week
 

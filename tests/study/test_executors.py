@@ -12,9 +12,9 @@ import pytest
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.study.dask_client import Cluster
 from accelcal_cli.study.discovery import Where, files
-from accelcal_cli.study.plan import Shard, Study
 from accelcal_cli.study.process_pool import ProcessPool
 from accelcal_cli.study.rounds import executor_for, tidy
+from accelcal_cli.study.study import Shard, Study
 from accelcal_cli.study.task import CalibrationTask, Common, calibrated
 from tests.cli.studies import study_folder
 

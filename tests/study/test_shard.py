@@ -7,7 +7,7 @@ import hashlib
 import pytest
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.study.plan import Shard, shard
+from accelcal_cli.study.study import Shard, shard
 
 NAMES = [f"site{number % 7}/p{number:03}.cwa" for number in range(400)]
 
