@@ -39,6 +39,9 @@ CHANNELS: dict[str, np.generic | None] = {
 need to know of a channel. The value stands for the rows of a chunk without the channel when it is joined
 to one that has it; None: the joined chunk is without the channel too."""
 
+Channels = dict[str, NDArray[Any]]
+"""Channels beside the counts, by their name in Chunk; only those that a recording has."""
+
 
 @dataclass(frozen=True, slots=True)
 class Device:
@@ -226,6 +229,11 @@ def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:
     return {name: column[rows] for name, column in columns.items() if column is not None}
 
 
+def cut_channels(channels: Channels, rows: Any) -> Channels:
+    """Some rows (a slice, a mask or numbers) of all channels."""
+    return {name: values[rows] for name, values in channels.items()}
+
+
 def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
     """Columns of records one after the other, by name; None if one of the records has none."""
     parts = {name: [getattr(record, name) for record in records] for name in names}
@@ -233,6 +241,12 @@ def joined_columns(records: Sequence[Any], names: Iterable[str]) -> dict[str, An
         name: None if any(column is None for column in columns) else np.concatenate(columns)
         for name, columns in parts.items()
     }
+
+
+def joined_channels(parts: Sequence[Channels]) -> Channels:
+    """Channels one after the other; one that a part does not have is left out."""
+    names = [name for name in parts[0] if all(name in part for part in parts)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
 class Closing:

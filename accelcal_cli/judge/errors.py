@@ -135,13 +135,10 @@ def per_posture(
     errors: NDArray[np.float64], weights: NDArray[np.int64], label: NDArray[np.int64]
 ) -> dict[int, float]:
     """Weighted mean error of each posture."""
-    means = {}
-    for posture in sorted(set(label.tolist())):
-        inside = label == posture
-        shares = [float(w) for w in weights[inside]]
-        total = fsum(w * float(e) for w, e in zip(shares, errors[inside], strict=True))
-        means[posture] = total / fsum(shares)
-    return means
+    shares: dict[int, list[tuple[float, float]]] = {}
+    for posture, error, weight in zip(label.tolist(), errors.tolist(), weights.tolist(), strict=True):
+        shares.setdefault(posture, []).append((weight * error, weight))
+    return {key: fsum(e for e, _ in shares[key]) / fsum(w for _, w in shares[key]) for key in sorted(shares)}
 
 
 def mean(values: list[float]) -> float:

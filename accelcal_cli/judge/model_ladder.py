@@ -106,16 +106,12 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> tupl
     fold = folds(label, number)
     left_out = [fold == one for one in sorted(set(fold.tolist()))]
     *fits, whole = fit([*(points.select(~out) for out in left_out), points], model)
-    blocks: dict[int, float] = {}
-    before: dict[int, float] = {}
-    after: dict[int, float] = {}
+    deviations = np.empty(len(points))
     for out, fitted in zip(left_out, fits, strict=True):
-        unseen, parameters = points.select(out), fitted.parameters
-        where, weights, block = label[out], unseen.weights, sample.block[out]
-        before |= errors.per_posture(errors.deviations_mg(unseen, IDENTITY), weights, where)
-        left = errors.deviations_mg(unseen, parameters)
-        after |= errors.per_posture(left, weights, where)
-        blocks |= errors.per_posture(left, weights, block)
+        deviations[out] = errors.deviations_mg(points.select(out), fitted.parameters)
+    before = errors.per_posture(errors.deviations_mg(points, IDENTITY), points.weights, label)
+    after = errors.per_posture(deviations, points.weights, label)
+    blocks = errors.per_posture(deviations, points.weights, sample.block)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
     method = f"{number} folds of whole postures"
     posture = dict(zip(sample.block.tolist(), label.tolist(), strict=True))

@@ -218,30 +218,20 @@ def fit_each(sets: Sequence[PointSet], model: Model, settings: Settings = DEFAUL
     Raises:
         FixedPointOverflowError, DivergedError: see `fit`; one set is enough.
     """
-    if not model.free or not all(map(len, sets)):
-        return [_alone(points, model, settings) for points in sets]
-    if not all(points.weights.any() for points in sets):
+    filled = [points for points in sets if model.free and len(points)]
+    if not all(points.weights.any() for points in filled):
         raise DivergedError("no point has any weight")
     descent = _forward if settings.forward_step else _accelerated
-    found = descent(stacked(sets), model, settings)
-    if min(min(one.parameters[:3]) for one in found) < LEAST_SCALE:
+    found = descent(filled, model, settings)
+    if any(min(one.parameters[:3]) < LEAST_SCALE for one in found):
         raise DivergedError("an axis collapsed: the points do not determine its scale")
-    return found
-
-
-def _alone(points: PointSet, model: Model, settings: Settings) -> Fit:
-    if model.free and len(points):
-        return fit(points, model, settings)
-    return Fit(IDENTITY, 0, "nothing to fit", Operations())
+    fits, nothing = iter(found), Fit(IDENTITY, 0, "nothing to fit", Operations())
+    return [next(fits) if model.free and len(points) else nothing for points in sets]
 
 
 def _rates(settings: Settings) -> list[int]:
     groups = ("scale", "misalignment", "offset", "slope")
     return [round(settings.rates[name] * (1 << RATE_BITS)) for name in groups for _ in range(3)]
-
-
-def _ints(parameters: Fixed) -> tuple[int, ...]:
-    return tuple(int(value) for value in parameters)
 
 
 def _operations(points: int, costs: int, gradients: int = 0, others: int = 0) -> Operations:
@@ -251,16 +241,14 @@ def _operations(points: int, costs: int, gradients: int = 0, others: int = 0) ->
     )
 
 
-def _forward(stack: Stack, model: Model, settings: Settings) -> list[Fit]:
-    """F's iteration to the letter, set by set: forward differences, fixed rates, so many iterations.
-
-    The update is counted as F does, an addition and a multiplication for each group of three
-    parameters with one learning rate: M (100 N + 3) in all for nine parameters.
-    """
-    return [_forward_of_one(stack.select([row]), model, settings) for row in range(len(stack.number))]
+def _forward(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
+    """F's iteration to the letter, set by set: forward differences, fixed rates, so many iterations."""
+    return [_forward_of_one(stacked((points,)), model, settings) for points in sets]
 
 
 def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
+    """The update is counted as F does, an addition and a multiplication for each group of three
+    parameters with one learning rate: M (100 N + 3) in all for nine parameters."""
     rates, number = _rates(settings), settings.max_iterations
     history: list[tuple[int, ...]] = []
     p = np.array(IDENTITY, np.int64)
@@ -272,10 +260,10 @@ def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
         for index, value in zip(model.free, probed, strict=True):
             p[index] -= rounded_quotient((value - base) * rates[index] << FRACTION_BITS, unit)
         if settings.keep_history:
-            history.append(_ints(p))
+            history.append(tuple(p.tolist()))
     costs, updates = number * len(probes), number * (len(model.free) // 3)
     operations = _operations(stack.number[0], costs, others=updates)
-    return Fit(_ints(p), number, "iterations", operations, tuple(history))
+    return Fit(tuple(p.tolist()), number, "iterations", operations, tuple(history))
 
 
 @dataclass(slots=True, eq=False)
@@ -356,27 +344,28 @@ class _Descent:
         return Fit(tuple(parameters), iterations, stop, operations, tuple(self.history))
 
 
-def _accelerated(stack: Stack, model: Model, settings: Settings) -> list[Fit]:
+def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
     """All sets at a time, each until its step vanishes."""
-    rates, keep = _rates(settings), settings.keep_history
-    descents = [_Descent(number, model.free, rates, keep) for number in stack.number]
-    fits: dict[int, Fit] = {}
-    left = list(range(len(descents)))
-    for iteration in range(1, settings.max_iterations + 1):
+    if not sets:
+        return []
+    rates, keep, last = _rates(settings), settings.keep_history, settings.max_iterations
+    descents = [_Descent(len(points), model.free, rates, keep) for points in sets]
+    fits: list[Fit | None] = [None] * len(sets)
+    stack, left = stacked(sets), list(range(len(sets)))
+    for iteration in range(1, last + 1):
         aheads = [descents[row].ahead() for row in left]
         state = evaluate(stack, np.array(aheads, np.int64))
         of_each = zip(left, aheads, cost(stack, state), gradients(stack, state, aheads), strict=True)
         ended = {row: ahead for row, ahead, c, slope in of_each if descents[row].advance(ahead, c, slope)}
+        for row, ahead in ended.items():
+            fits[row] = descents[row].found(ahead, iteration, "step below one bit")
+        if len(ended) == len(left):
+            break
         if ended:
-            for row, ahead in ended.items():
-                fits[row] = descents[row].found(ahead, iteration, "step below one bit")
             stack = stack.select([place for place, row in enumerate(left) if row not in ended])
             left = [row for row in left if row not in ended]
-        if not left:
-            break
-    for row in left:
-        fits[row] = descents[row].found(descents[row].best, settings.max_iterations, "iterations")
-    return [fits[row] for row in range(len(descents))]
+    of_all = zip(fits, descents, strict=True)
+    return [fit or descent.found(descent.best, last, "iterations") for fit, descent in of_all]
 
 
 OPTIMIZER = Optimizer(

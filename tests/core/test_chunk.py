@@ -11,7 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.clock import Clock, PageClock, StampClock, UniformClock
-from accelcal_cli.core.recording import CHANNELS, Chunk, Problem, Validity, joined
+from accelcal_cli.core.recording import (
+    CHANNELS,
+    Chunk,
+    Problem,
+    Validity,
+    cut_channels,
+    joined,
+    joined_channels,
+)
 
 PAGE_ROWS = 7
 CLOCKS = st.sampled_from(["uniform", "stamps", "pages"])
@@ -141,3 +149,15 @@ def test_a_chunk_without_rows_takes_no_channel_away() -> None:
 @pytest.mark.parametrize("name", CHANNELS)
 def test_every_channel_is_a_column_of_a_chunk(name: str) -> None:
     assert name in Chunk.__dataclass_fields__
+
+
+def test_channels_are_cut_and_joined_whole() -> None:
+    channels = {"temperature_mc": np.arange(5, dtype=np.int32), "gyro_counts": np.arange(15).reshape(5, 3)}
+    first, rest = cut_channels(channels, slice(2)), cut_channels(channels, np.arange(5) >= 2)
+    assert rest["gyro_counts"].tolist() == [[6, 7, 8], [9, 10, 11], [12, 13, 14]]
+    both = joined_channels((first, rest))
+    assert {name: values.tolist() for name, values in both.items()} == {
+        name: values.tolist() for name, values in channels.items()
+    }
+    assert both["temperature_mc"].dtype == np.int32
+    assert list(joined_channels((first, {"gyro_counts": rest["gyro_counts"]}))) == ["gyro_counts"]

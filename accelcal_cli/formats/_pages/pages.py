@@ -1,25 +1,37 @@
 """Fixed-size pages of a file, a block at a time: the valid ones as columns, the others as runs.
 
-Unusable rows are taken out of chunks here, and a temperature that was not measured repeats the last one.
+Unusable rows are taken out of chunks here, and a value of a channel that was not measured, such as a
+temperature, repeats the last one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator
-from dataclasses import dataclass, replace
+from collections.abc import Generator, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.recording import Chunk, Counts, cut_columns, joined_columns
+from accelcal_cli.core.recording import (
+    Channels,
+    Chunk,
+    Counts,
+    cut_channels,
+    cut_columns,
+    joined_channels,
+    joined_columns,
+)
 from accelcal_cli.formats._bytes import ByteSource
 
 SKIP_BYTES = 1 << 20
 
-NO_TEMPERATURE = int(np.iinfo(np.int32).min)
-"""Marks a sample whose temperature was not measured, until the last known one replaces it."""
+MISSING = int(np.iinfo(np.int32).min)
+"""Marks a row where a channel of single values was not measured, until the last known one replaces it."""
+
+CHANNEL_NOUNS = {"temperature_mc": "a temperature"}
+"""What problems call a channel; the others go by their name in Chunk."""
 
 GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
 BAD_KINDS = {
@@ -39,7 +51,7 @@ DAMAGED = (ERASED, CHECKSUM, NONSENSE, TEXT, LENGTH, DIGITS, NO_PAGE)
 """Kinds whose bytes are lost; a page of another recording or rate is sound, and so is a repeated one."""
 
 PER_PAGE = ("position", "rows", "sequence", "time_us", "fresh")
-PER_ROW = ("counts", "temperature_mc", "gyro_counts", "faulty")
+PER_ROW = ("counts", "faulty")
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,9 +238,8 @@ class PageBlock:
         sequence: (p,) int64, or None if pages carry none.
         time_us: (p,) int64 stamp of the first sample [us since 1970], or None.
         fresh: (p,) bool, the page itself says that it does not continue the one before; or None.
-        temperature_mc: (n,) int32, NO_TEMPERATURE where not measured; or None.
-        gyro_counts: (n, 3), or None.
         faulty: (n,) bool, rows whose values are unusable, or None if every row is good.
+        channels: of n rows each; one of single values may hold MISSING.
     """
 
     position: NDArray[np.int64]
@@ -237,9 +248,8 @@ class PageBlock:
     sequence: NDArray[np.int64] | None = None
     time_us: NDArray[np.int64] | None = None
     fresh: NDArray[np.bool_] | None = None
-    temperature_mc: NDArray[np.int32] | None = None
-    gyro_counts: Counts | None = None
     faulty: NDArray[np.bool_] | None = None
+    channels: Channels = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.position)
@@ -264,12 +274,14 @@ def joined(first: PageBlock, second: PageBlock) -> PageBlock:
     """The pages of both, in order."""
     if not len(first) or not len(second):
         return second if len(second) else first
-    return PageBlock(**joined_columns((first, second), PER_PAGE + PER_ROW))
+    channels = joined_channels((first.channels, second.channels))
+    return PageBlock(**joined_columns((first, second), PER_PAGE + PER_ROW), channels=channels)
 
 
 def chosen(block: PageBlock, pages: slice | NDArray[np.bool_], rows: slice | NDArray[np.bool_]) -> PageBlock:
     """Some pages, and the rows that they hold."""
-    return PageBlock(**cut_columns(block, PER_PAGE, pages), **cut_columns(block, PER_ROW, rows))
+    columns = cut_columns(block, PER_PAGE, pages) | cut_columns(block, PER_ROW, rows)
+    return PageBlock(**columns, channels=cut_channels(block.channels, rows))
 
 
 def split(block: PageBlock, pages: int) -> tuple[PageBlock, PageBlock]:
@@ -311,25 +323,39 @@ def per_page(block: PageBlock, marks: NDArray[np.bool_] | None) -> NDArray[np.in
     return np.add.reduceat(marks, starts, dtype=np.int64)
 
 
-class TemperatureHold:
-    """Repeats the last measured temperature where there is none.
+def first_values(channels: Channels) -> dict[str, int | None]:
+    """The first measured value of each channel of single values, None where there is none."""
+    columns = {name: column[column != MISSING] for name, column in channels.items() if column.ndim == 1}
+    return {name: int(known[0]) if len(known) else None for name, known in columns.items()}
+
+
+class HeldChannels:
+    """Repeats the last measured value of a channel where there is none.
 
     Args:
-        first_mc: for samples before the first measured one; NO_TEMPERATURE if there never is any.
+        first: of channels that may hold MISSING, the value for rows before the first measured one; None
+            if there never is any.
     """
 
-    def __init__(self, first_mc: int) -> None:
-        self._last_mc = first_mc
+    def __init__(self, first: Mapping[str, int | None]) -> None:
+        self._never = [name for name, value in first.items() if value is None]
+        self._last = {name: value for name, value in first.items() if value is not None}
 
-    def fill(self, measured: NDArray[np.int32] | None) -> NDArray[np.int32] | None:
-        """Temperatures of the next rows [thousandths of a degree C], (n,), or None without any."""
-        if measured is None or self._last_mc == NO_TEMPERATURE or not len(measured):
-            return None if self._last_mc == NO_TEMPERATURE else measured
-        known = measured != NO_TEMPERATURE
+    def fill(self, channels: Channels) -> Channels:
+        """The channels of the next rows, without those that never have a value."""
+        return {
+            name: self._filled(name, column) if name in self._last and len(column) else column
+            for name, column in channels.items()
+            if name not in self._never
+        }
+
+    def _filled(self, name: str, measured: NDArray[Any]) -> NDArray[Any]:
+        known = measured != MISSING
         if not known.all():
             source = np.maximum.accumulate(np.where(known, np.arange(len(measured)), -1))
-            measured = np.where(source < 0, np.int32(self._last_mc), measured[source])
-        self._last_mc = int(measured[-1])
+            last = measured.dtype.type(self._last[name])
+            measured = np.where(source < 0, last, measured[source])
+        self._last[name] = int(measured[-1])
         return measured
 
 

@@ -25,7 +25,6 @@ SEQUENCE_BACK = "sequence_back", "pages whose sequence number does not rise"
 CLOCK_AHEAD = "clock_gap", "jumps of the device clock ahead"
 CLOCK_BACK = "clock_back", "jumps of the device clock back"
 FAULTY_ROWS = "missing_value", "samples without a usable value, left out"
-COLD_ROWS = "missing_value", "samples without a temperature, given the last one measured"
 BLANK_BYTES = 16
 """A few bytes of 0xFF may belong to a number; so many, or after erased ones, were never written."""
 
@@ -91,28 +90,26 @@ class PageEvents(EventMaker):
 
     Args:
         row_bytes: bytes of a page for each of its rows.
-        has_temperature: the recording has a temperature at all.
+        first_values: as in PageJoiner.
     """
 
-    def __init__(self, file: Places, row_bytes: int, *, has_temperature: bool) -> None:
+    def __init__(self, file: Places, row_bytes: int, first_values: Mapping[str, int | None]) -> None:
         super().__init__(file, paged.BAD_KINDS, paged.DAMAGED)
         self._row_bytes = row_bytes
-        self._has_temperature = has_temperature
+        self._held = [name for name, value in first_values.items() if value is not None]
 
     def rows(self, block: PageBlock, rows_in: int) -> Iterator[Event]:
-        """Rows without usable values, and samples without a temperature, page by page."""
-        faults = paged.per_page(block, block.faulty)
-        measured = block.temperature_mc if self._has_temperature else None
-        unmeasured = paged.per_page(block, None if measured is None else measured == paged.NO_TEMPERATURE)
+        """Rows without usable values, and samples without a value of a channel, page by page."""
+        numbers = {FAULTY_ROWS: paged.per_page(block, block.faulty)}
+        for name in self._held:
+            numbers[missing_kind(name)] = paged.per_page(block, block.channels[name] == paged.MISSING)
         after = rows_in + np.cumsum(paged.page_rows(block))
-        for page in np.flatnonzero(faults + unmeasured).tolist():
+        for page in np.flatnonzero(sum(numbers.values())).tolist():
             position, sample = int(block.position[page]), int(after[page])
-            for kind, count, lost in (
-                (FAULTY_ROWS, int(faults[page]), self._row_bytes),
-                (COLD_ROWS, int(unmeasured[page]), 0),
-            ):
-                if count:
-                    yield replace(self.event(position, kind, sample, count), lost_bytes=count * lost)
+            for kind, column in numbers.items():
+                if count := int(column[page]):
+                    lost_bytes = count * self._row_bytes if kind == FAULTY_ROWS else 0
+                    yield replace(self.event(position, kind, sample, count), lost_bytes=lost_bytes)
 
     def links(self, pages: PageBlock, step: Steps, links: Links, rows_before: int) -> Iterator[Event]:
         """What stands between pages."""
@@ -143,6 +140,12 @@ class PageEvents(EventMaker):
         yield replace(event, lost_bytes=lost)
 
 
+def missing_kind(channel: str) -> tuple[str, str]:
+    """Code and text of values that a channel lacks."""
+    noun = paged.CHANNEL_NOUNS.get(channel, channel)
+    return "missing_value", f"samples without {noun}, given the last one measured"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
     """Pages whose times are settled: the block, and columns of shape (p,) as in PageClock."""
@@ -170,7 +173,8 @@ class PageJoiner:
 
     Args:
         sample: number of the first row.
-        temperature_mc: temperature of rows before the first measured one.
+        first_values: of channels that may lack values, the first measured one, which rows before it are
+            given; None where none is measured.
         problems: what was found before any page.
     """
 
@@ -180,16 +184,15 @@ class PageJoiner:
         spacing: Spacing,
         timeline: Timeline,
         sample: int,
-        temperature_mc: int,
+        first_values: Mapping[str, int | None],
         problems: tuple[Problem, ...],
     ) -> None:
         self._spacing = spacing
         self._timeline = timeline
         self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
-        has_temperature = temperature_mc != paged.NO_TEMPERATURE
-        self._events = PageEvents(file, self._row_bytes, has_temperature=has_temperature)
+        self._events = PageEvents(file, self._row_bytes, first_values)
         self._log = ProblemLog(problems)
-        self._temperature = paged.TemperatureHold(temperature_mc)
+        self._channels = paged.HeldChannels(first_values)
         self._filter = paged.RowFilter()
         self._last: Stretch | None = None
         self._rows_in = self._rows_out = sample
@@ -248,10 +251,9 @@ class PageJoiner:
             clock=PageClock(first_row, stretch.time_us, stretch.span_rows, stretch.span_us),
             end_byte=end_byte,
             breaks=first_row[stretch.broken],
-            temperature_mc=self._temperature.fill(block.temperature_mc),
-            gyro_counts=block.gyro_counts,
             problems=problems,
             used_bytes=self._used_bytes(block),
+            **self._channels.fill(block.channels),
         )
         chunk = self._filter.apply(chunk, block.faulty)
         self._rows_out += len(chunk)
@@ -284,12 +286,12 @@ class Opening:
     Attributes:
         block: its valid pages.
         start_us: time of the first sample.
-        temperature_mc: the first measured temperature, or NO_TEMPERATURE.
+        first_values: as in PageJoiner.
     """
 
     block: PageBlock
     start_us: int
-    temperature_mc: int
+    first_values: dict[str, int | None]
 
 
 def look_inside(scheme: PageScheme) -> Opening | None:
@@ -298,16 +300,8 @@ def look_inside(scheme: PageScheme) -> Opening | None:
     for raw in scheme.file.blocks(pages):
         block = scheme.decode(raw).block
         if len(block) and (block.faulty is None or not block.faulty.all()):
-            return Opening(block, scheme.timeline().start(block), first_temperature(block))
+            return Opening(block, scheme.timeline().start(block), paged.first_values(block.channels))
     return None
-
-
-def first_temperature(block: PageBlock) -> int:
-    """The first measured one in the block, NO_TEMPERATURE where there is none."""
-    if block.temperature_mc is None:
-        return paged.NO_TEMPERATURE
-    known = block.temperature_mc[block.temperature_mc != paged.NO_TEMPERATURE]
-    return int(known[0]) if len(known) else paged.NO_TEMPERATURE
 
 
 def extent(scheme: PageScheme, opening: Opening) -> tuple[int | None, float | None]:
@@ -392,5 +386,5 @@ class PagedReader(Reader):
 
     def _joiner(self, sample: int, problems: tuple[Problem, ...]) -> PageJoiner:
         scheme = self._scheme
-        temperature_mc = self._opening.temperature_mc
-        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), sample, temperature_mc, problems)
+        first = self._opening.first_values
+        return PageJoiner(scheme.file, scheme.spacing, scheme.timeline(), sample, first, problems)

@@ -1,4 +1,7 @@
-"""Which column of a text file is what: by the options, by the names of the columns, or by their places."""
+"""Which column of a text file is what: by the options, by the names of the columns, or by their places.
+
+`CHANNELS` says how the columns beside the time and the acceleration become channels.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,9 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
@@ -21,12 +27,46 @@ TIME_NAMES = frozenset(
     {"time", "timestamp", "timestamps", "datetime", "epoch", "unix", "unixtime", "utc", "ts", "date"}
 )
 BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
-TEMPERATURE_NAMES = ({"temperature"}, {"temp"})
 G_FORCE = re.compile(r"^gF([xyz])$")
 """As Physics Toolbox names the acceleration in g."""
 
-CELSIUS = frozenset({"", "c", "°c", "degc", "deg", "celsius"})
 AXES = ("x", "y", "z")
+UNKNOWN = np.iinfo(np.int32).min
+"""Stands for a value of a channel that only earlier rows can give."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelRule:
+    """How a column of numbers becomes a channel.
+
+    Attributes:
+        names: of the column, each as its words in lower case.
+        units: that its title may mention, in lower case; "" for none.
+        steps: of the channel in one unit of the column.
+        limit: values of this magnitude (in the column's unit) and above are not believed.
+    """
+
+    names: tuple[set[str], ...]
+    units: frozenset[str]
+    steps: int
+    limit: float
+
+    def channel(self, values: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Values (n,) of all rows: where one is missing, the last one before it, `UNKNOWN` before any."""
+        usable = np.abs(values) < self.limit
+        if not usable.all():
+            last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
+            values = np.where(last < 0, UNKNOWN / self.steps, values[last])
+        channel: NDArray[np.int32] = np.rint(values * self.steps).astype(np.int32)
+        return channel
+
+
+CHANNELS = {
+    "temperature_mc": ChannelRule(
+        ({"temperature"}, {"temp"}), frozenset({"", "c", "°c", "degc", "deg", "celsius"}), 1000, 1000.0
+    ),
+}
+"""Channels that a text file may have, by their name in Chunk. This is all that there is to know of one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,13 +75,14 @@ class Roles:
 
     Attributes:
         time: None if the file has no time column.
+        channels: column of each of `CHANNELS` that the file has.
         hints: units of acceleration in the names of x, y and z.
         time_unit_us: microseconds in one unit of the time column, None if its name does not say.
     """
 
     xyz: tuple[int, int, int]
     time: int | None
-    temperature: int | None
+    channels: dict[str, int]
     hints: frozenset[str] = frozenset()
     time_unit_us: float | None = None
 
@@ -89,7 +130,8 @@ def _axis_apart(word: str) -> tuple[str, ...]:
 
 
 def _is_unit(word: str) -> bool:
-    return acceleration_unit(word) is not None or microseconds_in(word) is not None or word in CELSIUS
+    known = acceleration_unit(word) is not None or microseconds_in(word) is not None
+    return known or any(word in rule.units for rule in CHANNELS.values())
 
 
 def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
@@ -114,7 +156,8 @@ def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
         unit for title in titles if title.number in xyz and (unit := acceleration_unit(title.hint))
     )
     unit_us = next((microseconds_in(_time_unit(title)) for title in titles if title.number == time), None)
-    return Roles(xyz, time, _temperature(dialect, titles, {*xyz, time}), hints, unit_us)
+    free = [title for title in titles if title.number not in (*xyz, time)]
+    return Roles(xyz, time, _channels(dialect, free), hints, unit_us)
 
 
 def column_name(dialect: Dialect, column: int) -> str:
@@ -248,14 +291,15 @@ def _is_time_name(title: Title) -> bool:
     return bare or bool(TIME_NAMES & set(title.words))
 
 
-def _temperature(dialect: Dialect, titles: list[Title], taken: set[int | None]) -> int | None:
-    """The one column that is named as a temperature in degrees Celsius."""
-    found = [
-        title.number
-        for title in titles
-        if set(title.words) in TEMPERATURE_NAMES
-        and title.hint.lower() in CELSIUS
-        and title.number not in taken
-    ]
-    fits = len(found) == 1 and dialect.kinds[found[0]] is Kind.NUMBER
-    return found[0] if fits else None
+def _channels(dialect: Dialect, titles: list[Title]) -> dict[str, int]:
+    """Of each channel, the one column of numbers that is named like it."""
+    columns: dict[str, int] = {}
+    for name, rule in CHANNELS.items():
+        found = [
+            title.number
+            for title in titles
+            if set(title.words) in rule.names and title.hint.lower() in rule.units
+        ]
+        if len(found) == 1 and dialect.kinds[found[0]] is Kind.NUMBER:
+            columns[name] = found[0]
+    return columns

@@ -14,9 +14,8 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.formats.csv import times
 from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
-from accelcal_cli.formats.csv.columns import Roles, column_name, find_roles
+from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
-from accelcal_cli.formats.csv.rows import HOTTEST_C
 from accelcal_cli.formats.csv.table import Block, LineFile, ParsedTable, TableParser, lone_block
 from accelcal_cli.formats.csv.times import Pace
 from accelcal_cli.formats.csv.vendors import ExportDescription, export_description
@@ -31,6 +30,7 @@ class Detected:
 
     Attributes:
         start_us: time of the first row where rows carry none; None if it is not known.
+        first_values: of each channel, its first value; a column that the head leaves empty is none.
     """
 
     export: ExportDescription
@@ -38,7 +38,7 @@ class Detected:
     parser: TableParser
     scale: Scale
     pace: Pace
-    temperature_c: float | None
+    first_values: dict[str, int]
     line_bytes: float
     guessed_unit: bool
 
@@ -100,8 +100,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     if parser.time is None and export.start is not None:
         start_us = export.start.us(options.date_format or export.date_order, path)
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
-    temperature_c = _first_temperature(cells)
-    return Detected(export, start_us, parser, scale, pace, temperature_c, line_bytes, guessed)
+    return Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed)
 
 
 def _refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:
@@ -205,12 +204,11 @@ def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, p
     return Pace(options.rate_hz)
 
 
-def _first_temperature(cells: ParsedTable) -> float | None:
-    """The first temperature in the head; None if the column is absent or empty there."""
-    if cells.temperature is None:
-        return None
-    measured = cells.temperature[np.abs(cells.temperature) < HOTTEST_C]
-    return float(measured[0]) if len(measured) else None
+def _first_values(cells: ParsedTable) -> dict[str, int]:
+    """The first value in the head of each channel that has one there."""
+    channels = {name: CHANNELS[name].channel(values) for name, values in cells.channels.items()}
+    known = {name: values[values != UNKNOWN] for name, values in channels.items()}
+    return {name: int(values[0]) for name, values in known.items() if len(values)}
 
 
 def last_timestamp(parser: TableParser) -> int | None:

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import NO_BREAKS, Chunk, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import (
+    NO_BREAKS,
+    Channels,
+    Chunk,
+    Problem,
+    Reader,
+    Recording,
+    Validity,
+    cut_channels,
+)
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowParser, Rows, SharedStamps, block_bytes, joined
@@ -82,7 +91,7 @@ class CsvReader(Reader):
     def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
-        row_parser = RowParser(detected.parser, detected.scale, detected.temperature_c)
+        row_parser = RowParser(detected.parser, detected.scale, detected.first_values)
         stages: list[SharedStamps | IdleFill] = []
         if detected.pace.stamp_period_us:
             stages.append(SharedStamps(detected.pace))
@@ -130,7 +139,7 @@ def _recording(
         start_us=first_us,
         timezone=zone if zone == "UTC" else timezone or zone,
         duration_s=length if length is not None and length > 0 else None,
-        has_temperature=detected.temperature_c is not None,
+        has_temperature="temperature_mc" in detected.first_values,
         notes=detected.notes(),
     )
 
@@ -145,8 +154,8 @@ class _Kept:
     time_us: NDArray[np.int64] | None
 
     def of(self, values: Any) -> Any:
-        """The entries of these rows in a column of the stretch, if there is one."""
-        return values if values is None or self.keep is None else values[self.keep]
+        """The entries of these rows in a column of the stretch."""
+        return values if self.keep is None else values[self.keep]
 
 
 class Assembler:
@@ -155,7 +164,7 @@ class Assembler:
     def __init__(self, detected: Detected) -> None:
         problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         self._row_bytes = max(1, round(detected.line_bytes))
-        self._has_temperature = detected.temperature_c is not None
+        self._no_channels: Channels = {name: np.empty(0, np.int32) for name in detected.first_values}
         self._stamped = detected.parser.time is not None
         self._start_us = detected.start_us or 0
         self._pace = detected.pace
@@ -170,7 +179,8 @@ class Assembler:
     def chunks(self, rows: Rows, block: Block, chunk_samples: int) -> Iterator[Chunk]:
         """The good ones of the next rows, which end with a block, at most `chunk_samples` to a chunk."""
         kept = self._kept(rows)
-        counts, temperature, validity = map(kept.of, (rows.counts, rows.temperature_mc, _validity(rows)))
+        counts = kept.of(rows.counts)
+        channels = {name: kept.of(values) for name, values in (rows.channels | _validity(rows)).items()}
         events = list(self._row_events(rows))
         breaks = self._breaks(kept, events, rows.first_row + len(rows))
         for event in events:
@@ -187,10 +197,9 @@ class Assembler:
                 self._clock(kept, start, stop),
                 block.end_byte,
                 breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
-                temperature_mc=None if temperature is None else temperature[part],
-                validity=None if validity is None else validity[part],
                 problems=problems if start == 0 else (),
                 used_bytes=(stop - start) * self._row_bytes,
+                **cut_channels(channels, part),
             )
             self.samples += stop - start
 
@@ -202,8 +211,9 @@ class Assembler:
             np.empty((0, 3), np.int32),
             StampClock(np.empty(0, np.int64)),
             block.end_byte,
-            temperature_mc=np.empty(0, np.int32) if self._has_temperature else None,
             problems=(*left, *_cut_short(block, self.samples)),
+            used_bytes=0,
+            **self._no_channels,
         )
 
     def _row_events(self, rows: Rows) -> Iterator[Event]:
@@ -308,8 +318,8 @@ def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
     return (Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail)),)
 
 
-def _validity(rows: Rows) -> NDArray[np.uint8] | None:
-    """Of every row; None if all were measured."""
+def _validity(rows: Rows) -> Channels:
+    """Of every row, as a channel; none if all were measured."""
     if rows.filled is None or not rows.filled.any():
-        return None
-    return np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))
+        return {}
+    return {"validity": np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))}

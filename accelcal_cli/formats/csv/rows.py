@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
-from accelcal_cli.core.recording import cut_columns, joined_columns
+from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_columns
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
+from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN
 from accelcal_cli.formats.csv.table import Block, TableParser
 from accelcal_cli.formats.csv.times import NO_TIME, Pace
-
-HOTTEST_C = 1000.0
-UNKNOWN_MC = np.iinfo(np.int32).min
-"""Stands for a temperature that only earlier rows can give."""
 
 LONGEST_GROUP = 4
 """A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
@@ -49,7 +46,7 @@ class Rows:
     """Consecutive rows of a file, good and bad ones.
 
     first_row: number of the first, from 0. line: (n,) number in the text. counts: (n, 3) int32.
-    fault: (n,) uint8 of `Fault`. time_us: (n,) or None. temperature_mc: (n,) int32 or None.
+    fault: (n,) uint8 of `Fault`. time_us: (n,) or None. channels: (n,) int32 each.
     filled: (n,) rows that the device did not measure, or None if none are known.
     """
 
@@ -58,7 +55,7 @@ class Rows:
     counts: NDArray[np.int32]
     fault: NDArray[np.uint8]
     time_us: NDArray[np.int64] | None
-    temperature_mc: NDArray[np.int32] | None
+    channels: Channels
     filled: NDArray[np.bool_] | None = None
 
     def __len__(self) -> int:
@@ -71,36 +68,38 @@ class Rows:
 
     def part(self, start: int, stop: int) -> Rows:
         """Rows start..stop-1, as views."""
-        columns = cut_columns(self, COLUMNS, slice(start, stop))
-        return replace(self, first_row=self.first_row + start, **columns)
+        rows = slice(start, stop)
+        columns, channels = cut_columns(self, COLUMNS, rows), cut_channels(self.channels, rows)
+        return replace(self, first_row=self.first_row + start, channels=channels, **columns)
 
     def then(self, other: Rows) -> Rows:
         """These rows and the next ones of the same file."""
         return joined_rows([self, other])
 
 
-COLUMNS = ("line", "counts", "fault", "time_us", "temperature_mc", "filled")
+COLUMNS = ("line", "counts", "fault", "time_us", "filled")
 
 
 def joined_rows(parts: list[Rows]) -> Rows:
     """Rows of the same file that follow each other, at least one stretch of them."""
     if len(parts) == 1:
         return parts[0]
-    return Rows(parts[0].first_row, **joined_columns(parts, COLUMNS))
+    first = parts[0]
+    channels = {name: np.concatenate([part.channels[name] for part in parts]) for name in first.channels}
+    return Rows(first.first_row, channels=channels, **joined_columns(parts, COLUMNS))
 
 
 class RowParser:
     """Turns blocks into rows, in the order of the file.
 
     Args:
-        temperature_c: the file's first one, for rows before it; None without a temperature.
+        first_values: of each channel that is wanted, the file's first value, for rows before it.
     """
 
-    def __init__(self, parser: TableParser, scale: Scale, temperature_c: float | None) -> None:
+    def __init__(self, parser: TableParser, scale: Scale, first_values: dict[str, int]) -> None:
         self._parser = parser
         self._scale = scale
-        self._has_temperature = temperature_c is not None
-        self._last_mc = round(1000 * (temperature_c or 0.0))
+        self._last_values = dict(first_values)
         self._next_row = 0
 
     def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[Rows, Block]]:
@@ -116,12 +115,11 @@ class RowParser:
             yield self._placed(rows), block
 
     def _placed(self, rows: Rows) -> Rows:
-        """The next rows, with their number in the file, and temperatures from before them."""
+        """The next rows, with their number in the file, and values of channels from before them."""
         first, self._next_row = self._next_row, self._next_row + len(rows)
-        temperature = rows.temperature_mc
-        if temperature is not None and len(temperature):
-            np.copyto(temperature, self._last_mc, where=temperature == UNKNOWN_MC)
-            self._last_mc = int(temperature[-1])
+        for name, values in rows.channels.items() if len(rows) else ():
+            np.copyto(values, self._last_values[name], where=values == UNKNOWN)
+            self._last_values[name] = int(values[-1])
         return replace(rows, first_row=first)
 
     def _parsed(self, block: Block) -> tuple[Rows, Block]:
@@ -132,9 +130,8 @@ class RowParser:
         counts, fault = self._counts(cells.values)
         if cells.time_us is not None:
             fault[cells.time_us == NO_TIME] = Fault.MISSING
-        temperature = cells.temperature if self._has_temperature else None
-        optional = None if temperature is None else _millidegrees(temperature)
-        return Rows(0, cells.line, counts, fault, cells.time_us, optional), block.without_lines()
+        channels = {name: CHANNELS[name].channel(cells.channels[name]) for name in self._last_values}
+        return Rows(0, cells.line, counts, fault, cells.time_us, channels), block.without_lines()
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         scaled = self._scale.counts(values)
@@ -157,16 +154,6 @@ class RowParser:
             line=int(line[row]),
             hint="give the unit of the values with --unit g, mg or m/s2",
         )
-
-
-def _millidegrees(temperature: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Every row's temperature [mC]: where a cell is empty, the last one that was measured, if any was."""
-    usable = np.abs(temperature) < HOTTEST_C
-    if not usable.all():
-        last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
-        temperature = np.where(last < 0, UNKNOWN_MC / 1000, temperature[last])
-    millidegrees: NDArray[np.int32] = np.rint(temperature * 1000).astype(np.int32)
-    return millidegrees
 
 
 class SharedStamps:

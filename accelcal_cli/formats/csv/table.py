@@ -16,7 +16,7 @@ import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.recording import Closing
+from accelcal_cli.core.recording import Channels, Closing
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
@@ -196,13 +196,13 @@ class ParsedTable:
     """The columns of a block that are used, one entry a row.
 
     line: (n,) number in the file. values: (n, 3) float64 in the file's unit, NaN where empty.
-    time_us: (n,), or None without a time column. temperature: (n,) float64 C or None.
+    time_us: (n,), or None without a time column. channels: (n,) float64 each, as `values`.
     """
 
     line: NDArray[np.int64]
     values: NDArray[np.float64]
     time_us: NDArray[np.int64] | None
-    temperature: NDArray[np.float64] | None
+    channels: Channels
 
 
 @dataclass(frozen=True)
@@ -221,8 +221,8 @@ class TableParser:
     @property
     def used(self) -> list[int]:
         """The numbers of the columns that are read."""
-        extra = [column for column in (self.roles.time, self.roles.temperature) if column is not None]
-        return [*self.roles.xyz, *extra]
+        time = () if self.roles.time is None else (self.roles.time,)
+        return [*self.roles.xyz, *time, *self.roles.channels.values()]
 
     def _parse_options(self) -> Any:
         return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
@@ -253,10 +253,8 @@ class TableParser:
         for axis, column in enumerate(self.roles.xyz):
             values[:, axis] = floats(table[str(column)])
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
-        temperature = self.roles.temperature
-        return ParsedTable(
-            line, values, stamps, None if temperature is None else floats(table[str(temperature)])
-        )
+        channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
+        return ParsedTable(line, values, stamps, channels)
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes]:
         """The parsed columns, and the text that they come from, which has the same lines."""

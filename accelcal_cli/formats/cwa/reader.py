@@ -26,7 +26,7 @@ from accelcal_cli.formats._pages.pages import PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import EventMaker, first_time
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
-from accelcal_cli.formats.cwa.sector import SETTINGS, Header, SectorBlock, Settings, Thermometer
+from accelcal_cli.formats.cwa.sector import SETTINGS, Header, SectorBlock, Settings
 from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline, nominal_us
 
 LEFT_OUT = {
@@ -128,13 +128,11 @@ class Scheme:
     """A file whose settings are known.
 
     Attributes:
-        thermometer: what its temperature words mean, None if nothing was measured.
         problems: what was found before any sample.
     """
 
     file: PagedFile
     settings: Settings
-    thermometer: Thermometer | None
     problems: tuple[Problem, ...] = ()
 
     def sectors(self, chunk_samples: int) -> int:
@@ -226,18 +224,12 @@ class Assembler:
             clock=clock,
             end_byte=waiting.end_byte,
             breaks=first_row[waiting.broken],
-            temperature_mc=self._temperature(block),
-            gyro_counts=block.gyro if self._scheme.settings.gyro_dps_per_lsb else None,
             problems=problems,
             used_bytes=sectors * SECTOR_BYTES,
+            **block.channels,
         )
         self._rows_out += len(chunk)
         return chunk
-
-    def _temperature(self, block: SectorBlock) -> NDArray[np.int32] | None:
-        """Each sector's temperature for all of its samples, (n,)."""
-        sensor = self._scheme.thermometer
-        return None if sensor is None else np.repeat(sensor.temperature_mc(block.temperature), block.rows)
 
 
 class CwaReader(Reader):
@@ -275,14 +267,12 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     header = sector.parse_header(head)
     file = paged.paged_file(path, header.data_start, SECTOR_BYTES)
     first, position = first_sector(file, header)
-    settings = sector.settings_of(first)
-    raw_temperature = int(first["temperature"]) & sector.TEMPERATURE_MASK
+    settings = sector.settings_of(first, header.hardware)
     problems = [] if header.intact else [Problem("damaged_header", NO_HEADER, 0, 0)]
     clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
         problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
-    sensor = None if raw_temperature in sector.NO_SENSOR else sector.thermometer(header.hardware)
-    scheme = Scheme(file, settings, sensor, tuple(problems))
+    scheme = Scheme(file, settings, tuple(problems))
     device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
     return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)
@@ -328,7 +318,7 @@ def describe(
         start_us=start_us if clock_set else None,
         timezone=options.timezone,
         duration_s=lasted if clock_set else None,
-        has_temperature=scheme.thermometer is not None,
+        has_temperature=settings.thermometer is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
         notes=notes,
     )
@@ -349,7 +339,8 @@ def last_time(scheme: Scheme) -> int | None:
 
 def _notes(scheme: Scheme, header: Header) -> tuple[str, ...]:
     rate = scheme.settings.rate
-    notes = [] if scheme.thermometer is None else [scheme.thermometer.note]
+    sensor = scheme.settings.thermometer
+    notes = [] if sensor is None else [sensor.note]
     if header.rate is not None and header.rate != rate:
         notes.append(f"the header says {float(header.rate):g} Hz, the data sectors {float(rate):g} Hz")
     return tuple(notes)

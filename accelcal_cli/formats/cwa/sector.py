@@ -21,6 +21,7 @@ Temperature: the low ten bits of a sector's word stand for 3 V. Which sensor the
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cache
@@ -30,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.recording import Device
+from accelcal_cli.core.recording import Channels, Device
 from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
@@ -106,12 +107,14 @@ class Settings:
             in `old_rate_hz` and carry no checksum.
         axes_code: a key of FULL_ROWS.
         scale_bits: unit of the accelerometer (upper three) and range of the gyroscope.
+        thermometer: what the temperature words mean, None if nothing was measured.
     """
 
     rate_code: int
     axes_code: int
     scale_bits: int
     old_rate_hz: int = 0
+    thermometer: Thermometer | None = None
 
     @property
     def rate(self) -> Fraction:
@@ -155,11 +158,12 @@ def rate_of(code: int) -> Fraction:
     return Fraction(HIGHEST_RATE, 1 << (15 - (code & 15)))
 
 
-def settings_of(sector: Any) -> Settings:
-    """Settings of one sector (a scalar of SECTOR)."""
+def settings_of(sector: Any, hardware: int | None) -> Settings:
+    """Settings of one sector (a scalar of SECTOR), recorded by a type of hardware (None: unknown)."""
     code, axes = int(sector["rate"]), int(sector["axes"])
     old_rate = int(sector["offset"]) & 0xFFFF if code == 0 else 0
-    return Settings(code, axes, scale_mask(axes) & (int(sector["light"]) >> 10), old_rate)
+    sensor = None if int(sector["temperature"]) & TEMPERATURE_MASK in NO_SENSOR else thermometer(hardware)
+    return Settings(code, axes, scale_mask(axes) & (int(sector["light"]) >> 10), old_rate, sensor)
 
 
 def scale_mask(axes_code: int) -> int:
@@ -301,8 +305,7 @@ class SectorBlock:
         overflow: (p,) bool, the device lost samples before or in the sector.
         anchors: their times.
         counts: (n, 3) int16.
-        temperature: (p,) uint16, raw words.
-        gyro: (n, 3) int16, or None.
+        channels: of n rows each; a value that a sector has once stands in all of its rows.
     """
 
     position: NDArray[np.int64]
@@ -312,8 +315,7 @@ class SectorBlock:
     overflow: NDArray[np.bool_]
     anchors: Anchors
     counts: NDArray[np.int16]
-    temperature: NDArray[np.uint16]
-    gyro: NDArray[np.int16] | None
+    channels: Channels
 
     def __len__(self) -> int:
         return len(self.position)
@@ -379,8 +381,11 @@ def rates(sectors: Sectors) -> NDArray[np.float64]:
 def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) -> SectorBlock:
     """All samples of good sectors (p,) of SECTOR."""
     rows = sectors["count"].astype(np.int64)
+    used = rows if bool((rows < settings.rows).any()) else None
     accel, gyro = _samples(sectors, settings)
-    short = bool((rows < settings.rows).any())
+    channels: Channels = {name: np.repeat(values, rows) for name, values in _measured(sectors, settings)}
+    if gyro is not None and settings.gyro_dps_per_lsb:
+        channels["gyro_counts"] = _joined(gyro, used)
     return SectorBlock(
         position=position,
         rows=rows,
@@ -388,10 +393,15 @@ def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) ->
         session=sectors["session"].astype(np.int64),
         overflow=(sectors["events"] & OVERFLOW_EVENTS) != 0,
         anchors=anchors(sectors, settings),
-        counts=_joined(accel, rows if short else None),
-        temperature=sectors["temperature"].copy(),
-        gyro=None if gyro is None else _joined(gyro, rows if short else None),
+        counts=_joined(accel, used),
+        channels=channels,
     )
+
+
+def _measured(sectors: Sectors, settings: Settings) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Channels of which a sector has one value, by name, (p,) each."""
+    if settings.thermometer is not None:
+        yield "temperature_mc", settings.thermometer.temperature_mc(sectors["temperature"])
 
 
 def _samples(sectors: Sectors, settings: Settings) -> tuple[NDArray[np.int16], NDArray[np.int16] | None]:

@@ -99,6 +99,7 @@ def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperat
     rows = fields["samples"].astype(np.int64)
     slots = fields["xyz"].astype(np.int16)
     full = bool((rows == SAMPLES).all())
+    channels = {"temperature_mc": temperature_mc(fields)} if has_temperature else {}
     return PageBlock(
         position=position,
         rows=rows,
@@ -106,15 +107,15 @@ def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperat
         sequence=fields["sequence"].astype(np.int64),
         time_us=fields["seconds"].astype(np.int64) * MICROSECONDS + fields["microseconds"],
         fresh=(fields["flags"] & FLAG_FRESH) != 0,
-        temperature_mc=temperature_mc(fields, rows) if has_temperature else None,
+        channels={name: np.repeat(values, rows) for name, values in channels.items()},
     )
 
 
-def temperature_mc(fields: NDArray[np.void], rows: NDArray[np.int64]) -> NDArray[np.int32]:
-    """Each sample's temperature, that of its page [thousandths of a degree C], (n,)."""
+def temperature_mc(fields: NDArray[np.void]) -> NDArray[np.int32]:
+    """Each page's temperature [thousandths of a degree C], (p,)."""
     raw = fields["temperature"].astype(np.int32)
-    milli = np.where(raw == NOT_MEASURED, np.int32(paged.NO_TEMPERATURE), (raw * 1000 + 64) >> 7)
-    return np.repeat(milli.astype(np.int32), rows)
+    milli = np.where(raw == NOT_MEASURED, np.int32(paged.MISSING), (raw * 1000 + 64) >> 7)
+    return milli.astype(np.int32)
 
 
 def first_recording_id(pages: NDArray[np.uint8]) -> int | None:
@@ -296,5 +297,5 @@ def recording(scheme: PageScheme, header: FlashHeader, opening: Opening) -> Reco
         timezone=header.timezone,
         samples=samples,
         duration_s=duration_s,
-        has_temperature=opening.temperature_mc != paged.NO_TEMPERATURE,
+        has_temperature=opening.first_values.get("temperature_mc") is not None,
     )

@@ -18,20 +18,21 @@ from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
-from accelcal_cli.formats._pages.pages import GOOD, NO_TEMPERATURE, PageBlock
+from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
-from accelcal_cli.formats.geneactiv.decode import Decoder, Settings, unhexed
-from accelcal_cli.formats.geneactiv.header import (
+from accelcal_cli.formats.geneactiv.decode import (
     RAW_LIMIT,
-    RESET_DATE,
-    Header,
+    Decoder,
     Scale,
+    Settings,
     factory_scale,
-    parse_header,
+    page_channels,
     raw_scale,
+    unhexed,
 )
+from accelcal_cli.formats.geneactiv.header import RESET_DATE, Header, parse_header
 from accelcal_cli.formats.geneactiv.scan import Head, Part, TextFile
 
 PAGES = 64
@@ -63,7 +64,7 @@ class FirstPages:
         sequence: number of the first one.
         missing: pages before it that are not in the file, by that number.
         unit_us: how coarse their times are [us].
-        temperature_mc: the first one measured, or NO_TEMPERATURE.
+        first_values: of the channels that they tell, the first measured value; None where there is none.
     """
 
     serial: bytes
@@ -71,7 +72,7 @@ class FirstPages:
     sequence: int
     missing: int
     unit_us: int
-    temperature_mc: int
+    first_values: dict[str, int | None]
 
 
 def look_inside(file: TextFile) -> FirstPages | None:
@@ -101,14 +102,13 @@ def _common(pages: Sequence[tuple[int, Head]]) -> FirstPages:
     stated = [(head[0], scan.number(head[4])) for _, head in pages]
     serial, rate = Counter(stated).most_common(1)[0][0]
     place, first = pages[stated.index((serial, rate))]
-    temperatures = [scan.temperature_mc(head[3]) for _, head in pages]
     return FirstPages(
         serial=serial,
         rate=rate or Fraction(1),
         sequence=int(first[1]),
         missing=max(0, int(first[1]) - place),
         unit_us=_unit_us([head[2] for _, head in pages]),
-        temperature_mc=next((mc for mc in temperatures if mc != NO_TEMPERATURE), NO_TEMPERATURE),
+        first_values=first_values(page_channels([head for _, head in pages])),
     )
 
 
@@ -176,8 +176,8 @@ class Assembler:
         self._places = _Places()
         self._decode = Decoder(scheme.settings)
         timeline = CoarseTimeline(scheme.spacing, scheme.first.unit_us)
-        temperature_mc = scheme.first.temperature_mc
-        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, temperature_mc, problems)
+        first = scheme.first.first_values
+        self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, first, problems)
         self._highest = self._last_position = -1
 
     def feed(self, part: Part) -> Chunk:
@@ -340,7 +340,7 @@ def describe(scheme: Scheme, header: Header, options: ReadOptions, start_us: int
         start_us=start_us,
         timezone=options.timezone or header.timezone,
         duration_s=duration_s(scheme, start_us),
-        has_temperature=first.temperature_mc != NO_TEMPERATURE,
+        has_temperature=first.first_values["temperature_mc"] is not None,
         notes=notes(scheme, header, options),
     )
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._pages.pages import GOOD, LENGTH, NO_PAGE, NO_TEMPERATURE, TEXT
+from accelcal_cli.formats._pages.pages import GOOD, LENGTH, MISSING, NO_PAGE, TEXT
 from accelcal_cli.formats.geneactiv import MARK
 
 SAMPLES = 300
@@ -73,9 +73,9 @@ def number(text: bytes) -> Fraction | None:
 
 @lru_cache(maxsize=4096)
 def temperature_mc(text: bytes) -> int:
-    """Thousandths of a degree C of a page's temperature; NO_TEMPERATURE if it states none."""
+    """Thousandths of a degree C of a page's temperature; MISSING if it states none."""
     value = number(text)
-    return NO_TEMPERATURE if value is None else round(value * 1000)
+    return MISSING if value is None else round(value * 1000)
 
 
 def stamps_us(texts: Sequence[bytes]) -> NDArray[np.int64]:

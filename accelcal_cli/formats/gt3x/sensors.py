@@ -13,14 +13,15 @@ LogRecords/SensorSchema.md and SensorData.md.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, field
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.recording import Channels
 from accelcal_cli.formats.gt3x import records as log
-from accelcal_cli.formats.gt3x.records import Records
+from accelcal_cli.formats.gt3x.records import Batch, Records
 
 USUAL_RATE = 100
 """What a schema that says 0 samples means, as in the vendor's example code."""
@@ -56,14 +57,17 @@ class Samples:
     Attributes:
         rows: (k,) int64, samples of each record.
         counts: (n, 3) int16.
-        temperature_mc: (n,) int32, thousandths of a degree C, or None.
-        gyro: (n, 3) int16, or None.
+        channels: of n rows each.
     """
 
     rows: NDArray[np.int64]
     counts: NDArray[np.int16]
-    temperature_mc: NDArray[np.int32] | None = None
-    gyro: NDArray[np.int16] | None = None
+    channels: Channels = field(default_factory=dict)
+
+    @property
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Counts and channels by their names in Chunk."""
+        return {"counts": self.counts, **self.channels}
 
 
 class Sensor(Protocol):
@@ -77,11 +81,11 @@ class Sensor(Protocol):
     def fills(self) -> bool:
         """Whether the device repeats its last sample while it sleeps."""
 
-    def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
-        """Which records hold its samples, (m,)."""
+    def holds(self, batch: Batch) -> NDArray[np.bool_]:
+        """Which records of a batch hold its samples, (m,)."""
 
-    def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
-        """Samples of records that `holds` named."""
+    def decode(self, batch: Batch, records: Records) -> Samples:
+        """Samples of those records of a batch that `holds` named."""
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
         """Which of these records are one second of samples and nothing else, (k,)."""
@@ -168,10 +172,11 @@ class Imu:
         """Samples in a second, nominally."""
         return self.schema.rate
 
-    def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
+    def holds(self, batch: Batch) -> NDArray[np.bool_]:
         """Which records hold samples by this schema, (m,)."""
+        records = batch.records
         data = (records.kind == log.SENSOR_DATA) & (records.size >= ID_BYTES + self.schema.row_bytes)
-        number = payloads_of(buffer, records.start[data], ID_BYTES).view("<u2")[:, 0]
+        number = payloads_of(batch.page.buffer, records.start[data], ID_BYTES).view("<u2")[:, 0]
         data[data] = number == self.schema.number
         return np.asarray(data)
 
@@ -181,34 +186,31 @@ class Imu:
         exact = records.size == ID_BYTES + rows * self.schema.row_bytes
         return np.asarray(exact & (np.abs(rows - self.rate) <= UNEVEN * self.rate))
 
-    def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
+    def decode(self, batch: Batch, records: Records) -> Samples:
         """Samples of records, those of one size at once."""
         rows = self._rows(records)
         table = np.empty((int(rows.sum()), self.schema.row_bytes), np.uint8)
         first = first_rows(rows)
         for size in np.unique(records.size).tolist():
             chosen = records.size == size
-            data = payloads_of(buffer, records.start[chosen], size)[:, ID_BYTES:]
+            data = payloads_of(batch.page.buffer, records.start[chosen], size)[:, ID_BYTES:]
             whole = data[:, : data.shape[1] // self.schema.row_bytes * self.schema.row_bytes]
             values = whole.reshape(len(data), -1, self.schema.row_bytes)
             table[first[chosen, None] + np.arange(values.shape[1])] = values
-        gyro = self.schema.axes(GYROSCOPE)
-        return Samples(
-            rows,
-            vectors(table, self.schema.axes(ACCELEROMETER)),
-            self._temperature(table),
-            vectors(table, gyro) if gyro else None,
-        )
+        return Samples(rows, vectors(table, self.schema.axes(ACCELEROMETER)), self._channels(table))
+
+    def _channels(self, table: NDArray[np.uint8]) -> Channels:
+        """What else the schema's columns hold."""
+        channels: Channels = {}
+        if gyro := self.schema.axes(GYROSCOPE):
+            channels["gyro_counts"] = vectors(table, gyro)
+        if column := self.schema.columns.get(TEMPERATURE):
+            celsius = value_of(table, column) / column.scale + self.zero_c
+            channels["temperature_mc"] = np.rint(1000 * celsius).astype(np.int32)
+        return channels
 
     def _rows(self, records: Records) -> NDArray[np.int64]:
         return (records.size - ID_BYTES) // self.schema.row_bytes
-
-    def _temperature(self, table: NDArray[np.uint8]) -> NDArray[np.int32] | None:
-        column = self.schema.columns.get(TEMPERATURE)
-        if column is None:
-            return None
-        celsius = value_of(table, column) / column.scale + self.zero_c
-        return np.rint(1000 * celsius).astype(np.int32)
 
 
 def vectors(table: NDArray[np.uint8], columns: tuple[Column, ...]) -> NDArray[np.int16]:
@@ -268,12 +270,13 @@ class Primary:
     turned: bool = False
     fills: bool = True
 
-    def holds(self, buffer: NDArray[np.uint8], records: Records) -> NDArray[np.bool_]:
+    def holds(self, batch: Batch) -> NDArray[np.bool_]:
         """Which records hold samples, (m,)."""
-        return np.isin(records.kind, KINDS) & (records.size > DOCKED_BYTES)
+        return np.isin(batch.records.kind, KINDS) & (batch.records.size > DOCKED_BYTES)
 
-    def decode(self, buffer: NDArray[np.uint8], records: Records) -> Samples:
+    def decode(self, batch: Batch, records: Records) -> Samples:
         """Samples of records, those of one kind and size at once."""
+        buffer = batch.page.buffer
         rows = samples_in(records)
         like = records.size << KIND_BITS | records.kind
         groups = [divmod(value, 1 << KIND_BITS) for value in set(like.tolist())]

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
-from accelcal_cli.core.recording import Chunk, Problem, Validity
+from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity, cut_channels
 from accelcal_cli.formats._problems import Event, Kind
 from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
 from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
@@ -62,7 +62,7 @@ class RowSpan:
         broken: the row before does not continue.
         first: number of the first row among the samples of the batch; without meaning where filled.
         validity: where the rows come from.
-        sample: (3,) what the device repeats, where it filled the rows.
+        sample: what the device repeats, where it filled the rows: one row of each column.
     """
 
     rows: int
@@ -71,7 +71,7 @@ class RowSpan:
     broken: bool
     first: int = 0
     validity: Validity = Validity.MEASURED
-    sample: NDArray[np.int16] | None = None
+    sample: Channels | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,15 +106,13 @@ def chunk_of(
     broken = np.array([span.broken for span in spans], np.bool_)
     return Chunk(
         first_sample=place.first_sample,
-        counts=_column(samples.counts, spans),
         clock=_clock(spans, first_row),
         end_byte=place.end_byte,
         breaks=first_row[broken],
-        temperature_mc=None if samples.temperature_mc is None else _column(samples.temperature_mc, spans),
-        gyro_counts=None if samples.gyro is None else _column(samples.gyro, spans),
         validity=_validity(spans, rows),
         problems=problems,
         used_bytes=place.used_bytes,
+        **{name: _column(name, values, spans) for name, values in samples.columns.items()},
     )
 
 
@@ -124,22 +122,22 @@ def _clock(spans: Sequence[RowSpan], first_row: NDArray[np.int64]) -> PageClock:
     return PageClock(first_row, time_us, span_rows, np.full(len(spans), MICROSECONDS, np.int64))
 
 
-def _column(values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArray[Any]:
+def _column(name: str, values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArray[Any]:
     """The spans' rows of a column; a view where they are one stretch of it."""
     if all(span.sample is None for span in spans) and _adjoin(spans):
         begin = spans[0].first if spans else 0
         return values[begin : begin + sum(span.rows for span in spans)]
-    return np.concatenate([_rows_of(values, span) for span in spans])
+    return np.concatenate([_rows_of(name, values, span) for span in spans])
 
 
 def _adjoin(spans: Sequence[RowSpan]) -> bool:
     return all(after.first == before.first + before.rows for before, after in pairwise(spans))
 
 
-def _rows_of(values: NDArray[Any], span: RowSpan) -> NDArray[Any]:
+def _rows_of(name: str, values: NDArray[Any], span: RowSpan) -> NDArray[Any]:
     if span.sample is None:
         return values[span.first : span.first + span.rows]
-    return np.broadcast_to(span.sample, (span.rows, 3))
+    return np.broadcast_to(span.sample[name], (span.rows, *values.shape[1:]))
 
 
 def _validity(spans: Sequence[RowSpan], rows: NDArray[np.int64]) -> NDArray[np.uint8] | None:
@@ -279,10 +277,9 @@ class DecodedBatch:
 
 def decode_batch(batch: Batch, sensor: Sensor) -> DecodedBatch:
     """Decode a batch."""
-    buffer = batch.page.buffer
-    holds = sensor.holds(buffer, batch.records)
+    holds = sensor.holds(batch)
     records = batch.records.select(holds)
-    samples, whole = sensor.decode(buffer, records), sensor.whole(records)
+    samples, whole = sensor.decode(batch, records), sensor.whole(records)
     doubtful = batch.doubtful[holds]
     even = whole & (samples.rows == sensor.rate) & ~doubtful
     joined = even.copy()
@@ -329,11 +326,11 @@ def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Last:
-    """The record of samples before: its second, bytes and last sample."""
+    """The record of samples before: its second, bytes and last sample, one row of each column."""
 
     second: int
     data: bytes
-    sample: NDArray[np.int16]
+    sample: Channels
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,7 +440,7 @@ class Timeline:
         validity = Validity.RECOVERED if decoded.doubtful[first] else Validity.MEASURED
         self._add(RowSpan(end - begin, second, per_second, broken, begin, validity))
         self._next_s, self._apart = int(decoded.records.second[stop - 1]) + 1, not whole
-        sample = decoded.samples.counts[end - 1].copy()
+        sample = cut_channels(decoded.samples.columns, [end - 1])
         self._last = _Last(self._next_s - 1, decoded.payload(stop - 1), sample)
 
     def _step_to(self, second: int, where: _Where) -> bool:
@@ -468,7 +465,7 @@ class Timeline:
             broken = self._step_to(second, slept[1])
             self._fill(second, end, self._last.sample, broken)
 
-    def _fill(self, second: int, end: int, sample: NDArray[np.int16], broken: bool) -> None:
+    def _fill(self, second: int, end: int, sample: Channels, broken: bool) -> None:
         rate = self._sensor.rate
         for start in range(second, end, FILL_S):
             rows = (min(end, start + FILL_S) - start) * rate

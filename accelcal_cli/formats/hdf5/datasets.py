@@ -21,7 +21,6 @@ _ACCEL = (
     "acceldata accdata accelraw rawaccel rawacc accelxyz accxyz accelerationxyz xyz raw"
 )
 _GYRO = "gyro gyros gyr gyroscope gyroscopes gyrodata gyroraw gyroxyz gyroscopexyz angularvelocity"
-_TEMPERATURE = "temperature temperaturec temp tempc temperaturedegc"
 _TIME = "time times timestamp timestamps t unixtime epoch epochtime datetime"
 _VALUES = "data values value samples xyz"
 _ACCEL_PREFIXES = ("", "a", "acc", "accel", "acceleration", "accelerometer")
@@ -190,9 +189,9 @@ def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     return _nearest(groups, accel) or _beside(groups, accel)
 
 
-def find_temperature(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
-    """The nearest temperature datasets of the same length."""
-    return _nearest(_columns(tracks, accel, lambda name: name in _TEMPERATURE.split()), accel)
+def find_named(tracks: tuple[Track, ...], accel: Track, names: str) -> tuple[Group, ...]:
+    """The nearest datasets of one of these names with one number for each row of the acceleration."""
+    return _nearest(_columns(tracks, accel, lambda name: name in names.split()), accel)
 
 
 def find_time(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:

@@ -1,12 +1,11 @@
 """What the attributes and datasets of an HDF5 file say before its rows are read.
 
-`find_timeline` finds out when the recording began and how fast it runs, `find_extras` the gyroscope and the
-temperature beside the acceleration; `Plan` holds what to read.
+`find_timeline` finds out when the recording began and how fast it runs; `Plan` holds what to read.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
@@ -19,10 +18,11 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.formats.hdf5 import datasets, units
+from accelcal_cli.formats.hdf5.channels import Axes, Channel
 from accelcal_cli.formats.hdf5.datasets import Group, Track
-from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, h5py_guard
+from accelcal_cli.formats.hdf5.file import Attributes, h5py_guard
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.units import Scale, StampScale, parse_moment
+from accelcal_cli.formats.hdf5.units import StampScale, parse_moment
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
@@ -34,23 +34,7 @@ START_NAMES = (
     *("start_time", "start", "start_timestamp", "start_datetime"),
     *("recording_start", "recording_start_time", "start_time_utc"),
 )
-_LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
-_DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
 NO_COLUMN = "none"
-
-
-@dataclass(frozen=True, slots=True)
-class Axes:
-    """Where x, y and z are: one track of three columns or three of one, and their scale."""
-
-    tracks: tuple[Track, ...]
-    scale: Scale
-
-    @property
-    def dps_per_lsb(self) -> tuple[float, float, float]:
-        """Of a gyroscope: deg/s in one count of each axis."""
-        step = 1 / self.scale.lsb
-        return step, step, step
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,15 +44,6 @@ class Stamps:
     track: Track
     scale: StampScale
     coarse_us: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Temperature:
-    """A dataset of temperatures, `factor` of its units in one degree; `first_mc` is its first value."""
-
-    track: Track
-    factor: float
-    first_mc: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +57,7 @@ class Plan:
     rows: int
     accel: Axes
     stamps: Stamps | None = None
-    gyro: Axes | None = None
-    temperature: Temperature | None = None
+    channels: dict[str, Channel] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
     missing_bytes: int = 0
 
@@ -125,26 +99,6 @@ def spread_rows(file: Any, track: Track, path: Path, places: int = 5, each: int 
     return np.concatenate([good_rows(rows, start, min(start + each, track.rows)) for start in starts])
 
 
-def is_readable(file: Any, track: Track, path: Path) -> bool:
-    """Whether the rows of a dataset can be reached at all."""
-    try:
-        TrackRows(file, track, path)
-    except (UnreadableError, *H5PY_ERRORS):
-        return False
-    return True
-
-
-def first_temperature(file: Any, track: Track, factor: float, path: Path) -> Temperature | None:
-    """A temperature dataset with its first value; None if it has no value at all."""
-    rows = TrackRows(file, track, path)
-    for start in range(0, track.rows, BLOCK_ROWS):
-        degrees = units.millicelsius(*rows.read(start, min(start + BLOCK_ROWS, track.rows)), factor)
-        known = degrees[~np.isnan(degrees)]
-        if len(known):
-            return Temperature(track, factor, int(known[0]))
-    return None
-
-
 def measured_stamps(
     file: Any, track: Track, scale: StampScale, path: Path
 ) -> tuple[Stamps, int, int, float | None]:
@@ -170,11 +124,6 @@ def measured_stamps(
 def _believable(rows: TrackRows, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
     times, good = scale.times(good_rows(rows, start, stop)[:, 0])
     return times[good]
-
-
-def whole_rows_known(*parts: Axes | Stamps | None) -> bool:
-    """Whether every row is usable, as far as the types of numbers show: only whole counts."""
-    return all(isinstance(part, Axes) and part.scale.exact is not None for part in parts if part is not None)
 
 
 def checked_rate(rate_hz: float | None, path: Path) -> float:
@@ -345,77 +294,3 @@ def _unit_by_rate(head: Any, rate: float | None) -> str | None:
         if rate and typical and abs(typical[0] * rate / MICROSECONDS - 1) < 0.05:
             return unit
     return None
-
-
-@dataclass(frozen=True, slots=True)
-class Extras:
-    """What lies beside the acceleration; `notes` say what is there but not used, and why."""
-
-    gyro: Axes | None = None
-    temperature: Temperature | None = None
-    notes: tuple[str, ...] = ()
-
-
-def find_extras(source: Source) -> Extras:
-    """Look for a gyroscope and a temperature of the same length as the acceleration."""
-    file, tracks, accel = source.file, source.tracks, source.accel
-    gyro, gyro_notes = _gyro(file, datasets.find_gyro(tracks, accel), source.path)
-    temperature, notes = _temperature(file, datasets.find_temperature(tracks, accel), source.path)
-    return Extras(gyro, temperature, gyro_notes + notes)
-
-
-def _gyro(file: Any, found: tuple[Group, ...], path: Path) -> tuple[Axes | None, tuple[str, ...]]:
-    if len(found) != 1:
-        return None, _several("gyroscope", found)
-    stated = attributes_of(file, found[0][0].path)
-    scale = _gyro_scale(found[0], stated)
-    if scale is None:
-        return None, (f"{found[0][0].path} is not used: its unit is not deg/s, rad/s or counts per deg/s",)
-    if not all(is_readable(file, track, path) for track in found[0]):
-        return None, (f"{found[0][0].path} is not used: it is damaged",)
-    return Axes(found[0], scale), ()
-
-
-def _gyro_scale(group: Group, stated: Attributes) -> Scale | None:
-    """From `lsb_per_dps` or `dps_per_lsb` for counts, from the unit for decimal fractions."""
-    per_count, counts = stated.number(*_DPS_PER_LSB), stated.number(*_LSB_PER_DPS)
-    lsb = 1 / per_count if counts is None and per_count else counts
-    if lsb is not None and lsb > 0:
-        widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
-        return units.count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
-    factor = units.per_dps(stated.text("units", "unit") or "")
-    return None if factor is None else units.gyro_scale(factor)
-
-
-def _temperature(
-    file: Any, found: tuple[Group, ...], path: Path
-) -> tuple[Temperature | None, tuple[str, ...]]:
-    if len(found) != 1:
-        return None, _several("temperature", found)
-    track = found[0][0]
-    factor = _temperature_factor(file, track)
-    if factor is None:
-        return None, (f"{track.path} is not used: its unit is not degrees Celsius",)
-    try:
-        temperature = first_temperature(file, track, factor, path)
-    except (UnreadableError, *H5PY_ERRORS):
-        return None, (f"{track.path} is not used: it is damaged",)
-    if temperature is None:
-        return None, (f"{track.path} is not used: it holds no temperature",)
-    return temperature, ()
-
-
-def _temperature_factor(file: Any, track: Track) -> float | None:
-    """Units in one degree, as the dataset says; decimal fractions that say nothing are in Celsius."""
-    unit = Attributes([file[track.path]]).text("units", "unit")
-    if unit is not None:
-        return units.per_celsius(unit)
-    named = track.name.lower().endswith(("_c", "_degc"))
-    return 1.0 if named or track.dtype.kind == "f" else None
-
-
-def _several(what: str, found: tuple[Group, ...]) -> tuple[str, ...]:
-    if not found:
-        return ()
-    paths = ", ".join(group[0].path for group in found)
-    return (f"no {what} is used: several datasets fit ({paths})",)

@@ -19,8 +19,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
 from accelcal_cli.formats.hdf5 import description, units
 from accelcal_cli.formats.hdf5 import file as h5
+from accelcal_cli.formats.hdf5.channels import CHANNELS, Axes, Channel, dps_per_lsb
 from accelcal_cli.formats.hdf5.datasets import Track, as_track
-from accelcal_cli.formats.hdf5.description import Axes, Plan, Temperature
+from accelcal_cli.formats.hdf5.description import Plan
 from accelcal_cli.formats.hdf5.reader import Hdf5Reader
 from accelcal_cli.formats.hdf5.units import Scale, StampScale
 
@@ -31,17 +32,27 @@ TIME = "Time"
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where things are within the group of a sensor, and the attribute names of its settings."""
+    """Where things are within the group of a sensor; of each channel (see `CHANNELS`) also its usual unit."""
 
     accel: str
-    gyro: str
-    temperature: str
     settings: str
+    channels: dict[str, tuple[str, str]]
 
 
 LAYOUTS = {
-    OLD: Layout("Calibrated/Accelerometers", "Calibrated/Gyroscopes", "Calibrated/Temperature", ""),
-    NEW: Layout("Accelerometer", "Gyroscope", "Temperature", "Configuration"),
+    OLD: Layout(
+        "Calibrated/Accelerometers",
+        "",
+        {
+            "gyro_counts": ("Calibrated/Gyroscopes", "rad/s"),
+            "temperature_mc": ("Calibrated/Temperature", "deg C"),
+        },
+    ),
+    NEW: Layout(
+        "Accelerometer",
+        "Configuration",
+        {"gyro_counts": ("Gyroscope", "rad/s"), "temperature_mc": ("Temperature", "deg C")},
+    ),
 }
 
 
@@ -147,8 +158,7 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
     stated_hz = settings.number("Sample Rate", "SampleRate")
     rate = options.rate_hz or stated_hz or (step and units.nominal_rate(step))
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
-    gyro = _gyro(file, sensor, layout, accel_track, path)
-    temperature = _temperature(file, sensor, layout, accel_track, path)
+    channels = _channels(file, sensor, layout, accel_track, path)
     recording = Recording(
         path=path,
         format="opal",
@@ -160,13 +170,13 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         start_us=start,
         timezone=options.timezone or "UTC",
         duration_s=(last - start + (step or 0)) / MICROSECONDS,
-        has_temperature=temperature is not None,
-        gyro_dps_per_lsb=None if gyro is None else gyro.dps_per_lsb,
+        has_temperature="temperature_mc" in channels,
+        gyro_dps_per_lsb=dps_per_lsb(channels),
         notes=_notes(sensor, settings),
     )
     problems = description.header_problems(settings)
     missing = h5.missing_bytes(file, path)
-    return Plan(recording, accel_track.rows, accel, stamps, gyro, temperature, problems, missing)
+    return Plan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
 
 
 def _track(file: Any, sensor: Sensor, name: str, path: Path, beside: Track | None = None) -> Track:
@@ -205,20 +215,16 @@ def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
     return units.physical_scale(unit, track.dtype)
 
 
-def _gyro(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> Axes | None:
-    track = _optional(file, sensor, layout.gyro, path, accel)
-    factor = units.per_dps(_units(file, track, "rad/s")) if track is not None else None
-    if track is None or factor is None or track.width != 3 or not description.is_readable(file, track, path):
-        return None
-    return Axes((track,), units.gyro_scale(factor))
-
-
-def _temperature(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> Temperature | None:
-    track = _optional(file, sensor, layout.temperature, path, accel)
-    factor = units.per_celsius(_units(file, track, "deg C")) if track is not None else None
-    if track is None or factor is None or track.width != 1 or not description.is_readable(file, track, path):
-        return None
-    return description.first_temperature(file, track, factor, path)
+def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Path) -> dict[str, Channel]:
+    """The channels beside the acceleration that can be read."""
+    found: dict[str, Channel] = {}
+    for name, (dataset, usual_unit) in layout.channels.items():
+        track, rule = _optional(file, sensor, dataset, path, accel), CHANNELS[name]
+        if track is not None and track.width == rule.width:
+            channel = rule.find(file, (track,), path, _units(file, track, usual_unit))
+            if not isinstance(channel, str):
+                found[name] = channel
+    return found
 
 
 def _range_g(file: Any, track: Track) -> float | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -22,19 +23,21 @@ from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
     NO_BREAKS,
+    Channels,
     Chunk,
-    Counts,
     Device,
     Problem,
     Reader,
     Recording,
+    cut_channels,
 )
-from accelcal_cli.formats._problems import Event, Kind, ProblemLog
+from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.hdf5 import description, units
 from accelcal_cli.formats.hdf5 import file as h5
+from accelcal_cli.formats.hdf5.channels import Axes, Channel, dps_per_lsb, find_channels
 from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
-from accelcal_cli.formats.hdf5.description import Axes, Extras, Plan, Source, Timeline
-from accelcal_cli.formats.hdf5.rows import TrackRows
+from accelcal_cli.formats.hdf5.description import Plan, Source, Timeline
+from accelcal_cli.formats.hdf5.rows import RowSelection, TrackRows
 from accelcal_cli.formats.hdf5.units import Scale
 
 LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
@@ -51,23 +54,9 @@ GAP_PERIODS = 3
 PIECE_BYTES = 16 << 20
 """Of the datasets' values at a time, however many samples are wanted: wide numbers take memory."""
 
-FAULTS = {
-    "missing_value": "rows without a value (NaN) left out",
-    "bad_row": "rows whose counts are not whole numbers left out",
-    "out_of_range": "rows with values beyond anything the sensor can measure left out",
-}
 NO_TIME = ("missing_value", "rows without a believable time left out")
-NO_TEMPERATURE = ("missing_value", "rows without a temperature; the last one before them holds")
-"""One record at the end, however many rows."""
-
 AHEAD = ("clock_gap", "jumps forward of the times")
 BACK = ("clock_back", "jumps back of the times")
-
-Offset = Callable[[int], int | None]
-
-
-def nowhere(_row: int) -> None:
-    """The byte offset of a fault that lies in values, not in bytes."""
 
 
 def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
@@ -93,25 +82,31 @@ def _plan(source: Source) -> Plan:
     timeline = description.find_timeline(source)
     rate = description.checked_rate(timeline.rate_hz, source.path)
     accel = Axes(source.group, _scale(source))
-    extras = description.find_extras(source)
-    rows = source.accel.rows
+    channels, notes = find_channels(source.file, source.tracks, source.accel, source.path)
     return Plan(
-        recording=_recording(source, timeline, rate, accel, extras),
-        rows=rows,
+        recording=_recording(source, timeline, rate, accel, channels, notes),
+        rows=source.accel.rows,
         accel=accel,
         stamps=timeline.stamps,
-        gyro=extras.gyro,
-        temperature=extras.temperature,
+        channels=channels,
         problems=timeline.problems + description.header_problems(source.attributes, source.damaged),
         missing_bytes=h5.missing_bytes(source.file, source.path),
     )
 
 
-def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, extras: Extras) -> Recording:
+def _recording(
+    source: Source,
+    timeline: Timeline,
+    rate: float,
+    accel: Axes,
+    channels: dict[str, Channel],
+    notes: tuple[str, ...],
+) -> Recording:
     attributes = source.attributes
     rows = source.accel.rows
     zone, zone_notes = _zone(source, timeline)
-    known = description.whole_rows_known(accel, timeline.stamps, extras.gyro)
+    axes = [item for item in (accel, *channels.values()) if isinstance(item, Axes)]
+    known = timeline.stamps is None and all(item.scale.exact is not None for item in axes)
     return Recording(
         path=source.path,
         format="hdf5",
@@ -126,9 +121,9 @@ def _recording(source: Source, timeline: Timeline, rate: float, accel: Axes, ext
         timezone=zone,
         samples=rows if known else None,
         duration_s=rows / rate if timeline.duration_s is None else timeline.duration_s,
-        has_temperature=extras.temperature is not None,
-        gyro_dps_per_lsb=None if extras.gyro is None else extras.gyro.dps_per_lsb,
-        notes=timeline.notes + extras.notes + zone_notes,
+        has_temperature="temperature_mc" in channels,
+        gyro_dps_per_lsb=dps_per_lsb(channels),
+        notes=timeline.notes + notes + zone_notes,
     )
 
 
@@ -261,63 +256,6 @@ class Hdf5Reader(Reader):
                 yield stream.piece(row, min(row + step, stop), last=row + step >= stop)
 
 
-class RowSelection:
-    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others.
-
-    Args:
-        row_bytes: bytes of a row in all datasets together.
-    """
-
-    def __init__(self, start: int, stop: int, row_bytes: int) -> None:
-        self.start = start
-        self.stop = stop
-        self.row_bytes = row_bytes
-        self.keep = np.ones(stop - start, np.bool_)
-        self._faults: dict[tuple[Kind, Offset, int], list[NDArray[np.int64]]] = {}
-
-    def read(self, source: TrackRows) -> NDArray[Any]:
-        """All rows of a dataset (n, width); lost ones are zero and left out."""
-        values, good = source.read(self.start, self.stop)
-        if not good.all():
-            kind = ("bad_page", f"rows lost in damaged or missing parts of {source.path}")
-            self.leave_out(kind, ~good, source.chunk_offset)
-        return values
-
-    def leave_out(self, kind: Kind, bad: NDArray[np.bool_], offset: Offset = nowhere) -> None:
-        """Drop rows; those dropped before are not noted again."""
-        bad = bad & self.keep
-        self.note(kind, np.flatnonzero(bad), offset, self.row_bytes)
-        self.keep &= ~bad
-
-    def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere, row_bytes: int = 0) -> None:
-        """Note rows, given by their numbers within the selection, without dropping them."""
-        if len(rows):
-            self._faults.setdefault((kind, offset, row_bytes), []).append(rows)
-
-    def kept(self, values: Any) -> Any:
-        """The kept ones of the rows of an array."""
-        return values if self.keep.all() else values[self.keep]
-
-    def rows(self) -> NDArray[np.int64]:
-        """Numbers of the kept rows within the selection, (n,)."""
-        return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
-
-    def events(self, log: ProblemLog, first_sample: int) -> Iterator[Event]:
-        """What was noted, as the log takes it; `first_sample` is the number of the first kept row.
-
-        Rows with one fault are a run wherever it lies, in the acceleration or in the gyroscope.
-        """
-        kept = self.rows() if self._faults else np.empty(0, np.int64)
-        for (kind, offset, row_bytes), parts in self._faults.items():
-            rows = np.sort(np.concatenate(parts))
-            runs = [(0, len(rows), True)] if kind == NO_TEMPERATURE else log.runs(kind, rows)
-            for index, count, scattered in runs:
-                row = int(rows[index])
-                start, sample = self.start + row, first_sample + int(np.searchsorted(kept, row))
-                amounts = (count, 0, count * row_bytes)
-                yield Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)
-
-
 class _Stream:
     """One run through the rows: what is carried from one chunk to the next."""
 
@@ -325,25 +263,23 @@ class _Stream:
         self._plan = plan
         self._rate = rate_fraction(plan.recording.rate_hz)
         self._accel = [*map(opened, plan.accel.tracks)]
-        self._gyro = [*map(opened, plan.gyro.tracks)] if plan.gyro else []
+        self._channels = {name: [*map(opened, channel.tracks)] for name, channel in plan.channels.items()}
+        self._before: Channels = {}
         self._stamps = [opened(plan.stamps.track)] if plan.stamps else []
-        self._temperatures = [opened(plan.temperature.track)] if plan.temperature else []
-        self._temperature_mc = plan.temperature.first_mc if plan.temperature else 0
         problems = plan.problems if start == 0 else ()
         self._log = ProblemLog(problems, lambda run: f"{run.count} {run.event.text}", SINGLE, by_end=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0
-        sources = (*self._accel, *self._gyro, *self._stamps, *self._temperatures)
+        sources = chain(self._accel, *self._channels.values(), self._stamps)
         self.row_bytes = sum(source.row_bytes for source in sources)
 
     def piece(self, start: int, stop: int, last: bool) -> Chunk:
         """The usable ones among rows start..stop-1 of the datasets."""
         selection = RowSelection(start, stop, self.row_bytes)
-        counts = _counts(self._accel, self._plan.accel.scale, selection)
-        gyro = _counts(self._gyro, self._plan.gyro.scale, selection) if self._plan.gyro else None
+        counts = self._plan.accel.values(self._accel, selection)
+        channels = self._channel_values(selection)
         times = self._times(selection)
-        temperature = self._millicelsius(selection)
         rows = selection.rows()
         clock = self._clock(times, rows, selection)
         breaks = self._breaks(times, rows, selection)
@@ -355,10 +291,9 @@ class _Stream:
             clock=clock,
             end_byte=self._plan.recording.total_bytes * stop // self._plan.rows,
             breaks=breaks,
-            temperature_mc=None if temperature is None else selection.kept(temperature),
-            gyro_counts=None if gyro is None else selection.kept(gyro),
             problems=self._log.take(None if last else stop) + self._end(last, len(rows)),
             used_bytes=len(rows) * self.row_bytes,
+            **{name: selection.kept(values) for name, values in channels.items()},
         )
         self._sample += len(rows)
         return chunk
@@ -378,19 +313,14 @@ class _Stream:
         selection.leave_out(NO_TIME, ~believable)
         return times
 
-    def _millicelsius(self, selection: RowSelection) -> NDArray[np.int32] | None:
-        """Temperatures of all rows; where one is missing, the last one before it holds."""
-        if self._plan.temperature is None:
-            return None
-        values, good = self._temperatures[0].read(selection.start, selection.stop)
-        degrees = units.millicelsius(values, good, self._plan.temperature.factor)
-        missing = np.isnan(degrees)
-        if missing.any():
-            selection.note(NO_TEMPERATURE, np.flatnonzero(missing))
-            latest = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))
-            degrees = np.where(latest < 0, self._temperature_mc, degrees[latest])
-        self._temperature_mc = int(degrees[-1])
-        return degrees.astype(np.int32)
+    def _channel_values(self, selection: RowSelection) -> Channels:
+        """All rows of each channel."""
+        channels: Channels = {
+            name: channel.values(self._channels[name], selection, self._before.get(name))
+            for name, channel in self._plan.channels.items()
+        }
+        self._before = cut_channels(channels, [-1])
+        return channels
 
     def _clock(
         self, times: NDArray[np.int64] | None, rows: NDArray[np.int64], selection: RowSelection
@@ -433,12 +363,3 @@ class _Stream:
         selection.note(AHEAD, rows[(steps > longest) & ~explained])
         selection.note(BACK, rows[steps < 0])
         return (steps > longest) | (steps < 0)
-
-
-def _counts(sources: list[TrackRows], scale: Scale, selection: RowSelection) -> Counts:
-    """Counts (n, 3) of all rows of the selection; those that have none are left out of it."""
-    parts = [selection.read(source) for source in sources]
-    counts, faults = scale.counts(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
-    for code, bad in faults.items():
-        selection.leave_out((code, FAULTS[code]), bad)
-    return counts

@@ -1,4 +1,5 @@
-"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out (`TrackRows`).
+"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out (`TrackRows`);
+which of them are kept (`RowSelection`).
 
 Chunks that are packed with gzip are taken as they are stored (`StoredChunks`) and unpacked on several
 threads: h5py lets nothing else run while it unpacks; zlib and numpy do. Whatever is not plain there (a chunk
@@ -14,7 +15,7 @@ plane; then all planes advance together.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from math import prod
 from pathlib import Path
@@ -25,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats.hdf5.datasets import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
 
@@ -41,6 +43,8 @@ PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
+
+Offset = Callable[[int], int | None]
 
 
 def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:
@@ -446,3 +450,70 @@ class TrackRows:
         if self._dataset.ndim == 1:
             return range(1)
         return range(0, self._track.width, int(self._dataset.chunks[1 - self._track.axis]))
+
+
+def nowhere(_row: int) -> None:
+    """The byte offset of a fault that lies in values, not in bytes."""
+
+
+class RowSelection:
+    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others.
+
+    Args:
+        row_bytes: bytes of a row in all datasets together.
+    """
+
+    def __init__(self, start: int, stop: int, row_bytes: int) -> None:
+        self.start = start
+        self.stop = stop
+        self.row_bytes = row_bytes
+        self.keep = np.ones(stop - start, np.bool_)
+        self._as_one: set[Kind] = set()
+        self._faults: dict[tuple[Kind, Offset, int], list[NDArray[np.int64]]] = {}
+
+    def read(self, source: TrackRows) -> NDArray[Any]:
+        """All rows of a dataset (n, width); lost ones are zero and left out."""
+        values, good = source.read(self.start, self.stop)
+        if not good.all():
+            kind = ("bad_page", f"rows lost in damaged or missing parts of {source.path}")
+            self.leave_out(kind, ~good, source.chunk_offset)
+        return values
+
+    def leave_out(self, kind: Kind, bad: NDArray[np.bool_], offset: Offset = nowhere) -> None:
+        """Drop rows; those dropped before are not noted again."""
+        bad = bad & self.keep
+        self.note(kind, np.flatnonzero(bad), offset, self.row_bytes)
+        self.keep &= ~bad
+
+    def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere, row_bytes: int = 0) -> None:
+        """Note rows, given by their numbers within the selection, without dropping them."""
+        if len(rows):
+            self._faults.setdefault((kind, offset, row_bytes), []).append(rows)
+
+    def note_as_one(self, kind: Kind, rows: NDArray[np.int64]) -> None:
+        """Note rows, all of them in a single record, however many."""
+        self._as_one.add(kind)
+        self.note(kind, rows)
+
+    def kept(self, values: Any) -> Any:
+        """The kept ones of the rows of an array."""
+        return values if self.keep.all() else values[self.keep]
+
+    def rows(self) -> NDArray[np.int64]:
+        """Numbers of the kept rows within the selection, (n,)."""
+        return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
+
+    def events(self, log: ProblemLog, first_sample: int) -> Iterator[Event]:
+        """What was noted, as the log takes it; `first_sample` is the number of the first kept row.
+
+        Rows with one fault are a run wherever it lies, in the acceleration or in the gyroscope.
+        """
+        kept = self.rows() if self._faults else np.empty(0, np.int64)
+        for (kind, offset, row_bytes), parts in self._faults.items():
+            rows = np.sort(np.concatenate(parts))
+            runs = [(0, len(rows), True)] if kind in self._as_one else log.runs(kind, rows)
+            for index, count, scattered in runs:
+                row = int(rows[index])
+                start, sample = self.start + row, first_sample + int(np.searchsorted(kept, row))
+                amounts = (count, 0, count * row_bytes)
+                yield Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)

@@ -1,8 +1,7 @@
-"""Numbers of a dataset as raw counts, millidegrees and times, and the units that attributes name."""
+"""Numbers of a dataset as raw counts and times, and the units that attributes name."""
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,11 +16,6 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts
 from accelcal_cli.formats.hdf5.file import normal
 
 LARGEST_G = 127.0
-GYRO_LSB_PER_DPS = 65_536.0
-"""Counts per deg/s given to rates of turn that arrive as decimal fractions."""
-
-LARGEST_DPS = 32_767.0
-COLDEST_C, HOTTEST_C = -273.15, 1000.0
 LATEST_US = 4_102_444_800 * MICROSECONDS
 """2100-01-01: a later time is damage."""
 
@@ -42,14 +36,6 @@ _ACCEL_UNITS = {
     "m/s2": "ms2 mss ms² mpss mpers2 meterpersecondsquared meterspersecondsquared meterspersecond2 mps2",
     "counts": "count counts lsb lsbs raw adc adccounts adu digit digits bits rawcounts",
 }
-_PER_DPS = {
-    1.0: "degs dps degsec degps degpersec degreespersecond degreess °s degs1 degpersecond",
-    math.pi / 180: "rads radsec rps radps radianspersecond radianss rads1 radpersec",
-}
-_PER_C = {
-    1.0: "c degc °c celsius degreescelsius degreesc degreec degreecelsius",
-    1000.0: "mc mdegc m°c millidegc millicelsius millidegreescelsius millidegreecelsius",
-}
 
 
 def accel_unit(text: str) -> str | None:
@@ -61,17 +47,8 @@ def accel_unit(text: str) -> str | None:
     return None
 
 
-def per_dps(text: str) -> float | None:
-    """What one deg/s is in a unit of turning; None if unknown."""
-    return _factor(text, _PER_DPS)
-
-
-def per_celsius(text: str) -> float | None:
-    """What one degree Celsius is in a unit of temperature; None if unknown."""
-    return _factor(text, _PER_C)
-
-
-def _factor(text: str, table: dict[float, str]) -> float | None:
+def factor_of(text: str, table: dict[float, str]) -> float | None:
+    """The factor of a unit in a table of factors and the units' names; None if it is in none."""
     name = normal(text)
     for factor, names in table.items():
         if name in {normal(item) for item in names.split()}:
@@ -151,25 +128,6 @@ def physical_scale(unit: str, dtype: np.dtype[Any]) -> Scale:
     if dtype.kind in "iu":
         return count_scale(PER_G[unit], dtype)
     return Scale(FLOAT_LSB_PER_G, PER_G[unit], LARGEST_G)
-
-
-def gyro_scale(per_unit: float) -> Scale:
-    """Decimal fractions in deg/s (1) or rad/s (pi / 180)."""
-    return Scale(GYRO_LSB_PER_DPS, per_unit, LARGEST_DPS)
-
-
-def millicelsius(values: NDArray[Any], good: NDArray[np.bool_], factor: float) -> NDArray[np.float64]:
-    """Thousandths of a degree Celsius (n,), NaN where there is no believable value."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        degrees = values[:, 0].astype(np.float64)
-        if factor != 1:
-            degrees /= factor
-        believable = good & (degrees >= COLDEST_C) & (degrees <= HOTTEST_C)
-        degrees *= 1000
-        np.rint(degrees, out=degrees)
-        if not believable.all():
-            degrees[~believable] = np.nan
-        return degrees
 
 
 def time_unit(text: str) -> str | None:

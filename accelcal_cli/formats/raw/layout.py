@@ -20,7 +20,11 @@ from accelcal_cli.core.errors import UsageError
 
 AXES = ("x", "y", "z")
 GYRO = ("gx", "gy", "gz")
-FIELD_NAMES = (*AXES, "temperature", *GYRO)
+CHANNEL_FIELDS = {"temperature": ("temperature_mc", 1000, 1_000_000.0)}
+"""Fields of a single value beside x, y, z: which channel of a Chunk it becomes, how many of the channel's
+units are one of the field, and the largest value of the channel that was measured."""
+
+FIELD_NAMES = (*AXES, *CHANNEL_FIELDS, *GYRO)
 FIELD_TYPES = {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int24": 3, "int32": 4, "float32": 4}
 SEQUENCE_TYPES = {"uint8": 1, "uint16": 2, "uint32": 4}
 TIME_TYPES = {"uint32": 4}

@@ -1,6 +1,6 @@
 """An open raw dump: what its layout and its pages say about the recording, and its rows.
 
-`FrameValues` takes counts, temperature and rotation out of frames, `FrameDecoder` frames out of pages.
+`FrameValues` takes counts and the other channels out of frames, `FrameDecoder` frames out of pages.
 """
 
 from __future__ import annotations
@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts, Device, Problem, Reader, Recording
+from accelcal_cli.core.recording import (
+    FLOAT_LSB_PER_G,
+    Channels,
+    Counts,
+    Device,
+    Problem,
+    Reader,
+    Recording,
+)
 from accelcal_cli.formats._bytes import crc16_pages, crc32_pages
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
@@ -25,6 +33,7 @@ from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme,
 from accelcal_cli.formats.raw import find_layout, named_layout
 from accelcal_cli.formats.raw.layout import (
     AXES,
+    CHANNEL_FIELDS,
     GYRO,
     Checksum,
     Field,
@@ -37,7 +46,6 @@ from accelcal_cli.formats.raw.layout import (
 LARGEST_G = 127.0
 FLOAT_DPS_PER_LSB = 2.0**-16
 LARGEST_DPS = 32_767.0
-LARGEST_MC = 1_000_000.0
 
 INT24 = "int24"
 INT24_RANGE = (-(1 << 23), (1 << 23) - 1)
@@ -116,10 +124,14 @@ class FrameValues:
         ]
         return on_grid(columns, LARGEST_G, 1 / FLOAT_LSB_PER_G, faulty)
 
-    def gyro(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts | None:
-        """Rotation rates (n, 3), None without a gyroscope; `faulty` as in `counts`."""
-        if not self._rates:
-            return None
+    def channels(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Channels:
+        """What else the frames hold, MISSING where not measured; `faulty` as in `counts`."""
+        single = [name for name in CHANNEL_FIELDS if name in self._layout.fields]
+        channels: Channels = {CHANNEL_FIELDS[name][0]: self._single(records, name) for name in single}
+        return channels | ({"gyro_counts": self._rotation(records, faulty)} if self._rates else {})
+
+    def _rotation(self, records: NDArray[np.void], faulty: NDArray[np.bool_]) -> Counts:
+        """Rotation rates, (n, 3)."""
         if not self._float_rates:
             zeros = [-rate_zero(field) for field in self._rates]
             return self._whole(records, GYRO, zeros, self._rate_ranges, faulty)
@@ -129,16 +141,14 @@ class FrameValues:
         ]
         return on_grid(columns, LARGEST_DPS, FLOAT_DPS_PER_LSB, faulty)
 
-    def temperature_mc(self, records: NDArray[np.void]) -> NDArray[np.int32] | None:
-        """Thousandths of a degree C (n,), NO_TEMPERATURE where not measured; None without any."""
-        field = self._layout.fields.get("temperature")
-        if field is None:
-            return None
-        raw = self._raw(records, "temperature").astype(np.float64)
-        milli = (raw * field.scale + field.zero) * 1000
-        measured = np.abs(milli) <= LARGEST_MC
-        whole = np.rint(np.where(measured, milli, 0))
-        return np.where(measured, whole, paged.NO_TEMPERATURE).astype(np.int32)
+    def _single(self, records: NDArray[np.void], name: str) -> NDArray[np.int32]:
+        """A field of CHANNEL_FIELDS as its channel, (n,)."""
+        field, (_, per_unit, largest) = self._layout.fields[name], CHANNEL_FIELDS[name]
+        raw = self._raw(records, name).astype(np.float64)
+        values = (raw * field.scale + field.zero) * per_unit
+        measured = np.abs(values) <= largest
+        whole = np.rint(np.where(measured, values, 0))
+        return np.where(measured, whole, paged.MISSING).astype(np.int32)
 
     def _raw(self, records: NDArray[np.void], name: str) -> NDArray[Any]:
         """One field as numbers, (n,)."""
@@ -291,8 +301,7 @@ class FrameDecoder:
             counts=values.counts(records, faulty),
             sequence=None if sequence is None else self._page_value(pages, sequence.offset, sequence.type),
             time_us=None if layout.stamp is None else self._stamps(pages, layout.stamp),
-            temperature_mc=values.temperature_mc(records),
-            gyro_counts=values.gyro(records, faulty),
+            channels=values.channels(records, faulty),
             faulty=faulty if values.may_fail else None,
         )
 
@@ -402,7 +411,7 @@ def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: Rea
         timezone=options.timezone or zone,
         samples=samples,
         duration_s=duration_s,
-        has_temperature=opening.temperature_mc != paged.NO_TEMPERATURE,
+        has_temperature=opening.first_values.get("temperature_mc") is not None,
         gyro_dps_per_lsb=values.dps_per_lsb,
         notes=ignored if stamped and start else (),
     )

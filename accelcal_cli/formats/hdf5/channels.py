@@ -1,0 +1,246 @@
+"""Acceleration, and channels beside it: where a file has them, in which unit, and their rows as values.
+
+`CHANNELS` holds what is particular to a channel; all else passes channels on by name. A new one with one
+number for each row is one more `ColumnRule` there, and an entry of `opal.LAYOUTS` if Opal files have it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Counts
+from accelcal_cli.formats.hdf5 import datasets
+from accelcal_cli.formats.hdf5.datasets import Group, Track
+from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of
+from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, RowSelection, TrackRows
+from accelcal_cli.formats.hdf5.units import Scale, count_scale, factor_of
+
+FAULTS = {
+    "missing_value": "rows without a value (NaN) left out",
+    "bad_row": "rows whose counts are not whole numbers left out",
+    "out_of_range": "rows with values beyond anything the sensor can measure left out",
+}
+LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
+DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
+GYRO_LSB_PER_DPS = 65_536.0
+"""Counts per deg/s given to rates of turn that arrive as decimal fractions."""
+
+LARGEST_DPS = 32_767.0
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Where x, y and z are: one track of three columns or three of one, and their scale."""
+
+    tracks: Group
+    scale: Scale
+
+    def values(self, sources: list[TrackRows], selection: RowSelection, _before: Any = None) -> Counts:
+        """Counts (n, 3) of all rows of the selection; those that have none are left out of it."""
+        parts = [selection.read(source) for source in sources]
+        counts, faults = self.scale.counts(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
+        for code, bad in faults.items():
+            selection.leave_out((code, FAULTS[code]), bad)
+        return counts
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A dataset of one number for each row, with `factor` of its units in one of the rule's.
+
+    `first` is its first value, in steps of the channel.
+    """
+
+    rule: ColumnRule
+    tracks: Group
+    factor: float
+    first: int
+
+    def values(
+        self, sources: list[TrackRows], selection: RowSelection, before: NDArray[np.int32] | None
+    ) -> NDArray[np.int32]:
+        """Values (n,) of all rows of the selection; where one is missing, the last one before it holds.
+
+        Args:
+            before: the value (1,) of the row before, None at the beginning.
+        """
+        values = self.rule.steps_of(*sources[0].read(selection.start, selection.stop), self.factor)
+        missing = np.isnan(values)
+        if missing.any():
+            kind = ("missing_value", f"rows without a {self.rule.noun}; the last one before them holds")
+            selection.note_as_one(kind, np.flatnonzero(missing))
+            latest = np.maximum.accumulate(np.where(missing, -1, np.arange(len(missing))))
+            values = np.where(latest < 0, self.first if before is None else before, values[latest])
+        return values.astype(np.int32)
+
+
+Channel = Axes | Column
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnRule:
+    """How a channel of one number for each row is found and read.
+
+    Attributes:
+        noun: what it is, in messages; `unit`: of its limits, in messages.
+        names: of its dataset, as `file.normal` leaves them.
+        units: how much one such unit is in others, and names of these.
+        endings: of names that state the unit; decimal fractions that state nothing have it too.
+        low, high: values beyond these are not believed.
+        steps: of the channel in one unit.
+    """
+
+    noun: str
+    unit: str
+    names: str
+    units: dict[float, str]
+    endings: tuple[str, ...]
+    low: float
+    high: float
+    steps: int
+    width: int = 1
+
+    def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
+        """Datasets that may hold it."""
+        return datasets.find_named(tracks, accel, self.names)
+
+    def find(self, file: Any, group: Group, path: Path, unit: str | None = None) -> Column | str:
+        """The channel in a dataset, or why it is not used; `unit` outweighs what the dataset states."""
+        factor = factor_of(unit, self.units) if unit else self._stated_factor(file, group[0])
+        if factor is None:
+            return f"its unit is not {self.unit}"
+        try:
+            first = self._first(TrackRows(file, group[0], path), group[0].rows, factor)
+        except (UnreadableError, *H5PY_ERRORS):
+            return "it is damaged"
+        return f"it holds no {self.noun}" if first is None else Column(self, group, factor, first)
+
+    def _stated_factor(self, file: Any, track: Track) -> float | None:
+        unit = Attributes([file[track.path]]).text("units", "unit")
+        if unit is not None:
+            return factor_of(unit, self.units)
+        return 1.0 if track.name.lower().endswith(self.endings) or track.dtype.kind == "f" else None
+
+    def _first(self, source: TrackRows, rows: int, factor: float) -> int | None:
+        """The first value [steps], None if there is none at all."""
+        for start in range(0, rows, BLOCK_ROWS):
+            values = self.steps_of(*source.read(start, min(start + BLOCK_ROWS, rows)), factor)
+            known = values[~np.isnan(values)]
+            if len(known):
+                return int(known[0])
+        return None
+
+    def steps_of(self, rows: NDArray[Any], good: NDArray[np.bool_], factor: float) -> NDArray[np.float64]:
+        """Rows (n, 1) as steps of the channel (n,), NaN where there is no believable value."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = rows[:, 0].astype(np.float64)
+            if factor != 1:
+                values /= factor
+            believable = good & (values >= self.low) & (values <= self.high)
+            values *= self.steps
+            np.rint(values, out=values)
+            if not believable.all():
+                values[~believable] = np.nan
+            return values
+
+
+@dataclass(frozen=True, slots=True)
+class TurnRule:
+    """How rates of turn around x, y and z are found and read; see `ColumnRule`."""
+
+    noun: str
+    unit: str
+    units: dict[float, str]
+    width: int = 3
+
+    def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
+        """Datasets that may hold them."""
+        return datasets.find_gyro(tracks, accel)
+
+    def find(self, file: Any, group: Group, path: Path, unit: str | None = None) -> Axes | str:
+        """The channel in datasets, or why it is not used; `unit` outweighs what they state."""
+        scale = self._in_unit(unit) if unit else self._stated_scale(group, attributes_of(file, group[0].path))
+        if scale is None:
+            return f"its unit is not {self.unit}"
+        try:
+            for track in group:
+                TrackRows(file, track, path)
+        except (UnreadableError, *H5PY_ERRORS):
+            return "it is damaged"
+        return Axes(group, scale)
+
+    def _stated_scale(self, group: Group, stated: Attributes) -> Scale | None:
+        """From `lsb_per_dps` or `dps_per_lsb` for counts, from the unit for decimal fractions."""
+        per_count, counts = stated.number(*DPS_PER_LSB), stated.number(*LSB_PER_DPS)
+        lsb = 1 / per_count if counts is None and per_count else counts
+        if lsb is not None and lsb > 0:
+            widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
+            return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
+        return self._in_unit(stated.text("units", "unit") or "")
+
+    def _in_unit(self, unit: str) -> Scale | None:
+        """Of decimal fractions."""
+        factor = factor_of(unit, self.units)
+        return None if factor is None else Scale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
+
+
+CHANNELS: dict[str, TurnRule | ColumnRule] = {
+    "gyro_counts": TurnRule(
+        noun="gyroscope",
+        unit="deg/s, rad/s or counts per deg/s",
+        units={
+            1.0: "degs dps degsec degps degpersec degreespersecond degreess °s degs1 degpersecond",
+            math.pi / 180: "rads radsec rps radps radianspersecond radianss rads1 radpersec",
+        },
+    ),
+    "temperature_mc": ColumnRule(
+        noun="temperature",
+        unit="degrees Celsius",
+        names="temperature temperaturec temp tempc temperaturedegc",
+        units={
+            1.0: "c degc °c celsius degreescelsius degreesc degreec degreecelsius",
+            1000.0: "mc mdegc m°c millidegc millicelsius millidegreescelsius millidegreecelsius",
+        },
+        endings=("_c", "_degc"),
+        low=-273.15,
+        high=1000.0,
+        steps=1000,
+    ),
+}
+"""Channels that an HDF5 file may have, by their name in Chunk."""
+
+
+def find_channels(
+    file: Any, tracks: tuple[Track, ...], accel: Track, path: Path
+) -> tuple[dict[str, Channel], tuple[str, ...]]:
+    """The channels that are as long as the acceleration, and notes: what is there but not used, and why."""
+    channels: dict[str, Channel] = {}
+    notes: list[str] = []
+    for name, rule in CHANNELS.items():
+        groups = rule.candidates(tracks, accel)
+        if len(groups) > 1:
+            paths = ", ".join(group[0].path for group in groups)
+            notes.append(f"no {rule.noun} is used: several datasets fit ({paths})")
+        for group in groups if len(groups) == 1 else ():
+            channel = rule.find(file, group, path)
+            if isinstance(channel, str):
+                notes.append(f"{group[0].path} is not used: {channel}")
+            else:
+                channels[name] = channel
+    return channels, tuple(notes)
+
+
+def dps_per_lsb(channels: dict[str, Channel]) -> tuple[float, float, float] | None:
+    """deg/s in one count of each axis of the gyroscope; None without one."""
+    gyro = channels.get("gyro_counts")
+    if not isinstance(gyro, Axes):
+        return None
+    step = 1 / gyro.scale.lsb
+    return step, step, step
