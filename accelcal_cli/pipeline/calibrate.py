@@ -228,6 +228,8 @@ class RecordingRun:
         else:
             write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
         report = outputs.with_provenance(reports.build(data), self.request.command)
+        if writes_parquet(data):
+            outputs.refuse_replaced(self.job.parquet, reports.parquet_metadata(data))
         outputs.save_report(self.job.report, report)
         return Result(self.job, report)
 

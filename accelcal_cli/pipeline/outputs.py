@@ -65,7 +65,7 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
     if not _matches(report, recording, request):
         return None
     existing, recorded = Result(job, report, up_to_date=True), report["recording"]
-    if existing.has_parquet and recorded != metadata_of(job.parquet).get("recording"):
+    if existing.has_parquet and not _are_a_pair(report, metadata_of(job.parquet)):
         return None
     if request.integers and report["calibration"] is not None and not exists(job.integers):
         return None
@@ -83,6 +83,19 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
     settings = json_round_trip(request.effective_settings(recording.companion).as_json())
     asked = None if request.coefficients is None else request.coefficients.sha256
     return bool(report["settings"] == settings and used == asked)
+
+
+def _are_a_pair(report: dict[str, Any], metadata: dict[str, Any]) -> bool:
+    """Whether a Parquet file is of a report's recording and calibration; runs side by side may mix them."""
+    return all(report[name] == metadata.get(name) for name in ("recording", "calibration"))
+
+
+def refuse_replaced(path: Path, metadata: dict[str, Any]) -> None:
+    """Raise OutputError if another run has put its own Parquet file in the place of ours."""
+    if metadata_of(path) != json_round_trip(metadata):
+        raise OutputError(
+            "was replaced by another run while this one went on", path=path, hint="run it again alone"
+        )
 
 
 def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import gzip
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import jsonschema
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES, PointSet
 from accelcal_cli.optimize import fixed32
 from accelcal_cli.output.report import report_schema
+from accelcal_cli.pipeline import outputs
 from tests.cli.run import assert_one_line, run, run_process
 from tests.recordings import (
     GAIN,
@@ -21,6 +25,7 @@ from tests.recordings import (
     OFFSET_G,
     directions,
     good_csv,
+    good_raw,
     still_counts,
     worst_errors,
     write_csv,
@@ -138,6 +143,38 @@ def test_a_rerun_redoes_what_changed(tmp_path: Path, capsys: Capture, change: st
     assert ran.code == 0
     assert "up to date" not in ran.err
     assert (tmp_path / "good.calibrated.parquet").exists()
+
+
+def test_a_report_and_a_parquet_of_two_calibrations_are_made_anew(tmp_path: Path, capsys: Capture) -> None:
+    recording = good_raw(tmp_path, "small.raw")
+    assert run(capsys, "calibrate", recording, "-d", tmp_path / "a").code == 0
+    assert run(capsys, "calibrate", recording, "-d", tmp_path / "b", "--model", "6").code == 0
+    parquet = "small.calibrated.parquet"
+    shutil.copy(tmp_path / "b" / parquet, tmp_path / "a" / parquet)
+    again = run(capsys, "calibrate", recording, "-d", tmp_path / "a")
+    assert again.code == 0 and "up to date" not in again.err
+    assert (
+        pq.read_schema(tmp_path / "a" / parquet).metadata != pq.read_schema(tmp_path / "b" / parquet).metadata
+    )
+
+
+def test_of_two_runs_at_once_no_report_stands_for_the_others_parquet(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = good_raw(tmp_path, "small.raw")
+    assert run(capsys, "calibrate", recording, "-d", tmp_path / "b", "--model", "6").code == 0
+    write_text = outputs.with_provenance
+
+    def overtaken(*words: Any) -> Any:
+        for name in ("small.calibrated.parquet", "small.calibration.json"):
+            shutil.copy(tmp_path / "b" / name, tmp_path / "a" / name)
+        return write_text(*words)
+
+    monkeypatch.setattr(outputs, "with_provenance", overtaken)
+    ran = run(capsys, "calibrate", recording, "-d", tmp_path / "a")
+    assert_one_line(ran, "small.calibrated.parquet", "was replaced by another run")
+    assert ran.code == 5
+    assert json.loads((tmp_path / "a" / "small.calibration.json").read_text())["calibration"]["model"] == "6"
 
 
 def test_a_recording_that_is_now_refused_loses_its_old_parquet(tmp_path: Path, capsys: Capture) -> None:
