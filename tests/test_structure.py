@@ -39,6 +39,7 @@ SHORT = {
     "cli/calibrate.py": "one file a command",
     "cli/evaluate.py": "one file a command",
     "cli/gravity.py": "one file a command",
+    "core/text_files.py": "for layouts and lists of poses, which lie in different layers",
     "optimize/float32.py": "one file an optimizer",
     "optimize/float64.py": "one file an optimizer",
     "study/preload.py": "imported for its imports, by the server that worker processes are forked from",

@@ -19,6 +19,9 @@ NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
 FLOAT_LSB_PER_G = float(1 << 24)
 """Counts per g given to values that arrive as decimal fractions: a grid of 0.06 micro-g."""
 
+LARGEST_LSB_PER_G = 1e9
+"""No file may claim more counts in one g: 32 bits would hold no more than 2 g."""
+
 
 class Validity(IntEnum):
     """Where a row comes from, as in the Parquet column `validity`."""

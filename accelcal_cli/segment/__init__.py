@@ -18,6 +18,9 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.segment.adaptive import AdaptiveRule
 from accelcal_cli.segment.segmenter import Blocks, Rule, centred_squares
 
+MOST_SQUARES = 1 << 62
+"""Above any sum of squares that int64 holds exactly: a limit beyond it leaves every window still."""
+
 
 @dataclass(frozen=True, slots=True)
 class StillRule:
@@ -81,6 +84,7 @@ class StillRule:
         centred, r = centred_squares(blocks, spread, sums)
         limit = self.variance_limit * length**2
         whole, rest = divmod(-(-limit.numerator // limit.denominator), length)
+        whole = min(whole, MOST_SQUARES)
         return np.asarray(centred < whole + (rest + r * r + length - 1) // length)
 
 

@@ -25,6 +25,7 @@ from accelcal_cli.core.fixed import ONE, checked, rounded_quotient, to_fixed
 from accelcal_cli.core.points import Calibration, Windows
 from accelcal_cli.core.results import ErrorSummary
 from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.core.text_files import read_text
 
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """The six faces, each named by the axis that shows about +1 g or -1 g on it."""
@@ -224,14 +225,7 @@ def read_list(path: Path) -> tuple[Listed, ...]:
 
 
 def _lines(path: Path) -> Iterator[tuple[Place, str]]:
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise UsageError("is too large for a list of poses", path=path)
-        text = path.read_bytes().decode("utf-8-sig")
-    except OSError as error:
-        raise UsageError(f"the poses cannot be read ({error.strerror or error})", path=path) from error
-    except UnicodeDecodeError as error:
-        raise UsageError("the poses are not UTF-8 text", path=path, byte_offset=error.start) from error
+    text = read_text(path, "the list of poses", LARGEST_FILE, "utf-8-sig")
     for number, line in enumerate(text.split("\n"), 1):
         if line.strip() and not line.lstrip().startswith("#"):
             yield Place(path, number), line.strip()

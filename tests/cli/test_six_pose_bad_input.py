@@ -142,8 +142,10 @@ def test_swapped_lines_of_a_list_are_refused(tmp_path: Path, capsys: Capture) ->
 def test_a_missing_recording_and_a_missing_list(tmp_path: Path, capsys: Capture) -> None:
     assert "nothing.csv: cannot be read" in refused(capsys, 3, tmp_path / "nothing.csv")
     path = six_faces(tmp_path, seconds=4.0)
-    assert "none.csv: the poses cannot be read" in refused(capsys, 2, path, "--poses", tmp_path / "none.csv")
-    assert "the poses cannot be read" in refused(capsys, 2, path, "--poses", tmp_path)
+    assert "none.csv: the list of poses cannot be read" in refused(
+        capsys, 2, path, "--poses", tmp_path / "none.csv"
+    )
+    assert "the list of poses cannot be read" in refused(capsys, 2, path, "--poses", tmp_path)
 
 
 def test_foreign_files_are_kept_without_force(tmp_path: Path, capsys: Capture) -> None:

@@ -120,3 +120,9 @@ def test_a_huge_spread_on_an_axis_beside_the_rule_is_never_still() -> None:
     block = np.zeros((400, 3), np.int32)
     block[::2, 1], block[1::2, 1] = -(1 << 31), (1 << 31) - 1
     assert not still(block, StillRule((0,), 10, Fraction(9)))
+
+
+def test_a_deviation_beyond_64_bits_leaves_every_window_still() -> None:
+    rule = still_rule((), None, 0.013, 1e200)
+    columns = np.array([[[-(1 << 31), (1 << 31) - 1] * 2]] * 3)
+    assert rule.still(columns, np.full((3, 1), (1 << 32) - 1), columns.sum(axis=2)).tolist() == [True]

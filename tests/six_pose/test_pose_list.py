@@ -88,7 +88,7 @@ def test_a_damaged_line_is_named(tmp_path: Path, lines: list[str], line: int, to
             "line 1: the first line is 'start,end,ax,ay'; write start,end,ax,ay,az",
         ),
         (b"1,2,1,0,0\n", "line 1"),
-        (b"start,end,ax,ay,az\n1,2,1,0,\xff\n", "byte 27: the poses are not UTF-8"),
+        (b"start,end,ax,ay,az\n1,2,1,0,\xff\n", "byte 27: the list of poses is not UTF-8"),
         (b"#" * (1 << 20) + b"\n", "too large"),
     ],
 )

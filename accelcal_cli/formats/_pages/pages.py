@@ -27,6 +27,9 @@ from accelcal_cli.formats._bytes import ByteSource
 
 SKIP_BYTES = 1 << 20
 
+BLOCK_BYTES = 1 << 24
+"""At most so much of a file is taken at once, or one page: frames may be much longer than their samples."""
+
 MISSING = int(np.iinfo(np.int32).min)
 """Marks a row where a channel of single values was not measured, until the last known one replaces it."""
 
@@ -143,6 +146,10 @@ class PagedFile:
     def length(self, position: int, pages: int) -> int:
         """Bytes of so many pages from `position` on."""
         return pages * self.page_bytes
+
+    def fitting(self, pages: int) -> int:
+        """How many of so many pages may be read at once."""
+        return max(1, min(pages, BLOCK_BYTES // self.page_bytes))
 
     def blocks(self, pages: int, first_position: int = 0) -> Generator[RawBlock]:
         """Yield all pages from `first_position` on, `pages` at a time; the last block may be empty.

@@ -296,7 +296,7 @@ class Opening:
 
 def look_inside(scheme: PageScheme) -> Opening | None:
     """Read on until a page is valid; None if there is none in the whole file."""
-    pages = max(1, FIRST_ROWS // scheme.spacing.rows)
+    pages = scheme.file.fitting(FIRST_ROWS // scheme.spacing.rows)
     for raw in scheme.file.blocks(pages):
         block = scheme.decode(raw).block
         if len(block) and (block.faulty is None or not block.faulty.all()):
@@ -327,8 +327,9 @@ def extent(scheme: PageScheme, opening: Opening) -> tuple[int | None, float | No
 
 def last_page(scheme: PageScheme) -> PageBlock | None:
     """The last valid page, looked for among the last few before erased ones; None if not there."""
-    first = max(0, scheme.file.data_pages() - LAST_PAGES)
-    with closing(scheme.file.blocks(LAST_PAGES + 1, first)) as blocks:
+    pages = scheme.file.fitting(LAST_PAGES)
+    first = max(0, scheme.file.data_pages() - pages)
+    with closing(scheme.file.blocks(pages + 1, first)) as blocks:
         block = scheme.decode(next(blocks)).block
     return paged.split(block, len(block) - 1)[1] if len(block) else None
 
@@ -382,7 +383,7 @@ class PagedReader(Reader):
         return joiner.feed(whole, self._scheme.decode(whole))
 
     def _pages(self, chunk_samples: int) -> int:
-        return max(1, chunk_samples // self._scheme.spacing.rows)
+        return self._scheme.file.fitting(chunk_samples // self._scheme.spacing.rows)
 
     def _joiner(self, sample: int, problems: tuple[Problem, ...]) -> PageJoiner:
         scheme = self._scheme

@@ -8,6 +8,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
+import reprlib
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.recording import LARGEST_LSB_PER_G
+from accelcal_cli.core.text_files import read_text
 
 AXES = ("x", "y", "z")
 GYRO = ("gx", "gy", "gz")
@@ -33,6 +36,11 @@ CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
 STREAM_FRAMES = 256
 """An unbroken stream is taken in pages of so many frames."""
 
+LARGEST_LAYOUT = 1 << 16
+LONGEST_LINE = 1000
+"""Bytes of a layout file, and characters of a line: what a key of many parts takes in memory grows as the
+square of their number."""
+
 LARGEST_FRAME = 1 << 16
 LARGEST_PAGE = 1 << 24
 
@@ -45,6 +53,7 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
 
 LARGEST_NUMBER = 1e12
+LONGEST_SHOWN = 80
 LARGEST_ZERO = 2**31
 SMALLEST_SCALE = 1e-9
 
@@ -235,6 +244,13 @@ def check_apart(spans: list[Span]) -> None:
             raise ImpossibleError(f"{name} and {other} overlap at byte {start}")
 
 
+def shown(value: object) -> str:
+    """A value of a layout as errors show it: no longer than a line."""
+    short = reprlib.Repr()
+    short.maxstring = short.maxother = LONGEST_SHOWN
+    return short.repr(value)
+
+
 class Keys:
     """One table of a layout. What was never asked for is unknown, and `finish` says so."""
 
@@ -282,7 +298,7 @@ class Keys:
         if value is None:
             return None
         if not isinstance(value, Mapping):
-            raise self.error(key, f"must be a table, not {value!r}")
+            raise self.error(key, f"must be a table, not {shown(value)}")
         return Keys(value, self._path, f"{self._name}.{key}" if self._name else key)
 
     def number(self, key: str, low: float = -math.inf, high: float = math.inf) -> float:
@@ -295,9 +311,9 @@ class Keys:
         if value is None:
             return None
         if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e300:
-            raise self.error(key, f"must be a number, not {value!r}")
+            raise self.error(key, f"must be a number, not {shown(value)}")
         if not low <= value <= high:
-            raise self.error(key, f"is {value}, which is not between {low:g} and {high:g}")
+            raise self.error(key, f"is {shown(value)}, which is not between {low:g} and {high:g}")
         return float(value)
 
     def whole(self, key: str, default: int | None, low: int = 0) -> int:
@@ -305,16 +321,18 @@ class Keys:
         given = self.raw(key)
         value = self._required(key, default if given is None else given)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise self.error(key, f"must be a whole number, not {value!r}")
+            raise self.error(key, f"must be a whole number, not {shown(value)}")
         if value is not default and not low <= value <= LARGEST_BYTES:
-            raise self.error(key, f"is {value}; it must be at least {low}, and a size that a file can have")
+            raise self.error(
+                key, f"is {shown(value)}; it must be at least {low}, and a size that a file can have"
+            )
         return value
 
     def text(self, key: str) -> str | None:
         """A text, or None if absent."""
         value = self.raw(key)
         if value is not None and not isinstance(value, str):
-            raise self.error(key, f"must be text in quotes, not {value!r}")
+            raise self.error(key, f"must be text in quotes, not {shown(value)}")
         return value
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None) -> str:
@@ -329,7 +347,7 @@ class Keys:
         value = self._required(key, self.raw(key))
         whole = isinstance(value, list) and [type(item) for item in value] == [int, int]
         if not whole or not 0 <= value[0] < value[1]:
-            raise self.error(key, f"must be two byte numbers [first, one past the last], not {value!r}")
+            raise self.error(key, f"must be two byte numbers [first, one past the last], not {shown(value)}")
         return value[0], value[1]
 
 
@@ -363,17 +381,19 @@ def load_layout(path: Path) -> Layout:
         UsageError: it cannot be read, is not TOML, or a key is missing, unknown or impossible;
             the message names the key.
     """
+    text = read_text(path, "the layout", LARGEST_LAYOUT)
+    for number, line in enumerate(text.split("\n"), 1):
+        if len(line) > LONGEST_LINE:
+            what = f"the layout has a line of more than {LONGEST_LINE} characters"
+            raise UsageError(what, path=path, line=number)
     try:
-        text = path.read_text(encoding="utf-8")
         document = tomllib.loads(text)
-    except OSError as error:
-        raise UsageError(f"the layout cannot be read ({error.strerror or error})", path=path) from error
-    except UnicodeDecodeError as error:
-        raise UsageError("the layout is not UTF-8 text", path=path, byte_offset=error.start) from error
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError as error:
+        raise UsageError("the layout is not valid: its brackets are nested too deep", path=path) from error
+    except ValueError as error:
         match = re.search(r"at line (\d+)", str(error))
-        line = int(match[1]) if match else None
-        raise UsageError(f"the layout is not valid TOML ({error})", path=path, line=line) from error
+        place = int(match[1]) if match else None
+        raise UsageError(f"the layout is not valid TOML ({error})", path=path, line=place) from error
     return parse_layout(document, path)
 
 
@@ -391,7 +411,7 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
     check_fields(parsed, fields)
     layout = Layout(
         rate_hz=dump.number("rate_hz", low=0.001, high=100_000),
-        lsb_per_g=dump.number("lsb_per_g", low=1e-6, high=1e12),
+        lsb_per_g=dump.number("lsb_per_g", low=1e-6, high=LARGEST_LSB_PER_G),
         range_g=dump.optional_number("range_g", low=0.001, high=10_000),
         start=parse_start(dump),
         serial=dump.text("serial"),

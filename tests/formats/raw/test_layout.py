@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -194,3 +196,51 @@ def test_the_layouts_of_the_documentation_are_valid(tmp_path: Path) -> None:
     assert len(examples) == 2
     for example in examples:
         load_layout(written(tmp_path, example))
+
+
+def inspected(layout: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
+    """A layout read by a process that is given no more memory and time than that."""
+    bounds = f"setrlimit(RLIMIT_AS, ({megabytes} << 20,) * 2); setrlimit(RLIMIT_CPU, (20,) * 2)"
+    code = (
+        f"from resource import *\n{bounds}\nimport sys\nfrom pathlib import Path\n"
+        "from accelcal_cli.core.errors import UsageError\n"
+        "from accelcal_cli.formats.raw.layout import load_layout\n"
+        "try: load_layout(Path(sys.argv[1]))\nexcept UsageError as error: print(error)\n"
+    )
+    return subprocess.run(
+        [sys.executable, "-c", code, str(layout)], capture_output=True, text=True, check=False
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("a=" + "[" * 900, "nested too deep"),
+        ("a=[" + "\n[" * 5000, "nested too deep"),
+        ("a=" + "1" * 5000, "line 1: the layout has a line of more than 1000 characters"),
+        ("#\na" + ".a" * 20_000 + "=1", "line 2: the layout has a line of more than 1000 characters"),
+        ("a" + ".a" * 490 + "=1\n", "[dump] is missing"),
+        ("#\n" * 40_000, "the layout is too large, more than 65536 bytes"),
+    ],
+)
+def test_a_layout_made_to_do_harm_is_refused_in_bounded_memory(tmp_path: Path, text: str, words: str) -> None:
+    ran = inspected(written(tmp_path, text), 256)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert words in ran.stdout
+
+
+def test_a_layout_without_an_end_is_refused() -> None:
+    assert "more than 65536 bytes" in inspected(Path("/dev/zero"), 256).stdout
+
+
+def test_a_long_value_is_shown_in_short(tmp_path: Path) -> None:
+    text = SMALL.replace("rate_hz = 50", "rate_hz = " + "[" * 80 + "]" * 80)
+    with pytest.raises(UsageError, match="rate_hz must be a number") as caught:
+        load_layout(written(tmp_path, text))
+    assert len(str(caught.value)) < len(str(tmp_path)) + 120
+
+
+def test_no_layout_has_more_counts_per_g_than_the_option_takes(tmp_path: Path) -> None:
+    assert load_layout(written(tmp_path, SMALL.replace("1000", "1e9"))).lsb_per_g == 1e9
+    with pytest.raises(UsageError, match=r"lsb_per_g is 1000000000000.0, which is not between"):
+        load_layout(written(tmp_path, SMALL.replace("1000", "1e12")))

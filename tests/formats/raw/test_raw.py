@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import gzip
 import struct
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -465,3 +467,30 @@ def test_a_real_dump_of_20_byte_frames(tmp_path: Path, real_data: Path, name: st
     assert problems(chunks) == []
     assert reader.recording.samples == len(table)
     assert 0.95 < np.median(np.linalg.norm(counts / reader.recording.lsb_per_g, axis=1)) < 1.05
+
+
+def in_bounded_memory(code: str, *arguments: object) -> str:
+    """What code prints with 200 MB more than its libraries take."""
+    head = (
+        "import resource, sys\nfrom pathlib import Path\n"
+        "import accelcal_cli.formats.raw.reader, pyarrow\n"
+        "from accelcal_cli.core.formats import ReadOptions\nfrom accelcal_cli.formats.raw import FORMAT\n"
+        "used = int(Path('/proc/self/statm').read_text().split()[0]) * resource.getpagesize()\n"
+        "resource.setrlimit(resource.RLIMIT_AS, (used + (200 << 20),) * 2)\n"
+    )
+    command = [sys.executable, "-c", head + code, *map(str, arguments)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr
+    return ran.stdout.strip()
+
+
+def test_long_frames_are_read_in_bounded_memory(tmp_path: Path) -> None:
+    """20 000 frames of 64 KiB, in a file that takes no room on the disk."""
+    with (tmp_path / "a.bin").open("wb") as file:
+        file.truncate(20_000 << 16)
+    (tmp_path / "a.layout.toml").write_text(dump(frame_bytes=1 << 16) + xyz("int16", 2))
+    code = (
+        "chunks = FORMAT.open(Path(sys.argv[1]), ReadOptions()).chunks(1 << 18)\n"
+        "print(len(next(chunk for chunk in chunks if len(chunk))))"
+    )
+    assert in_bounded_memory(code, tmp_path / "a.bin") == "256"
