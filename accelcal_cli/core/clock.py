@@ -25,6 +25,13 @@ _EPOCH = datetime(1970, 1, 1)
 WIDEST_OFFSET_H = 14
 MICROSECONDS = 1_000_000
 _DAY_S = 86_400
+
+FIRST_US, LAST_US = -62_135_596_800 * MICROSECONDS, 253_402_300_800 * MICROSECONDS - 1
+"""The years 1 to 9999, which calendars know; a recording that begins outside them is not read."""
+
+_CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
+"""After which the Gregorian calendar repeats itself."""
+
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
 
 
@@ -127,10 +134,17 @@ def _offset_at(place: tzinfo, utc_s: int) -> int:
 
 
 def iso_time(time_us: int | None, offset_s: int | None) -> str | None:
-    """ISO 8601 of a device's clock with microseconds, and its offset from UTC where known."""
+    """ISO 8601 of a device's clock with microseconds, and its offset from UTC where known.
+
+    Outside the years 1 to 9999 in the expanded form, `+10000-01-01T...`.
+    """
     if time_us is None:
         return None
-    shown = (_EPOCH + timedelta(microseconds=time_us)).isoformat(timespec="microseconds")
+    cycles = 0 if FIRST_US <= time_us <= LAST_US else time_us // _CYCLE_US
+    moment = _EPOCH + timedelta(microseconds=time_us - cycles * _CYCLE_US)
+    shown = moment.isoformat(timespec="microseconds")
+    if cycles:
+        shown = f"{moment.year + cycles * _CYCLE_YEARS:+06d}{shown[4:]}"
     if offset_s is None:
         return shown
     zone = datetime(2000, 1, 1, tzinfo=UTC) + timedelta(seconds=abs(offset_s))

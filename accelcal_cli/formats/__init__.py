@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from accelcal_cli.core.clock import FIRST_US, LAST_US
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import Encoder, Format, ReadOptions, probe_file
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
@@ -72,6 +73,9 @@ def open_recording(path: Path, options: ReadOptions, threads: int = 1) -> Reader
     item = find_format(path, options)
     reader = item.open(path, options)
     reader.threads = threads
+    if not FIRST_US <= (reader.recording.start_us or 0) <= LAST_US:
+        hint = "copy it again from the device, or correct the start time that it is given"
+        raise UnreadableError("begins outside the years 1 to 9999", path=path, hint=hint)
     unused = [name for name in item.ignores if getattr(options, name) is not None]
     if unused:
         words = ", ".join("--" + name.replace("_", "-") for name in unused)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 
 import jsonschema
@@ -101,3 +102,16 @@ def test_a_stump_is_told_to_be_copied_again_and_a_short_recording_is_not(
         assert ("the file is cut short: copy it again from the device, or record longer" in told.err) == cut
         if kind == "gt3x":
             assert ("copy it again" in run(capsys, "inspect", path).out) == cut
+
+
+def test_gaps_that_run_past_the_year_9999_are_reported(tmp_path: Path, capsys: Capture) -> None:
+    """28 rows a page at 0.001 Hz, 999 pages missing between each two: 324 days."""
+    pages = [struct.pack("<I", 1000 * k) + struct.pack("<84h", *[0, 0, 256] * 28) for k in range(3)]
+    (tmp_path / "a.raw").write_bytes(b"".join(pages))
+    axes = [f'{axis} = {{ offset = {2 * k}, type = "int16" }}' for k, axis in enumerate("xyz")]
+    keys = ["rate_hz = 0.001", "lsb_per_g = 256", "page_bytes = 172", "page_header_bytes = 4"]
+    start, page = 'start_time = "9999-12-31T20:00:00"', '[page]\nsequence = { offset = 0, type = "uint32" }'
+    (tmp_path / "a.layout.toml").write_text("\n".join(["[dump]", *keys, start, "[fields]", *axes, page]))
+    assert run(capsys, "calibrate", tmp_path / "a.raw", "-q").code == 4
+    gaps = report_of(tmp_path / "a.calibration.json")["recording"]["gaps"]
+    assert [gap["start_time"][:6] for gap in gaps] == ["+10000", "+10000"]

@@ -11,7 +11,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.core.clock import PageClock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.clock import (
+    FIRST_US,
+    LAST_US,
+    PageClock,
+    StampClock,
+    UniformClock,
+    iso_time,
+    rate_fraction,
+)
 
 HALF = Fraction(1, 2)
 RATES = st.builds(Fraction, st.integers(1, 10_000_000), st.integers(1, 10_000))
@@ -135,3 +143,20 @@ def test_full_pages_are_spread_like_any_others(
         into = Fraction((row - int(first[page])) * pages[page][1], rows)
         expected.append(pages[page][0] + floor(into + HALF))
     assert clock.times(start, stop).tolist() == expected
+
+
+@pytest.mark.parametrize(
+    ("time_us", "shown"),
+    [
+        (FIRST_US, "0001-01-01T00:00:00.000000"),
+        (LAST_US, "9999-12-31T23:59:59.999999"),
+        (LAST_US + 1, "+10000-01-01T00:00:00.000000"),
+        (LAST_US + 1 + 366 * 86_400_000_000, "+10001-01-01T00:00:00.000000"),
+        (FIRST_US - 1, "+00000-12-31T23:59:59.999999"),
+        (1 << 62, "+148108-07-06T14:00:27.387904"),
+    ],
+)
+def test_times_beyond_the_calendar_are_written_in_the_expanded_form(time_us: int, shown: str) -> None:
+    """The last one by hand: 2**62 us are 53 375 995 days and 50 427.387904 s, 146 097 days in 400 years."""
+    assert iso_time(time_us, None) == shown
+    assert iso_time(time_us, 3600) == f"{shown}+01:00"

@@ -17,6 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
+from accelcal_cli.core.clock import FIRST_US, LAST_US
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G
 from accelcal_cli.core.text_files import read_text
@@ -365,7 +366,10 @@ def parse_start(dump: Keys) -> StartTime | None:
         raise dump.error("start_time", f"is {value}, which is not a date and time", HINT)
     known = value.tzinfo is not None
     moment = value if known else value.replace(tzinfo=UTC)
-    return StartTime((moment - EPOCH) // timedelta(microseconds=1), "UTC" if known else None)
+    start_us = (moment - EPOCH) // timedelta(microseconds=1)
+    if not FIRST_US <= start_us <= LAST_US:
+        raise dump.error("start_time", f"is {value}, which in UTC lies outside the years 1 to 9999", HINT)
+    return StartTime(start_us, "UTC" if known else None)
 
 
 def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:

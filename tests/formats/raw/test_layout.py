@@ -244,3 +244,12 @@ def test_no_layout_has_more_counts_per_g_than_the_option_takes(tmp_path: Path) -
     assert load_layout(written(tmp_path, SMALL.replace("1000", "1e9"))).lsb_per_g == 1e9
     with pytest.raises(UsageError, match=r"lsb_per_g is 1000000000000.0, which is not between"):
         load_layout(written(tmp_path, SMALL.replace("1000", "1e12")))
+
+
+@pytest.mark.parametrize("start", ["0001-01-01T00:00:00+01:00", "9999-12-31T23:59:59-01:00"])
+def test_a_start_outside_the_years_1_to_9999_is_refused(tmp_path: Path, start: str) -> None:
+    text = SMALL.replace("[fields]", f'start_time = "{start}"\n[fields]')
+    with pytest.raises(UsageError, match=r"start_time is .*, which in UTC lies outside the years 1 to 9999"):
+        load_layout(written(tmp_path, text))
+    inside = start[:19] + "+00:00"
+    assert load_layout(written(tmp_path, text.replace(start, inside))).start is not None
