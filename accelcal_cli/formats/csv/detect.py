@@ -189,7 +189,7 @@ def _scale(
 
 def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
     if cells.time_us is not None:
-        stamps = cells.time_us[cells.time_us != times.NO_TIME]
+        stamps = cells.time_us[cells.time_us > times.IMPOSSIBLE]
         if options.rate_hz is None and export.rate_hz is not None:
             return times.agreeing_pace(stamps, export.rate_hz, path)
         return times.find_pace(stamps, options.rate_hz, path)
@@ -224,5 +224,5 @@ def last_timestamp(parser: TableParser) -> int | None:
         stamps = parser.cells(lone_block(b"".join(whole), 1, 0)).time_us
     except UnreadableError:
         return None
-    usable = stamps is not None and len(stamps) and stamps[-1] != times.NO_TIME
+    usable = stamps is not None and len(stamps) and stamps[-1] > times.IMPOSSIBLE
     return int(stamps[-1]) if stamps is not None and usable else None

@@ -38,6 +38,7 @@ SINGLE = 50
 
 MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
 OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
+IMPOSSIBLE = ("impossible_time", "{rows} from line {line} on left out: an impossible time")
 ASLEEP = (
     "idle_sleep",
     "{rows} from line {line} on not measured: the device slept, and repeated a value",
@@ -45,7 +46,7 @@ ASLEEP = (
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
-CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, ASLEEP, AHEAD, BACK)]
+CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE, ASLEEP, AHEAD, BACK)]
 """The order of those problems that only the end of the file completes."""
 
 NO_DATE = "the file has no date; times count from 1970-01-01"
@@ -223,6 +224,7 @@ class Assembler:
         if not good.all():
             flags.append((MISSING, rows.fault == Fault.MISSING, self._row_bytes))
             flags.append((OUT_OF_RANGE, rows.fault == Fault.OUT_OF_RANGE, self._row_bytes))
+            flags.append((IMPOSSIBLE, rows.fault == Fault.TIME, self._row_bytes))
         if rows.filled is not None and rows.filled.any():
             flags.append((ASLEEP, rows.filled, 0))
         before = np.cumsum(good) - good if flags else good

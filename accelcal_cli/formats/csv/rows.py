@@ -20,8 +20,8 @@ from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joi
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN
-from accelcal_cli.formats.csv.table import Block, TableParser
-from accelcal_cli.formats.csv.times import NO_TIME, Pace
+from accelcal_cli.formats.csv.table import Block, ParsedTable, TableParser, lone_block
+from accelcal_cli.formats.csv.times import IMPOSSIBLE, NO_TIME, Pace
 
 LONGEST_GROUP = 4
 """A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
@@ -39,6 +39,7 @@ class Fault(IntEnum):
     NONE = 0
     MISSING = 1
     OUT_OF_RANGE = 2
+    TIME = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,14 +125,26 @@ class RowParser:
 
     def _parsed(self, block: Block) -> tuple[Rows, Block]:
         """The rows of a block by themselves; does not depend on what was done before."""
-        cells = self._parser.cells(block)
+        cells = self._cells(block)
         if self._scale.unit == "counts":
             self._refuse_fractions(cells.values, cells.line)
         counts, fault = self._counts(cells.values)
         if cells.time_us is not None:
             fault[cells.time_us == NO_TIME] = Fault.MISSING
+            fault[cells.time_us == IMPOSSIBLE] = Fault.TIME
         channels = {name: CHANNELS[name].channel(cells.channels[name]) for name in self._last_values}
         return Rows(0, cells.line, counts, fault, cells.time_us, channels), block.without_lines()
+
+    def _cells(self, block: Block) -> ParsedTable:
+        """The columns of a block. Of the faults of its lines, the first is the error, however long it is."""
+        try:
+            return self._parser.cells(block)
+        except UnreadableError as error:
+            above = block.data.splitlines(keepends=True)[: (error.line or 0) - block.line]
+            if self._scale.unit == "counts" and above:
+                cells = self._parser.cells(lone_block(b"".join(above), block.line, block.offset))
+                self._refuse_fractions(cells.values, cells.line)
+            raise
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
         scaled = self._scale.counts(values)
@@ -190,7 +203,7 @@ class SharedStamps:
         """Rows without a time belong to the group before them; they are left out later."""
         if stamps is None or not len(stamps):
             return np.empty(0, np.int64)
-        known = np.where(stamps == NO_TIME, 0, np.arange(len(stamps)))
+        known = np.where(stamps <= IMPOSSIBLE, 0, np.arange(len(stamps)))
         return stamps[np.maximum.accumulate(known)]
 
     def _starts(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:

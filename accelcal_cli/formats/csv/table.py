@@ -21,7 +21,7 @@ from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
 from accelcal_cli.formats.csv.dialect import Dialect, decode, split_line
-from accelcal_cli.formats.csv.times import STAMP, TimeFormat, floats
+from accelcal_cli.formats.csv.times import IMPOSSIBLE, TimeFormat, floats
 
 PIECE_BYTES = 1 << 18
 """Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""
@@ -144,22 +144,17 @@ def count_lines(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class LineCheck:
-    """What every line of a file must be: so many columns, numbers in the used ones, a time."""
+    """What every line of a file must be: so many columns, numbers in the used ones, a time in one."""
 
     dialect: Dialect
     used: tuple[int, ...]
     time: int | None
+    format: TimeFormat | None
 
-    def bad_line(self, data: bytes, first_line: int, path: Path) -> UnreadableError:
-        """The error that names the first line of cleaned `data` that is no row."""
-        for number, raw in enumerate(data.splitlines()):
-            fault = self._fault(decode(raw)) if raw else None
-            if fault:
-                line, hint = first_line + number, "correct or remove that line"
-                return UnreadableError(fault, path=path, line=line, hint=hint)
-        return UnreadableError(
-            "the lines from here on cannot be read", path=path, line=first_line, hint="look for stray quotes"
-        )
+    def bad_line(self, raw: bytes, line: int, path: Path) -> UnreadableError:
+        """The error for a cleaned line that cannot be parsed."""
+        fault = self._fault(decode(raw)) or f"the line cannot be read ({shortened(decode(raw))!r})"
+        return UnreadableError(fault, path=path, line=line, hint="correct or remove that line")
 
     def _fault(self, text: str) -> str | None:
         """What is wrong with a line, None if nothing is."""
@@ -175,8 +170,8 @@ class LineCheck:
 
     def _fits(self, cell: str, column: int) -> bool:
         kind = cell_kind(cell, False)
-        if column == self.time and self.dialect.kinds[column] is Kind.TIME:
-            return kind is Kind.MISSING or STAMP.fullmatch(cell) is not None
+        if column == self.time and self.format is not None and self.format.unit_us is None:
+            return kind is Kind.MISSING or self.format.is_written_right(cell)
         return kind in (Kind.NUMBER, Kind.MISSING)
 
 
@@ -227,14 +222,15 @@ class TableParser:
     def _parse_options(self) -> Any:
         return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
 
-    def _convert_options(self) -> Any:
+    def _convert_options(self, times_as: Any = None) -> Any:
         types = {str(column): pa.float64() for column in self.used}
         if self.time is not None:
-            types[str(self.roles.time)] = self.time.arrow_type
+            types[str(self.roles.time)] = times_as or self.time.arrow_type
         return pa_csv.ConvertOptions(
             column_types=types,
             include_columns=list(types),
             null_values=list(MISSING),
+            strings_can_be_null=True,
             quoted_strings_can_be_null=True,
         )
 
@@ -245,7 +241,7 @@ class TableParser:
             UnreadableError: a line has a wrong number of columns, or a text where a number belongs.
         """
         data = self.dialect.normaliser(block.data)
-        table, data = self._table(data, block)
+        table, data, impossible = self._table(data, block)
         line = block.line + np.arange(table.num_rows, dtype=np.int64)
         if block.lines != table.num_rows:
             line = block.line + blank_lines_apart(data)
@@ -253,24 +249,65 @@ class TableParser:
         for axis, column in enumerate(self.roles.xyz):
             values[:, axis] = floats(table[str(column)])
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
+        if stamps is not None and impossible is not None:
+            stamps[impossible] = IMPOSSIBLE
         channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
         return ParsedTable(line, values, stamps, channels)
 
-    def _table(self, data: bytes, block: Block) -> tuple[Any, bytes]:
-        """The parsed columns, and the text that they come from, which has the same lines."""
+    def _table(self, data: bytes, block: Block) -> tuple[Any, bytes, NDArray[np.bool_] | None]:
+        """The parsed columns, the text that they come from, which has the same lines; impossible times."""
         try:
-            return self._parsed(data), data
+            return self._parsed(data), data, None
         except pa.ArrowException:
             thorough = replace(self.dialect.normaliser, thorough=True)(block.data)
         try:
-            return self._parsed(thorough), thorough
+            return self._parsed(thorough), thorough, None
         except pa.ArrowException as error:
-            check = LineCheck(self.dialect, tuple(self.used), self.roles.time)
-            raise check.bad_line(thorough, block.line, self.path) from error
+            if found := self._with_impossible_times(thorough):
+                return found[0], thorough, found[1]
+            raise self._bad_line(thorough, block.line) from error
 
-    def _parsed(self, data: bytes) -> Any:
-        """A table, in the C library's memory: Arrow's own keeps an eighth more of what was freed."""
+    def _with_impossible_times(self, data: bytes) -> tuple[Any, NDArray[np.bool_]] | None:
+        """The columns of text with impossible times empty, and where these are; None if more is wrong."""
+        if self.time is None or self.time.unit_us is not None:
+            return None
+        try:
+            table = self._parsed(data, times_as=pa.string())
+        except pa.ArrowException:
+            return None
+        name = str(self.roles.time)
+        cells = pa.concat_arrays(table[name].chunks)
+        times, impossible = self.time.possible(cells)
+        if not all(self.time.is_written_right(cells[row].as_py()) for row in np.flatnonzero(impossible)):
+            return None
+        place = table.schema.get_field_index(name)
+        return table.set_column(place, name, pa.chunked_array([times])), impossible
+
+    def _bad_line(self, data: bytes, first_line: int) -> UnreadableError:
+        """The error that names the first line of text that cannot be parsed."""
+        lines = data.splitlines(keepends=True)
+        good, bad = 0, len(lines)
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            good, bad = (middle, bad) if self._is_sound(b"".join(lines[:middle])) else (good, middle)
+        check = LineCheck(self.dialect, tuple(self.used), self.roles.time, self.time)
+        return check.bad_line(lines[good].rstrip(b"\r\n"), first_line + good, self.path)
+
+    def _is_sound(self, data: bytes) -> bool:
+        try:
+            self._parsed(data)
+        except pa.ArrowException:
+            return self._with_impossible_times(data) is not None
+        return True
+
+    def _parsed(self, data: bytes, times_as: Any = None) -> Any:
+        """A table, in the C library's memory: Arrow's own keeps an eighth more of what was freed.
+
+        Args:
+            times_as: another type for the column of times.
+        """
         parsing, converting = self.options
+        converting = self._convert_options(times_as) if times_as else converting
         if PADDING.issuperset(data):
             types = converting.column_types
             return pa.table({name: pa.array([], kind) for name, kind in types.items()})

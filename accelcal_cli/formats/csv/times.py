@@ -19,12 +19,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats.csv.cells import MISSING, number_of
 
-NO_TIME = -(1 << 62)
-"""Stands for a missing time; far enough from every real one to subtract without overflow."""
+NO_TIME, IMPOSSIBLE = -(1 << 62), -(1 << 62) + 1
+"""Stand for a missing time, and for one that does not exist (30 February) or was before all recordings (the
+year 1); far enough from every real one to subtract without overflow."""
 
 EMPTY_NS = -(1 << 63)
 """Stands for an empty cell among Arrow's times."""
@@ -102,13 +103,36 @@ class TimeFormat:
         return pa.timestamp("ns", tz="UTC" if self.zoned else None)
 
     def microseconds(self, column: Any) -> NDArray[np.int64]:
-        """A column (n,) of that type as times (n,) [us], NO_TIME where the cell is empty."""
+        """A column (n,) of that type as times (n,) [us], NO_TIME where the cell is empty.
+
+        IMPOSSIBLE where a number lies outside the years that calendars know.
+        """
         if self.unit_us is None:
             whole = filled(column.cast(pa.int64()), np.int64, EMPTY_NS)
             return np.where(whole == EMPTY_NS, NO_TIME, (whole + 500) // 1000)
         values = np.rint((floats(column) - self.epoch_day) * self.unit_us)
-        usable = np.abs(values) < 1 << 60
-        return np.where(usable, np.where(usable, values, 0).astype(np.int64), NO_TIME)
+        usable = (values >= FIRST_US) & (values <= LAST_US)
+        other = np.where(np.isnan(values), NO_TIME, IMPOSSIBLE)
+        return np.where(usable, np.where(usable, values, 0).astype(np.int64), other)
+
+    def possible(self, cells: Any) -> tuple[Any, NDArray[np.bool_]]:
+        """Texts (n,) as ISO times of that type, empty where there is no such time, and where that is, (n,).
+
+        Halves what cannot be read until single cells are left: such times are few.
+        """
+        try:
+            return cells.cast(self.arrow_type), np.zeros(len(cells), np.bool_)
+        except pa.ArrowException:
+            if len(cells) == 1:
+                return pa.nulls(1, self.arrow_type), np.ones(1, np.bool_)
+        half = len(cells) // 2
+        times, wrong = zip(self.possible(cells[:half]), self.possible(cells[half:]), strict=True)
+        return pa.concat_arrays(times), np.concatenate(wrong)
+
+    def is_written_right(self, cell: str) -> bool:
+        """Whether a cell has the form of these ISO times, with a zone or without; the time may not exist."""
+        stamp = STAMP.fullmatch(cell)
+        return stamp is not None and bool(stamp["zone"]) == self.zoned
 
 
 def find_time_format(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.formats.csv import detect
 from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_csv import make, read, stamp, written
@@ -232,3 +233,64 @@ def test_an_endless_line_is_refused(tmp_path: Path) -> None:
 def test_missing_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UnreadableError, match="cannot be read"):
         read(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    "time",
+    [
+        "2024-02-30 10:00:00",
+        "2024-03-04T25:00:00",
+        "2024-13-01",
+        "0001-01-01 00:00:00",
+        "2300-01-01T00:00:00.5",
+    ],
+)
+@pytest.mark.parametrize("place", [1, 25, 39])
+def test_a_row_with_an_impossible_time_is_left_out(tmp_path: Path, time: str, place: int) -> None:
+    lines = [row(number, f"0,0,{1 + number / 1000}") for number in range(40)]
+    path = written(tmp_path, HEADER + "".join([*lines[:place], f"{time},0,0,1\n", *lines[place + 1 :]]))
+    found = read(path)
+    assert found.codes == ["impossible_time"]
+    assert found.problems[0].message == f"1 row from line {place + 2} on left out: an impossible time"
+    whole = read(written(tmp_path, HEADER + "".join(lines), "whole.csv"))
+    assert np.array_equal(found.counts, np.delete(whole.counts, place, axis=0))
+    assert np.array_equal(found.times, np.delete(whole.times, place))
+    assert read(path, 3).same_as(found)
+
+
+def test_a_plain_number_that_means_a_time_past_the_year_9999_is_left_out(tmp_path: Path) -> None:
+    lines = [f"{1_700_000_000 + number / 25},0,0,1\n" for number in range(40)]
+    lines[20] = "900000000000,0,0,1\n"
+    found = read(written(tmp_path, "time [s],x,y,z\n" + "".join(lines)))
+    assert (len(found.counts), found.codes) == (39, ["impossible_time"])
+    assert found.problems[0].message.startswith("1 row from line 22 on")
+
+
+BAD_LINES = {
+    "a time with a zone among times without": "2024-03-04T00:00:10.5Z,0,0,1\n",
+    "a date in another order": "04.03.2024 00:00:11,0,0,1\n",
+    "a number too long for a float": "2024-03-04T00:00:11,0,0,1e\n",
+    "a digit that the parser does not know": "2024-03-04T00:00:11,0,0,\u0661\n",
+}
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 7, 100, 100_000])
+@pytest.mark.parametrize("line", BAD_LINES.values(), ids=BAD_LINES)
+def test_the_first_bad_line_is_named_whatever_the_chunk_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, chunk_samples: int
+) -> None:
+    monkeypatch.setattr(detect, "HEAD_BYTES", 1000)
+    monkeypatch.setattr(csv_table, "PIECE_BYTES", 200)
+    text = HEADER + rows(900) + "2024-02-30,0,0,1\n" + rows(50, 901) + line + rows(40, 952) + "x\n"
+    with pytest.raises(UnreadableError, match="line 953: "):
+        read(written(tmp_path, text), chunk_samples)
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 7, 100_000])
+def test_a_fraction_above_a_bad_line_is_the_error_whatever_the_chunk_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, chunk_samples: int
+) -> None:
+    monkeypatch.setattr(detect, "HEAD_BYTES", 1000)
+    text = HEADER + rows(900).replace(",0,0,1", ",0,0,256") + row(900, "0,0,2.5") + rows(9, 901) + "x\n"
+    with pytest.raises(UnreadableError, match=r"line 902: 2\.5 is not a whole number of counts"):
+        read(written(tmp_path, text), chunk_samples, unit="counts", lsb_per_g=256)
