@@ -17,7 +17,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Device, Problem
+from accelcal_cli.core.recording import LARGEST_LSB_PER_G, Device, Problem
 from accelcal_cli.formats.gt3x import INFO, LOG, sensors
 from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x.archive import Archive, MemberStream
@@ -35,6 +35,7 @@ LONGEST_S = 366 * DAY_S
 NO_INFO = "info.txt is missing from the zip file"
 BAD_INFO = "info.txt in the zip file is damaged and was not used"
 
+LARGEST_G = 10_000.0
 LEAST_SCALE = 10.0
 """Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is given elsewhere."""
 
@@ -78,8 +79,8 @@ def parse_info(data: bytes) -> Info:
         int(rate) if rate and rate == int(rate) and 0 < rate <= HIGHEST_RATE_HZ else None,
         _time_us(values.get("Start Date")),
         _time_us(values.get("Last Sample Time")) or _time_us(values.get("Stop Date")),
-        _positive(_number(values.get("Acceleration Scale"))),
-        None if low is None or high is None else _positive(min(-low, high)),
+        _positive(_number(values.get("Acceleration Scale")), LARGEST_LSB_PER_G),
+        None if low is None or high is None else _positive(min(-low, high), LARGEST_G),
         _zone(values.get("TimeZone")),
     )
 
@@ -93,8 +94,8 @@ def _number(text: str | None) -> float | None:
     return value if isfinite(value) else None
 
 
-def _positive(value: float | None) -> float | None:
-    return value if value is not None and value > 0 else None
+def _positive(value: float | None, most: float) -> float | None:
+    return value if value is not None and 0 < value <= most else None
 
 
 def _time_us(text: str | None) -> int | None:
@@ -243,7 +244,8 @@ def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Pa
     Raises:
         UnreadableError: nothing says it.
     """
-    scales = [value for value in (info.scale, parameter) if value is not None and value >= LEAST_SCALE]
+    stated = (_positive(value, LARGEST_LSB_PER_G) for value in (info.scale, parameter))
+    scales = [value for value in stated if value is not None and value >= LEAST_SCALE]
     model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
     lsb_per_g = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
     if lsb_per_g is None:

@@ -231,3 +231,18 @@ def test_a_second_gzip_around_it_is_refused_with_a_remedy(tmp_path: Path) -> Non
         open_recording(path, ReadOptions())
     noted = open_recording(written(tmp_path / "b.gt3x", seconds(VALUES, 50)), ReadOptions(unit="g"))
     assert "--unit" in noted.recording.notes[-1]
+
+
+@pytest.mark.parametrize("scale", ["1e200", "1e10", "-256", "nan"])
+def test_an_impossible_scale_counts_as_missing(tmp_path: Path, scale: str) -> None:
+    text = info(50).replace("Acceleration Scale: 256.0", f"Acceleration Scale: {scale}")
+    path = written(tmp_path / "a.gt3x", seconds(random_counts(150), 50), text)
+    assert opened(path).recording.lsb_per_g == 256.0
+    with pytest.raises(UnreadableError, match="does not say how many counts are one g"):
+        opened(written(path, seconds(random_counts(150), 50), text.replace("TAS", "XYZ")))
+
+
+def test_an_impossible_range_counts_as_missing(tmp_path: Path) -> None:
+    text = info(50).replace("-8.0", "-1e200").replace("8.0", "1e200")
+    path = written(tmp_path / "a.gt3x", seconds(random_counts(150), 50), text)
+    assert opened(path).recording.range_g == 8.0
