@@ -36,7 +36,7 @@ def sniff(probe: Probe) -> int:
 
     try:
         with probe.path.open("rb") as file:
-            listed, _ = by_directory(file)
+            listed, *_ = by_directory(file)
     except OSError:
         return by_name
     return 100 if holds_samples(set(listed)) else by_name

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zipfile
 import zlib
+from collections import Counter
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -30,6 +31,9 @@ _LONGEST_END = 22 + 0xFFFF
 _SCAN_BYTES = 1 << 20
 _IN_EXTRA = 0xFFFFFFFF
 _SIZES_FOLLOW = 0x08
+_LARGEST_DIRECTORY = 1 << 20
+"""Of about 20 000 parts; devices write about ten. zipfile takes ten times as much memory for them."""
+
 _BROKEN = (
     zipfile.BadZipFile,
     NotImplementedError,
@@ -92,13 +96,15 @@ def open_archive(path: Path) -> Archive:
     try:
         with path.open("rb") as file:
             size = path.stat().st_size
-            listed, whole = by_directory(file)
+            listed, whole, repeated = by_directory(file)
             if whole:
-                return Archive(path, size, listed)
-            members, ends = listed | by_headers(file), has_end(file, size)
+                return Archive(path, size, listed, problems=repeated)
+            found, repeated = by_headers(file)
+            members, ends = listed | found, has_end(file, size)
     except OSError as error:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
-    return Archive(path, size, members, ends, (Problem("damaged_archive", LOST_DIRECTORY, None, 0),))
+    lost = Problem("damaged_archive", LOST_DIRECTORY, None, 0)
+    return Archive(path, size, members, ends, (lost, *repeated))
 
 
 def has_end(file: BinaryIO, size: int) -> bool:
@@ -107,16 +113,39 @@ def has_end(file: BinaryIO, size: int) -> bool:
     return _END in file.read(_LONGEST_END)
 
 
-def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool]:
-    """The parts that the directory lists, and whether it is sound: it lists samples, each where it says."""
+class _ShortReads:
+    """A file of which zipfile reads no directory that is too long, as it reads one at once."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.seek, self.tell, self._file = file.seek, file.tell, file
+
+    def read(self, count: int = -1) -> bytes:
+        """Bytes of the file, which up to its near end; raises OSError for too many."""
+        if count > _LARGEST_DIRECTORY:
+            raise OSError("the directory is too long")
+        return self._file.read(count)
+
+
+def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool, tuple[Problem, ...]]:
+    """The parts that the directory lists, whether it is sound, and which parts it lists twice.
+
+    A sound one lists samples, and each part where its own header lies.
+    """
     try:
-        with zipfile.ZipFile(file) as archive:
+        with zipfile.ZipFile(_ShortReads(file)) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename in WANTED]
         placed = {entry.filename: _placed(file, entry) for entry in entries}
     except _BROKEN:
-        return {}, False
+        return {}, False, ()
     sound = all(true for _, true in placed.values()) and holds_samples(set(placed))
-    return {name: member for name, (member, _) in placed.items()}, sound
+    numbers = Counter(entry.filename for entry in entries)
+    listed = {name: member for name, (member, _) in placed.items()}
+    return listed, sound, tuple(_repeated(name, n, "last") for name, n in numbers.items() if n > 1)
+
+
+def _repeated(name: str, number: int, which: str) -> Problem:
+    text = f"holds {number} parts named {name}: the {which} one was read"
+    return Problem("repeated_part", text, None, 0, number - 1)
 
 
 def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
@@ -136,19 +165,24 @@ def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
     return member, header.startswith(MAGIC) and header.endswith(name)
 
 
-def by_headers(file: BinaryIO) -> dict[str, Member]:
-    """The parts whose own headers are found anywhere in the file; the first of each name."""
+def by_headers(file: BinaryIO) -> tuple[dict[str, Member], tuple[Problem, ...]]:
+    """The parts whose own headers are found in the file, the first of each name; which are repeated."""
     members: dict[str, Member] = {}
+    places: dict[str, set[int]] = {}
     base, data = 0, b""
     file.seek(0)
     while block := file.read(_SCAN_BYTES):
         base, data = base + max(0, len(data) - _LONGEST_MATCH), data[-_LONGEST_MATCH:] + block
         for match in NAMED.finditer(data):
             name = match[2].decode()
-            if int.from_bytes(match[1], "little") == len(name) and name not in members:
+            if int.from_bytes(match[1], "little") != len(name):
+                continue
+            places.setdefault(name, set()).add(base + match.start())
+            if name not in members:
                 members[name] = _by_header(file, base + match.start(), name)
                 file.seek(base + len(data))
-    return members
+    many = {name: len(found) for name, found in places.items() if len(found) > 1}
+    return members, tuple(_repeated(name, number, "first") for name, number in many.items())
 
 
 def _by_header(file: BinaryIO, offset: int, name: str) -> Member:

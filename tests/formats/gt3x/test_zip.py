@@ -233,3 +233,38 @@ def test_a_preview_reads_the_beginning_only(tmp_path: Path) -> None:
         pieces = list(reader.preview(5000, 4))
     assert 5000 <= sum(map(len, pieces)) <= 20_000
     assert pieces[-1].end_byte < path.stat().st_size
+
+
+@pytest.mark.filterwarnings("ignore:Duplicate name")
+def test_two_parts_of_one_name_are_reported(tmp_path: Path) -> None:
+    other = b"".join(seconds(VALUES[: 5 * RATE], RATE, ACTIVITY))
+    path = tmp_path / "a.gt3x"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in (("log.bin", other), *PARTS.items()):
+            archive.writestr(name, data)
+    found = whole(path)
+    assert (found.counts == VALUES).all()
+    assert found.found == [("repeated_part", None, 0, 1)]
+    assert found.problems[0].message == "holds 2 parts named log.bin: the last one was read"
+    without = read(tmp_path, path.read_bytes()[:-1])
+    assert (without.counts == VALUES[: 5 * RATE]).all()
+    assert without.found == [NO_DIRECTORY, ("repeated_part", None, 0, 1)]
+
+
+def test_a_directory_of_very_many_parts_is_not_loaded(tmp_path: Path) -> None:
+    data = zipped(PARTS)
+    start, end = data.index(b"PK\x01\x02"), data.index(b"PK\x05\x06")
+    entry = data[start : data.index(b"PK\x01\x02", start + 1)]
+    listed = entry * 200_000
+    tail = struct.pack("<4s4HIIH", b"PK\x05\x06", 0, 0, 60_000, 60_000, len(listed), start, 0)
+    path = put(tmp_path, data[:start] + listed + tail)
+    assert len(data) > end
+    tracemalloc.start()
+    try:
+        archive = open_archive(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert [problem.code for problem in archive.problems] == ["damaged_archive"]
+    assert set(archive.members) == {"log.bin", "info.txt"}
+    assert peak < 8 << 20
