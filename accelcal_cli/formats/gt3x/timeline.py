@@ -33,6 +33,10 @@ UNWRITTEN_S = 1
 LONGEST_SILENCE_S = 86_400
 """Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
 
+FILLED_FREELY_S, FILLED_PER_RECORD_S = 86_400, 300
+"""So much sleep is filled in a file, and so much for each record before its end, of which devices write one a
+second or, asleep, one a minute: a few bytes must not become millions of rows."""
+
 JITTER_S = 2
 """Records of other kinds may carry times a little before those of the records around them."""
 
@@ -43,6 +47,10 @@ LENGTH: Kind = ("record_length", "activity records of more or less than one seco
 REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
 AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
 BACK: Kind = ("clock_back", "steps back in the times of activity records")
+UNHEARD: Kind = (
+    "idle_unheard",
+    "idle sleeps far longer than the records around them explain, left as gaps",
+)
 RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
 
 FILL_S = 3600
@@ -358,6 +366,7 @@ class Timeline:
         self._next_s = 0
         self._apart = False
         self._explained = False
+        self._filled_s = 0
         self.rows = 0
         self._spans: list[RowSpan] = []
         self._events: list[Event] = []
@@ -461,12 +470,16 @@ class Timeline:
         second, end = slept[0].first_s, min(slept[0].end_s, end_s)
         if not self._sensor.fills:
             self._explained = True
+        elif self._filled_s + end - second > FILLED_FREELY_S + FILLED_PER_RECORD_S * slept[1].position:
+            self._note(UNHEARD, slept[1], end - second)
+            self._explained = True
         elif second < end:
             broken = self._step_to(second, slept[1])
             self._fill(second, end, self._last.sample, broken)
 
     def _fill(self, second: int, end: int, sample: Channels, broken: bool) -> None:
         rate = self._sensor.rate
+        self._filled_s += end - second
         for start in range(second, end, FILL_S):
             rows = (min(end, start + FILL_S) - start) * rate
             first = broken and start == second

@@ -168,3 +168,27 @@ def test_filled_windows_never_enter_the_fit(tmp_path: Path, capsys: pytest.Captu
     assert report["file_health"]["filled_samples"] == 40 * 64 * RATE
     assert report["fit"]["windows"]["filled"] == 40 * 13
     assert report["holdout"]["after_mg"]["mean"] < 0.5
+
+
+def test_a_few_records_do_not_fill_a_year(tmp_path: Path) -> None:
+    """A day in all, and 300 s for each record before the end of the sleep: 7 of them here."""
+    day = 86_400
+    for end, filled in ((4 + day + 7 * 300, True), (5 + day + 7 * 300, False)):
+        log = [*awake(0, 4), asleep(4), battery(START_S + day), battery(START_S + day + 9), wakes(end)]
+        found = read(tmp_path, [*log, *awake(4, 5, end)], 1 << 18)
+        assert (len(found.counts) > 5 * RATE) == filled
+        assert [problem.code for problem in found.problems] == ([] if filled else ["idle_unheard"])
+        assert found.breaks == ([] if filled else [4 * RATE])
+
+
+def test_a_clock_that_steps_back_does_not_fill_a_day_each_time(tmp_path: Path) -> None:
+    log = [*awake(0, 2)]
+    for _ in range(20):
+        log += [asleep(2), wakes(80_000), asleep(80_001), *awake(0, 2)]
+    found = read(tmp_path, log, 1 << 18)
+    assert len(filled_seconds_in(found)) <= 86_400 + 300 * len(log)
+    assert [problem.code for problem in found.problems].count("idle_unheard") >= 18
+
+
+def filled_seconds_in(found: Whole) -> np.ndarray:
+    return np.flatnonzero(found.validity == Validity.FILLED)[::RATE]
