@@ -18,7 +18,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Counts
 from accelcal_cli.formats.hdf5 import datasets
 from accelcal_cli.formats.hdf5.datasets import Group, Track
-from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of
+from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, readable
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, RowSelection, TrackRows
 from accelcal_cli.formats.hdf5.units import Scale, count_scale, factor_of
 
@@ -226,12 +226,12 @@ def find_channels(
     for name, rule in CHANNELS.items():
         groups = rule.candidates(tracks, accel)
         if len(groups) > 1:
-            paths = ", ".join(group[0].path for group in groups)
+            paths = ", ".join(readable(group[0].path) for group in groups)
             notes.append(f"no {rule.noun} is used: several datasets fit ({paths})")
         for group in groups if len(groups) == 1 else ():
             channel = rule.find(file, group, path)
             if isinstance(channel, str):
-                notes.append(f"{group[0].path} is not used: {channel}")
+                notes.append(f"{readable(group[0].path)} is not used: {channel}")
             else:
                 channels[name] = channel
     return channels, tuple(notes)

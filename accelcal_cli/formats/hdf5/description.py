@@ -20,7 +20,7 @@ from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.formats.hdf5 import datasets, units
 from accelcal_cli.formats.hdf5.channels import Axes, Channel
 from accelcal_cli.formats.hdf5.datasets import Group, Track
-from accelcal_cli.formats.hdf5.file import Attributes, h5py_guard
+from accelcal_cli.formats.hdf5.file import Attributes, h5py_guard, readable
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
 from accelcal_cli.formats.hdf5.units import StampScale, parse_moment
 
@@ -235,7 +235,10 @@ def _stamped(
         rate = units.nominal_rate(step)
     period = 1 / rate if rate else 0.0
     problem = Problem(
-        "no_start_time", f"{track.path} counts from an unknown start; times count from 1970-01-01", None, 0
+        "no_start_time",
+        f"{readable(track.path)} counts from an unknown start; times count from 1970-01-01",
+        None,
+        0,
     )
     return Timeline(
         rate,

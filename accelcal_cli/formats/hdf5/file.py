@@ -261,6 +261,11 @@ def normal(name: str) -> str:
     return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
+def readable(text: str) -> str:
+    """A name or text of a file; bytes that are not UTF-8, which h5py passes on, are replaced."""
+    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
 def plain_value(value: object) -> str | float | None:
     """An attribute as text or number; None if it is neither, empty or a list."""
     if isinstance(value, np.ndarray):
@@ -268,7 +273,7 @@ def plain_value(value: object) -> str | float | None:
     if isinstance(value, bytes):
         value = value.decode("utf-8", "replace")
     if isinstance(value, str):
-        return value.replace("\0", " ").strip() or None
+        return readable(value).replace("\0", " ").strip() or None
     if isinstance(value, bool | int | float | np.number | np.bool_) and not np.iscomplexobj(value):
         return float(value)
     return None

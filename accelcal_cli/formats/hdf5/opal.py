@@ -165,7 +165,9 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         rate_hz=description.checked_rate(rate or None, path),
         lsb_per_g=accel.scale.lsb,
         total_bytes=path.stat().st_size,
-        device=Device("Opal", sensor.serial, settings.text("Firmware Version", "VersionString1")),
+        device=Device(
+            "Opal", h5.readable(sensor.serial), settings.text("Firmware Version", "VersionString1")
+        ),
         range_g=_range_g(file, accel_track),
         start_us=start,
         timezone=options.timezone or "UTC",

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats.hdf5.datasets import Track
-from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
+from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, readable
 
 BLOCK_ROWS = 65_536
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
@@ -475,7 +475,7 @@ class RowSelection:
         """All rows of a dataset (n, width); lost ones are zero and left out."""
         values, good = source.read(self.start, self.stop)
         if not good.all():
-            kind = ("bad_page", f"rows lost in damaged or missing parts of {source.path}")
+            kind = ("bad_page", f"rows lost in damaged or missing parts of {readable(source.path)}")
             self.leave_out(kind, ~good, source.chunk_offset)
         return values
 

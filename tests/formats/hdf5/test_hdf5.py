@@ -16,11 +16,14 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
-from accelcal_cli.formats.hdf5.file import heaps_are_sound
+from accelcal_cli.formats.hdf5.file import heaps_are_sound, readable
+from tests.cli.run import run
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_hdf5 import START, START_US, about, even_times, joined, read, write
 
 ROWS = 500
+
+Capture = pytest.CaptureFixture[str]
 
 
 def counts(rows: int = ROWS, seed: int = 3) -> np.ndarray:
@@ -757,3 +760,22 @@ def test_large_chunks_packed_otherwise_are_refused(path: Path, monkeypatch: pyte
     write(path, {"accel": counts()}, about(), chunks=(300, 3), compression="lzf")
     with pytest.raises(UnreadableError, match="h5repack"):
         read(path)
+
+
+def test_text_that_is_not_utf_8_is_read_with_marks_in_its_place(path: Path, capsys: Capture) -> None:
+    """Variable-length text, of which h5py passes on every byte."""
+    still = np.tile(np.array([0, 0, 256], np.int16), (ROWS, 1))
+    write(path, {"accel": still, "other": np.arange(3)}, about=about())
+    text = h5py.string_dtype("utf-8")
+    with h5py.File(path, "r+") as file:
+        for name, value in (("serial", b"A\xff\xfeB"), ("model", b"M\xfc"), ("firmware", b"\xff")):
+            file["accel"].attrs.create(name, np.array(value, dtype=object), dtype=text)
+    device = HDF5.open(path, ReadOptions()).recording.device
+    assert (device.serial, device.model, device.firmware) == ("A\ufffd\ufffdB", "M\ufffd", "\ufffd")
+    assert run(capsys, "calibrate", path, "-q").code == 4
+    assert "A\ufffd\ufffdB" in path.with_suffix(".calibration.json").read_text("utf-8")
+
+
+def test_readable_text_can_always_be_written() -> None:
+    texts = ["plain", "\xfcber", "a\udcff", "\udced\udca0\udc80"]
+    assert [readable(text) for text in texts] == ["plain", "\xfcber", "a\ufffd", "\ufffd" * 3]
