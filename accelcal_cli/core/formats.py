@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gzip
 import importlib
+import stat
 import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -143,9 +144,13 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
         UnreadableError: it is missing, empty, not a file, or its gzip header is damaged.
     """
     try:
-        size = path.stat().st_size
-        if path.is_dir():
+        status = path.stat()
+        size = status.st_size
+        if stat.S_ISDIR(status.st_mode):
             raise UnreadableError("is a folder, not a recording", path=path, hint="name the files in it")
+        if not stat.S_ISREG(status.st_mode):
+            what, hint = "is a pipe or a device, and a recording is read twice", "write it to a file first"
+            raise UnreadableError(what, path=path, hint=hint)
         if size == 0:
             raise UnreadableError("is empty", path=path, byte_offset=0, hint="copy it again from the device")
         with path.open("rb") as file:

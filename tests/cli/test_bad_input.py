@@ -314,3 +314,11 @@ def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
     process.wait()
     assert b"Traceback" not in err
     assert b"Exception" not in err
+
+
+def test_a_pipe_is_called_one_and_never_waited_for(tmp_path: Path, capsys: Capture) -> None:
+    os.mkfifo(tmp_path / "a.csv")
+    for path in (tmp_path / "a.csv", Path("/dev/null")):
+        ran = run(capsys, "inspect", path)
+        assert ran.code == 3
+        assert_one_line(ran, "is a pipe or a device", "write it to a file first")
