@@ -1,4 +1,7 @@
-"""From errors to exit codes: the only place that knows both."""
+"""From errors to exit codes: the only place that knows both; and the one way by which text goes out.
+
+Whatever a file says of itself, no control character of it reaches the terminal.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError, OutputError
+from accelcal_cli.core.errors import AccelcalError, OutputError, printable
 
 OK = 0
 SOME_FAILED = 1
@@ -21,6 +24,8 @@ REFUSED = 4
 BUG = 70
 INTERRUPTED = 130
 STDERR = 2
+DELETE = "\x7f"
+"""The one control character that our JSON text holds as it is."""
 
 
 def of_all(codes: list[int]) -> int:
@@ -47,7 +52,7 @@ def run_safely(command: Callable[[], Any]) -> int:
         if lost is not None and lost.lines:
             raise OutputError("standard output is closed: the output was lost")
     except click.ClickException as error:
-        error.show()
+        _show_usage(error)
         code = error.exit_code
     except AccelcalError as error:
         say(str(error))
@@ -96,10 +101,23 @@ def _output_failed(error: OSError) -> int:
     return OutputError.exit_code
 
 
+def show(text: str) -> None:
+    """Lines of tab-separated fields, or of JSON, on standard output."""
+    click.echo(printable(text.replace(DELETE, "\\u007f"), kept="\n\t"))
+
+
 def say(message: str) -> None:
     """One line on stderr."""
     if sys.stderr is not None:
-        click.echo(f"accelcal: {message}", err=True)
+        click.echo(f"accelcal: {printable(message)}", err=True)
+
+
+def _show_usage(error: click.ClickException) -> None:
+    """The words of click, which repeat those of the command line."""
+    text = io.StringIO()
+    error.show(text)
+    if sys.stderr is not None:
+        click.echo(printable(text.getvalue(), kept="\n"), nl=False, err=True)
 
 
 def report_bug() -> int:

@@ -39,7 +39,7 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     if output is not None and not refused:
         save_report(output, report)
     shown = None if output is None or refused else output
-    click.echo(json.dumps(report) if as_json else result_line(report, points, shown))
+    exit_codes.show(json.dumps(report) if as_json else result_line(report, points, shown))
     if refused:
         exit_codes.say(f"{printable(points)}: refused: {report['message']}")
         return exit_codes.REFUSED

@@ -11,8 +11,6 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-import click
-
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
@@ -64,14 +62,14 @@ def result_line(report: dict[str, Any], source: Path, written: Path | None) -> s
 def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """The same fields from a recording's row in a study's summary."""
     fields = [
-        printable(source),
+        str(source),
         row["outcome"],
         row["model"] or "-",
         *(number(row[name], ".3f") for name in ("before_mg", "after_mg")),
         number(row["improvement_percent"], ".0f"),
-        "-" if written is None else printable(written),
+        "-" if written is None else str(written),
     ]
-    return "\t".join(fields)
+    return "\t".join(map(printable, fields))
 
 
 @contextlib.contextmanager
@@ -82,12 +80,13 @@ def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[Progr
         return
     from tqdm import tqdm
 
+    name = printable(label)
     with contextlib.ExitStack() as stack:
 
         def make(stage: str, total: int) -> Progress:
             stack.close()
             bar = tqdm(
-                total=total, desc=f"{label} {stage}", unit=unit, unit_scale=True, leave=False, file=sys.stderr
+                total=total, desc=f"{name} {stage}", unit=unit, unit_scale=True, leave=False, file=sys.stderr
             )
             stack.callback(bar.close)
             return lambda done: bar.update(min(done, total) - bar.n) and None
@@ -159,7 +158,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
     except Exception:
         return exit_codes.report_bug()
     shown = result_line(result.report, result.job.source, written(result))
-    click.echo(json.dumps(result.report) if values["as_json"] else shown)
+    exit_codes.show(json.dumps(result.report) if values["as_json"] else shown)
     _comment(result, values)
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 

@@ -108,7 +108,7 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
             message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
             return TaskResult(task.failure(BUG, message, again=True))
         except Exception as error:
-            message = " ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split())
+            message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
             return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
     return guarded_work
