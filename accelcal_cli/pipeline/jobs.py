@@ -59,10 +59,13 @@ class Job:
 
 
 def real(path: Path) -> Path:
-    """The absolute path without links; a loop of links, or a path in a working folder that is gone, stays."""
+    """The absolute path without links.
+
+    A loop of links, a path in a working folder that is gone, and a name that no file can have stay.
+    """
     try:
         return Path(os.path.realpath(path))
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError):
         return path
 
 

@@ -22,6 +22,7 @@ from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.study.records import FAILED, Item
 
+DEVICE = ("model", "serial", "firmware")
 AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
@@ -88,7 +89,7 @@ def _recording(report: dict[str, Any]) -> dict[str, Any]:
     return {
         **{name: recording[name] for name in same},
         **{name: health[name] for name in counts + figures},
-        **{f"device_{name}": value for name, value in recording["device"].items()},
+        **{f"device_{name}": recording["device"][name] for name in DEVICE},
         "rate_hz": recording["sample_rate_hz"],
         "gaps": len(recording["gaps"]) + recording["gaps_omitted"],
         "problems": sum(problem["count"] or 1 for problem in health["problems"]),
