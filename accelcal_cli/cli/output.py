@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable, spreadsheet_cell
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
@@ -34,7 +34,7 @@ def comma_separated(head: Sequence[str], rows: Sequence[Sequence[object]]) -> st
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    writer.writerows([["" if cell is None else cell for cell in row] for row in rows])
+    writer.writerows([["" if cell is None else spreadsheet_cell(cell) for cell in row] for row in rows])
     return text.getvalue().rstrip("\n")
 
 

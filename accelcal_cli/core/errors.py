@@ -7,9 +7,14 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 """Halves of characters that stand for no byte of a file name; JSON text may hold them."""
+
+
+FORMULA = re.compile(r"[=@\t\r\n]|[+-](?![0-9.eE+-]*$)")
+"""How cells begin that spreadsheets calculate, or of which they pass over the beginning; no numbers."""
 
 
 def printable(path: Path | str, *, kept: str = "") -> str:
@@ -25,6 +30,11 @@ def printable(path: Path | str, *, kept: str = "") -> str:
 
 def _escaped(char: str) -> str:
     return char.encode("unicode_escape").decode()
+
+
+def spreadsheet_cell(value: Any) -> Any:
+    """A text that a spreadsheet would take for a formula with an apostrophe before it; all else as it is."""
+    return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 
 def counted(number: int, what: str) -> str:

@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli import __version__
-from accelcal_cli.core.errors import printable
+from accelcal_cli.core.errors import printable, spreadsheet_cell
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.study.records import FAILED, Item
@@ -205,5 +205,5 @@ def _csv(rows: list[dict[str, Any]]) -> str:
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
-    table.writerows(rows)
+    table.writerows({name: spreadsheet_cell(value) for name, value in row.items()} for row in rows)
     return text.getvalue()
