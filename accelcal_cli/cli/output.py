@@ -156,7 +156,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
         exit_codes.say(str(error))
         return error.exit_code
     except Exception:
-        return exit_codes.report_bug()
+        return exit_codes.report_bug(job.source)
     shown = result_line(result.report, result.job.source, written(result))
     exit_codes.show(json.dumps(result.report) if values["as_json"] else shown)
     _comment(result, values)

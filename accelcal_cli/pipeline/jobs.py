@@ -195,15 +195,16 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
     import shutil  # few runs read standard input
     import tempfile
 
-    with tempfile.TemporaryDirectory(prefix="accelcal-") as folder:
-        path = Path(folder) / "stdin"
+    with contextlib.ExitStack() as stack:
         try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="accelcal-"))
+            path = Path(folder) / "stdin"
             with path.open("wb") as file:
                 shutil.copyfileobj(stream, file, 1 << 20)
         except OSError as error:
             raise OutputError(
                 f"standard input cannot be stored ({error.strerror or error})",
-                path=path,
+                path=error.filename,
                 hint="set TMPDIR to a disk with more space",
             ) from error
         yield path
