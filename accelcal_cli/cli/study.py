@@ -226,6 +226,9 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         if pool["outcome"] in (FAILED, Outcome.REFUSED):
             device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")
             exit_codes.say(f"{device} are not pooled: {pool['message']}")
+    if summary.ahead and study.settle_s > 0:
+        what = f"{counted(summary.ahead, 'recording')} that wait: modified in the future by this clock"
+        exit_codes.say(f"{what}; check the clocks of the machines")
     unfinished = study.collect and summary.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]

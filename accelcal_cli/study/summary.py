@@ -152,6 +152,7 @@ class Summary:
     Attributes:
         rows: one a recording, by path.
         waiting: recordings that were not tried yet: too new, too old, or another shard's.
+        ahead: of these, those that were changed in the future by this machine's clock; not written.
         left_out: files that are no recordings.
         up_to_date: recordings of which nothing had to be done; not part of what is written.
         pools: device, number of recordings, outcome and message of each pool, by name.
@@ -160,6 +161,7 @@ class Summary:
     rows: list[dict[str, Any]]
     settings: dict[str, Any]
     waiting: int = 0
+    ahead: int = 0
     left_out: int = 0
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
