@@ -197,7 +197,7 @@ def _watch_signals() -> None:
 
 def _leave_signals() -> None:
     """What comes now ends the process without a word: there is nothing left to tidy up."""
-    if hasattr(signal, "setitimer"):
+    if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is _interrupt:
         signal.setitimer(signal.ITIMER_REAL, 0)
     for number in _signals():
         if signal.getsignal(number) is _interrupt:
