@@ -7,14 +7,17 @@ calibrated Parquet file beside a report is compared with the report, and on dema
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli import __version__
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.judge.errors import directions
@@ -37,6 +40,16 @@ from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")
 """The report's provenance differs from run to run; the versions are named beside the result."""
+
+LATER = {
+    "settings.precision_mg": "0.1.0",
+    "settings.max_damage_percent": "0.1.0",
+    "settings.input.date_format": "0.1.0",
+    "file_health.clock": "0.1.0",
+    "file_health.lost_bytes": "0.1.0",
+    "file_health.lost_percent": "0.1.0",
+}
+"""Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""
 
 _ABSENT = object()
 
@@ -195,14 +208,15 @@ def judge_of(run: RecordingRun, document: Document) -> Judge:
 def _verified(
     document: Document, made_with: ReportSettings, now: dict[str, Any], parquet: ParquetCheck | None
 ) -> Verified:
-    missing, unknown = made_with.missing, made_with.unknown
-    excused = {f"settings.{name}" for name in (*missing, *unknown)}
-    then = document.report
+    missing, unknown, then = made_with.missing, made_with.unknown, document.report
     _keep_paths(now, then)
+    _leave_out_later(now, then)
+    elsewhere = unknown if then["accelcal_version"] != __version__ else ()
+    passed = tuple(f"settings.{name}" for name in elsewhere)
     keys = tuple(
         key
         for key in differing(_compared(then), _compared(now))
-        if not any(key == name or key.startswith((f"{name}.", f"{name}[")) for name in excused)
+        if not any(key == name or key.startswith((f"{name}.", f"{name}[")) for name in passed)
     )
     largest, mean = _difference(then.get("calibration"), now["calibration"])
     return Verified(keys, largest, mean, str(then["accelcal_version"]), missing, unknown, parquet)
@@ -217,6 +231,29 @@ def _keep_paths(now: dict[str, Any], then: dict[str, Any]) -> None:
     for new, old, name in ((settings["input"], before["input"], "layout"), (settings, before, "poses")):
         if new.get(name) is not None and name in old:
             new[name] = old[name]
+
+
+def _leave_out_later(now: dict[str, Any], then: dict[str, Any]) -> None:
+    """Take out of a report what one of an earlier version cannot say."""
+    for place, version in LATER.items():
+        *outer, name = place.split(".")
+        section, before = _section(now, outer), _section(then, outer)
+        if name not in before and _release(then["accelcal_version"]) < _release(version):
+            section.pop(name, None)
+
+
+def _section(report: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """An object of a report; an empty one where there is none."""
+    found: Any = report
+    for name in names:
+        found = found.get(name) if isinstance(found, dict) else None
+    return found if isinstance(found, dict) else {}
+
+
+def _release(version: Any) -> tuple[float, ...]:
+    """A version in order; one that is none comes after all, so that nothing is excused by it."""
+    numbers = re.fullmatch(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})", str(version))
+    return (inf,) if numbers is None else tuple(map(int, numbers.groups()))
 
 
 def _compared(report: dict[str, Any]) -> dict[str, Any]:
@@ -347,7 +384,7 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
     used = document.report["coefficients"]
     by_content = used.get("without_provenance", False)
     then = Path(used["path"])
-    beside = document.path.with_name(then.name)
+    beside = document.path.parent / then.name
     original = document.path.parent / then if by_content else then
     places = (named,) if named is not None else (original, beside)
     existing = [path for path in places if path.is_file()]
@@ -410,7 +447,7 @@ def _unchanged(then: NamedFile | None, recording: Path, named: Path | None, what
     """A file that the report was made with, if any: beside the recording, or where the user says."""
     if then is None:
         return None
-    path = named or recording.with_name(then.name)
+    path = named or recording.parent / then.name
     if not path.is_file() or sha256(path) != then.sha256:
         raise UsageError(
             f"is not the {what} {then.name} that the report was made with",

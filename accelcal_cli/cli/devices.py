@@ -181,7 +181,7 @@ def command(out: Path, **values: Any) -> int:
     rules = Rules(**{field.name: values[field.name] for field in fields(Rules)})
     reviewed = review(out, rules, time.time())
     devices = _chosen(reviewed, values["device"], out)
-    click.echo(_shown(reviewed, devices, values))
+    exit_codes.show(_shown(reviewed, devices, values))
     if not values["quiet"]:
         exit_codes.say(_summary(reviewed, devices))
     return exit_codes.OK

@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from accelcal_cli import __version__
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import Positive, Within, gravity, gravity_options
 from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
@@ -48,7 +49,7 @@ def command(label: str, as_json: bool, **values: Any) -> None:
     with progress_bars("gravity", quiet=values["quiet"], unit="cases") as bars:
         progress = bars("fitting", values["cases"])
         residuals = gravity_residuals(plan, method, values["cases"], values["seed"], progress)
-    click.echo(
+    exit_codes.show(
         json.dumps(_record(plan, values, label, residuals)) if as_json else _text(plan, values, residuals)
     )
 

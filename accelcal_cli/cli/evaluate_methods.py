@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import options
+from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, comma_separated, each_recording, number, refuse_both
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
@@ -48,7 +48,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if rows := list(chain.from_iterable(found)):
-        click.echo(_shown(rows, values))
+        exit_codes.show(_shown(rows, values))
     return code
 
 

@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import click
 
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import Listed
 from accelcal_cli.cli.output import aligned, comma_separated, figure, number, progress_bars
 from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
@@ -127,7 +128,7 @@ def command(**values: Any) -> None:
     )
     with progress_bars("simulation", quiet=values["quiet"], unit="cases") as bars:
         tables = run(protocol, methods(values["labels"]), bars)
-    click.echo(_shown(values["as_what"], protocol, tables))
+    exit_codes.show(_shown(values["as_what"], protocol, tables))
 
 
 def _shown(as_what: str | None, protocol: Protocol, tables: tuple[Table, ...]) -> str:

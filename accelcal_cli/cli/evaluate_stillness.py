@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli import options
+from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, comma_separated, each_recording, number, refuse_both
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.settings import STILLNESS
@@ -56,7 +56,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if found:
-        click.echo(_shown(dict(found), values))
+        exit_codes.show(_shown(dict(found), values))
     return code
 
 

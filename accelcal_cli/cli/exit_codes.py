@@ -1,26 +1,35 @@
-"""From errors to exit codes: the only place that knows both."""
+"""From errors to exit codes: the only place that knows both; and the one way by which text goes out.
+
+Whatever a file says of itself, no control character of it reaches the terminal.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import io
 import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError, OutputError
+from accelcal_cli.core.errors import AccelcalError, OutputError, printable
 
 OK = 0
 SOME_FAILED = 1
 REFUSED = 4
 BUG = 70
+NO_MEMORY = 71
 INTERRUPTED = 130
 STDERR = 2
+AGAIN_S = 0.001
+DELETE = "\x7f"
+"""The one control character that our JSON text holds as it is."""
 
 
 def of_all(codes: list[int]) -> int:
@@ -39,52 +48,62 @@ def run_safely(command: Callable[[], Any]) -> int:
 
     The command returns its exit code, or None for 0.
     """
-    _watch_signals()
-    lost = _open_standard_files()
+    try:
+        _watch_signals()
+        code = _code_of(command)
+        _leave_signals()
+    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
+        _leave_signals()
+        say("interrupted; no incomplete output was left behind")
+        code = INTERRUPTED
+    return code if isinstance(code, int) else OK
+
+
+def _code_of(command: Callable[[], Any]) -> Any:
+    _open_standard_files()
     try:
         code = command()
         sys.stdout.flush()
-        if lost is not None and lost.lines:
-            raise OutputError("standard output is closed: the output was lost")
+        if isinstance(sys.stdout, _Lost) and sys.stdout.lines:
+            raise OutputError(f"{sys.stdout.why}: the output was lost")
+    except click.Abort:
+        raise
     except click.ClickException as error:
-        error.show()
+        _show_usage(error)
         code = error.exit_code
     except AccelcalError as error:
         say(str(error))
         code = error.exit_code
-    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
-        say("interrupted; no incomplete output was left behind")
-        code = INTERRUPTED
     except BrokenPipeError:
-        _silence_stdout()
+        _silence(sys.stdout)
         code = SOME_FAILED
     except OSError as error:
         code = _output_failed(error)
     except Exception:
         code = report_bug()
-    return code if isinstance(code, int) else OK
+    return code
 
 
 class _Lost(io.StringIO):
-    """Stands for a standard output that was closed before this process began; the work goes on."""
+    """Stands for a standard output that was closed, or can take no more; the work goes on."""
 
-    lines = False
+    def __init__(self, why: str, *, lines: bool) -> None:
+        super().__init__()
+        self.why = why
+        self.lines = lines
 
     def write(self, text: str) -> int:
         self.lines = self.lines or text != ""
         return len(text)
 
 
-def _open_standard_files() -> _Lost | None:
+def _open_standard_files() -> None:
     """Fill the places of standard files that are closed, so that no output of ours comes to lie there."""
     while (handle := os.open(os.devnull, os.O_RDWR)) <= STDERR:
         pass
     os.close(handle)
-    if sys.stdout is not None:
-        return None
-    lost = _Lost()
-    sys.stdout = lost
-    return lost
+    if sys.stdout is None:
+        sys.stdout = _Lost("standard output is closed", lines=False)
 
 
 def _output_failed(error: OSError) -> int:
@@ -92,21 +111,58 @@ def _output_failed(error: OSError) -> int:
     if error.errno not in (errno.ENOSPC, errno.EIO, errno.EDQUOT) or error.filename is not None:
         return report_bug()
     say(f"standard output cannot be written ({error.strerror})")
-    _silence_stdout()
+    _silence(sys.stdout)
     return OutputError.exit_code
+
+
+def show(text: str) -> None:
+    """Lines of tab-separated fields, or of JSON, on standard output.
+
+    Where it can take no more, the work goes on, and the exit code says so; where its reader is gone, it ends.
+    """
+    try:
+        click.echo(printable(text.replace(DELETE, "\\u007f"), kept="\n\t"))
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        _silence(sys.stdout)
+        sys.stdout = _Lost(f"standard output cannot be written ({error.strerror})", lines=True)
 
 
 def say(message: str) -> None:
     """One line on stderr."""
+    _to_stderr(f"accelcal: {printable(message)}\n")
+
+
+def _to_stderr(text: str) -> None:
+    """Text for people; where nobody can take it, the exit code still tells."""
     if sys.stderr is not None:
-        click.echo(f"accelcal: {message}", err=True)
+        try:
+            click.echo(text, nl=False, err=True)
+        except OSError:
+            _silence(sys.stderr)
 
 
-def report_bug() -> int:
-    """Keep the traceback of the current exception in a file, and say where."""
+def _show_usage(error: click.ClickException) -> None:
+    """The words of click, which repeat those of the command line."""
+    text = io.StringIO()
+    error.show(text)
+    _to_stderr(printable(text.getvalue(), kept="\n"))
+
+
+def report_bug(path: Path | None = None) -> int:
+    """Keep the traceback of the current exception in a file, and say where; a lack of memory is no bug.
+
+    Args:
+        path: what was worked on.
+    """
     import traceback
 
     kind, value, _ = sys.exc_info()
+    if isinstance(value, MemoryError) or getattr(value, "errno", None) == errno.ENOMEM:
+        where = "" if path is None else f"{path}: "
+        say(f"{where}there was not enough memory; free some, or give fewer --chunk-samples")
+        return NO_MEMORY
     name = "error" if kind is None else kind.__name__
     text = " ".join(f"{name}: {value}".split())
     say(f"a bug in accelcal ({text}); please report it with {keep_trace(traceback.format_exc())}")
@@ -114,27 +170,55 @@ def report_bug() -> int:
 
 
 def keep_trace(text: str) -> str:
-    """Write a traceback into a temporary file; returns its name."""
+    """Write a traceback into a temporary file; returns its name, or where the bug is if there is no room."""
     import tempfile  # here and above: a run without a bug need not wait for them
 
-    with tempfile.NamedTemporaryFile(
-        "w", prefix="accelcal-bug-", suffix=".txt", delete=False, encoding="utf-8"
-    ) as file:
-        file.write(text)
+    try:
+        with tempfile.NamedTemporaryFile(
+            "w", prefix="accelcal-bug-", suffix=".txt", delete=False, encoding="utf-8", errors="replace"
+        ) as file:
+            file.write(text)
+    except OSError:
+        places = [line.strip() for line in text.splitlines() if line.startswith("  File ")]
+        return f"its place ({places[-1] if places else 'unknown'}); no temporary file can be written"
     return file.name
 
 
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise InterruptedBySignalError
+
+
 def _watch_signals() -> None:
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        raise InterruptedBySignalError
-
-    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
-        number = getattr(signal, name, None)
-        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, interrupt)
+    for number in _signals():
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _interrupt)
+    sys.unraisablehook = _again
 
 
-def _silence_stdout() -> None:
+def _leave_signals() -> None:
+    """What comes now ends the process without a word: there is nothing left to tidy up."""
+    if hasattr(signal, "setitimer") and signal.getsignal(signal.SIGALRM) is _interrupt:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+    for number in _signals():
+        if signal.getsignal(number) is _interrupt:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _signals() -> list[int]:
+    numbers = (getattr(signal, name, None) for name in ("SIGINT", "SIGTERM", "SIGHUP"))
+    return [number for number in numbers if number is not None]
+
+
+def _again(lost: sys.UnraisableHookArgs) -> None:
+    """An interruption in a place that passes no errors on, such as a callback of an import, comes again."""
+    if lost.exc_type is not InterruptedBySignalError:
+        sys.__unraisablehook__(lost)
+    elif hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, _interrupt)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+
+
+def _silence(stream: Any) -> None:
     """Whoever read our output is gone: let the interpreter's last flush go nowhere."""
-    devnull = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(devnull, sys.stdout.fileno())
+    with contextlib.suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())

@@ -15,6 +15,7 @@ from accelcal_cli.cli.output import result_line
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
+from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, save_report, with_provenance
 
 
@@ -31,6 +32,9 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     temperature_c, weight and posture. Prints the same line as `calibrate`, with the name of the report,
     if one is written, in place of the Parquet file. Nothing is written if the points are refused.
     """
+    if output is not None:
+        refuse_nameless(output)
+        refuse_overwriting((output,), (points,))
     if output is not None and not force:
         refuse_foreign_report(output)
     fitted = fit_points(points, fitting_settings(values))
@@ -39,7 +43,7 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     if output is not None and not refused:
         save_report(output, report)
     shown = None if output is None or refused else output
-    click.echo(json.dumps(report) if as_json else result_line(report, points, shown))
+    exit_codes.show(json.dumps(report) if as_json else result_line(report, points, shown))
     if refused:
         exit_codes.say(f"{printable(points)}: refused: {report['message']}")
         return exit_codes.REFUSED

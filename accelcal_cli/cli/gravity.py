@@ -6,6 +6,7 @@ import json
 
 import click
 
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import setting_option
 from accelcal_cli.core.gravity import Gravity, local_gravity
 from accelcal_cli.core.settings import Settings
@@ -30,6 +31,6 @@ def command(latitude: float, altitude_m: float, as_json: bool) -> None:
             "local_m_s2": round(metres, 6),
             "local_g": standard,
         }
-        click.echo(json.dumps(shown))
+        exit_codes.show(json.dumps(shown))
     else:
-        click.echo(f"{metres:.6f}\t{standard:.9f}")
+        exit_codes.show(f"{metres:.6f}\t{standard:.9f}")

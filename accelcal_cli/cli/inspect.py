@@ -12,7 +12,7 @@ import click
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import stdin
-from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 from accelcal_cli.pipeline.jobs import STDIN, spooled
@@ -45,7 +45,7 @@ def _one(path: Path, values: dict[str, Any]) -> int:
         exit_codes.say(str(error))
         return error.exit_code
     shown = as_json(inspection)
-    click.echo(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
+    exit_codes.show(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
     return exit_codes.OK
 
 
@@ -90,7 +90,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
     ]
-    return "\n".join(lines + [f"  note         {note}" for note in about["notes"]])
+    return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
 
 
 def _measured(inspection: Inspection) -> str:

@@ -11,10 +11,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-import click
-
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable, spreadsheet_cell
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
@@ -36,7 +34,7 @@ def comma_separated(head: Sequence[str], rows: Sequence[Sequence[object]]) -> st
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(head)
-    writer.writerows([["" if cell is None else cell for cell in row] for row in rows])
+    writer.writerows([["" if cell is None else spreadsheet_cell(cell) for cell in row] for row in rows])
     return text.getvalue().rstrip("\n")
 
 
@@ -64,14 +62,14 @@ def result_line(report: dict[str, Any], source: Path, written: Path | None) -> s
 def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """The same fields from a recording's row in a study's summary."""
     fields = [
-        printable(source),
+        str(source),
         row["outcome"],
         row["model"] or "-",
         *(number(row[name], ".3f") for name in ("before_mg", "after_mg")),
         number(row["improvement_percent"], ".0f"),
-        "-" if written is None else printable(written),
+        "-" if written is None else str(written),
     ]
-    return "\t".join(fields)
+    return "\t".join(map(printable, fields))
 
 
 @contextlib.contextmanager
@@ -82,12 +80,13 @@ def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[Progr
         return
     from tqdm import tqdm
 
+    name = printable(label)
     with contextlib.ExitStack() as stack:
 
         def make(stage: str, total: int) -> Progress:
             stack.close()
             bar = tqdm(
-                total=total, desc=f"{label} {stage}", unit=unit, unit_scale=True, leave=False, file=sys.stderr
+                total=total, desc=f"{name} {stage}", unit=unit, unit_scale=True, leave=False, file=sys.stderr
             )
             stack.callback(bar.close)
             return lambda done: bar.update(min(done, total) - bar.n) and None
@@ -157,9 +156,9 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
         exit_codes.say(str(error))
         return error.exit_code
     except Exception:
-        return exit_codes.report_bug()
+        return exit_codes.report_bug(job.source)
     shown = result_line(result.report, result.job.source, written(result))
-    click.echo(json.dumps(result.report) if values["as_json"] else shown)
+    exit_codes.show(json.dumps(result.report) if values["as_json"] else shown)
     _comment(result, values)
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 

@@ -9,9 +9,10 @@ from typing import Any
 import click
 import numpy as np
 
+from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.formats import all_encoders
 from accelcal_cli.pipeline.simulate import simulate
 from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
@@ -72,7 +73,9 @@ def command(out: Path, **values: Any) -> None:
     with progress_bars(out.name, quiet=values["quiet"], unit="samples") as bars:
         shown = bars("writing", plan.samples)
         path, truth = simulate(out, values["format_name"], plan, force=values["force"], progress=shown)
-    click.echo(json.dumps(truth) if values["as_json"] else f"{path}\t{truth['samples']} samples")
+    exit_codes.show(
+        json.dumps(truth) if values["as_json"] else f"{printable(path)}\t{truth['samples']} samples"
+    )
 
 
 def _plan(values: dict[str, Any]) -> Plan:

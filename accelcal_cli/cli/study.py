@@ -86,10 +86,10 @@ class TerminalObserver:
     def _print(self, item: Item, row: dict[str, Any]) -> None:
         if self._values["as_json"]:
             if row["outcome"] != FAILED:
-                click.echo(json.dumps(json.loads(item.job.report.read_text("utf-8"))))
+                exit_codes.show(json.dumps(json.loads(item.job.report.read_text("utf-8"))))
         elif not self._values["quiet"]:
             written = None if row["parquet"] is None else item.job.parquet
-            click.echo(study_line(row, item.source, written))
+            exit_codes.show(study_line(row, item.source, written))
 
     def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
         name = printable(item.source)
@@ -214,9 +214,9 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
     states = sorted((item.name, printable(item.source), state) for item, state in preview(study).items())
     for _, path, state in states:
         if values["as_json"]:
-            click.echo(json.dumps({"path": path, "state": state}))
+            exit_codes.show(json.dumps({"path": path, "state": state}))
         elif not values["quiet"]:
-            click.echo(f"{path}\t{state}")
+            exit_codes.show(f"{path}\t{state}")
     return exit_codes.OK
 
 
@@ -226,6 +226,9 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         if pool["outcome"] in (FAILED, Outcome.REFUSED):
             device = printable(f"the {pool['recordings']} recordings of device {pool['device_serial']}")
             exit_codes.say(f"{device} are not pooled: {pool['message']}")
+    if summary.ahead and study.settle_s > 0:
+        what = f"{counted(summary.ahead, 'recording')} that wait: modified in the future by this clock"
+        exit_codes.say(f"{what}; check the clocks of the machines")
     unfinished = study.collect and summary.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]

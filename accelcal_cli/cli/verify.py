@@ -55,7 +55,7 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
         verified = verify(report, recording, options, bars)
-    click.echo(
+    exit_codes.show(
         json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
     )
     if not values["quiet"]:

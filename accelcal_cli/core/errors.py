@@ -5,13 +5,36 @@ Names of files as text that any terminal, table and JSON file can hold, and numb
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
+
+NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
+"""Halves of characters that stand for no byte of a file name; JSON text may hold them."""
 
 
-def printable(path: Path | str) -> str:
-    """A name with control characters escaped and bytes that are not UTF-8 replaced."""
-    text = str(path).encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+FORMULA = re.compile(r"[=@\t\r\n]|[+-](?![0-9.eE+-]*$)")
+"""How cells begin that spreadsheets calculate, or of which they pass over the beginning; no numbers."""
+
+
+def printable(path: Path | str, *, kept: str = "") -> str:
+    """A name with control characters escaped and bytes that are not UTF-8 replaced.
+
+    Args:
+        kept: characters that stay as they are.
+    """
+    whole = NO_BYTES.sub("\ufffd", str(path))
+    text = whole.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+    return "".join(char if char.isprintable() or char in kept else _escaped(char) for char in text)
+
+
+def _escaped(char: str) -> str:
+    return char.encode("unicode_escape").decode()
+
+
+def spreadsheet_cell(value: Any) -> Any:
+    """A text that a spreadsheet would take for a formula with an apostrophe before it; all else as it is."""
+    return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 
 def counted(number: int, what: str) -> str:
@@ -55,7 +78,7 @@ class AccelcalError(Exception):
         if self.byte_offset is not None:
             where.append(f"byte {self.byte_offset}")
         text = f"{', '.join(where)}: {self.message}" if where else self.message
-        return " ".join((f"{text}; {self.hint}" if self.hint else text).split())
+        return printable(" ".join((f"{text}; {self.hint}" if self.hint else text).split()))
 
 
 class UsageError(AccelcalError):

@@ -180,6 +180,9 @@ def columns(path: Path) -> dict[str, Any]:
             missing = [name for name in WANTED if name not in names]
             if missing:
                 raise _not_ours(path, names, missing)
+            twice = [name for name in WANTED if names.count(name) > 1]
+            if twice:
+                raise ValueError(f"it has more than one column {twice[0]}")
             table = file.read(columns=list(WANTED))
         text = {name: _texts(table[name]) for name in TEXT}
         numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
@@ -218,7 +221,10 @@ def _texts(column: pa.ChunkedArray) -> list[str | None]:
 
 def _floats(column: pa.ChunkedArray) -> Floats:
     """NaN for none. Arrow's own way to numpy loads pandas, which takes a third of a second."""
-    return np.array(column.to_pylist(), np.float64)
+    numbers: list[Any] = column.to_pylist()
+    if not all(number is None or isinstance(number, int | float) for number in numbers):
+        raise ValueError(f"a column of numbers is {column.type}")
+    return np.array(numbers, np.float64)
 
 
 def records(table: dict[str, Any], latest_day: float) -> Records:

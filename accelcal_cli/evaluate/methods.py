@@ -5,7 +5,6 @@ Also what is known of a simulated recording, and how far a calibration is from t
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, Calibration
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.output.files import parsed
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
 from accelcal_cli.pipeline.survey import Fitting, Procedure, fitting, make_method, open_marked, survey
 
@@ -165,7 +165,7 @@ def truth_beside(recording: Path) -> Truth | None:
     if not path.is_file():
         return None
     try:
-        return _truth(json.loads(path.read_text("utf-8")))
+        return _truth(parsed(path.read_text("utf-8")))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise UnreadableError(
             f"does not hold the truth of a simulated recording ({error})",

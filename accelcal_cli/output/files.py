@@ -12,15 +12,22 @@ import json
 import os
 import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from math import isfinite
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NoReturn
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.system import host, lives
 
 LONG_NAME = 160
 """Bytes; most disks take names of 255."""
+
+DEEPEST = 32
+"""Lists and objects in each other; in what we write there are fewer than ten."""
+
+WIDEST = 64
+"""Bits of a whole number, and its sign."""
 
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
@@ -201,10 +208,48 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
+def parsed(text: str | bytes) -> Any:
+    """A JSON text of ours, which may have been damaged or made by others.
+
+    Raises:
+        ValueError: it is not valid JSON, or holds what we never write: endless or huge numbers, halves of
+            characters, lists in lists without end.
+    """
+    try:
+        value = json.loads(text, parse_constant=_refuse_constant)
+    except RecursionError as error:
+        raise ValueError("too deeply nested") from error
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [part for one in level for part in _parts(one)]
+        if not level:
+            return value
+    raise ValueError("too deeply nested")
+
+
+def _refuse_constant(name: str) -> NoReturn:
+    raise ValueError(f"{name} is not a JSON number")
+
+
+def _parts(value: Any) -> Iterable[Any]:
+    """What is in a list or an object; raises ValueError for a value that cannot be ours."""
+    if isinstance(value, dict):
+        return (*value, *value.values())
+    if isinstance(value, list):
+        return value
+    if isinstance(value, str):
+        value.encode()
+    elif isinstance(value, int) and value.bit_length() > WIDEST:
+        raise ValueError("a whole number of more than 64 bits")
+    elif isinstance(value, float) and not isfinite(value):
+        raise ValueError("a number without end")
+    return ()
+
+
 def metadata_of(path: Path) -> dict[str, Any]:
     """What a Parquet file of ours says of itself; empty for any other file, or none."""
     try:
-        metadata = json.loads(_our_metadata(path)) if path.is_file() else {}
+        metadata = parsed(_our_metadata(path)) if path.is_file() else {}
     except (OSError, ValueError):
         return {}
     return metadata if isinstance(metadata, dict) else {}

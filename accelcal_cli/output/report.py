@@ -43,6 +43,7 @@ from accelcal_cli.core.results import (
     Trial,
 )
 from accelcal_cli.core.settings import EffectiveSettings
+from accelcal_cli.output.files import parsed
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
@@ -524,8 +525,8 @@ def load(path: Path) -> dict[str, Any] | None:
     try:
         if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
             return None
-        report = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
+        report = parsed(path.read_text("utf-8"))
+    except (OSError, ValueError):
         return None
     return report if isinstance(report, dict) and "accelcal_version" in report else None
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.files import parsed
 from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, fault, report_schema
 
 NAME_ONE = "name a report, STEM.calibration.json"
@@ -59,11 +60,11 @@ def read_document(path: Path) -> Document:
     """
     data = _bytes(path)
     try:
-        report = json.loads(data.decode(), parse_constant=_refuse_constant)
+        report = parsed(data.decode())
     except UnicodeDecodeError as error:
         start = error.start
         raise UnreadableError("is not UTF-8 text", path=path, byte_offset=start, hint=NAME_ONE) from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise UnreadableError(f"is not valid JSON ({error})", path=path, hint=NAME_ONE) from error
     if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
         raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
@@ -88,10 +89,6 @@ def _bytes(path: Path) -> bytes:
     if len(data) > LARGEST_BYTES:
         raise UnreadableError("is too large for a report", path=path, hint=NAME_ONE)
     return data
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a JSON number")
 
 
 def check_sections(document: Document, names: tuple[str, ...]) -> None:
@@ -178,9 +175,14 @@ def _origin(report: Mapping[str, Any]) -> Origin:
     applied, recording = report.get("coefficients"), report["recording"]
     if applied is None:
         path, digest, version = recording["path"], recording["sha256"], report["accelcal_version"]
-        return Origin(path, digest, Device(**recording["device"]), str(version))
-    device = Device(**applied["device"])
+        return Origin(path, digest, _device(recording["device"]), str(version))
+    device = _device(applied["device"])
     return Origin(applied["recording_path"], applied["recording_sha256"], device, applied["accelcal_version"])
+
+
+def _device(section: Mapping[str, Any]) -> Device:
+    """Who recorded; what a later version says besides is passed over."""
+    return Device(**{name: section[name] for name in Device.__dataclass_fields__})
 
 
 def calibration_of(section: Mapping[str, Any]) -> points.Calibration:
@@ -211,7 +213,7 @@ def calibration_of(section: Mapping[str, Any]) -> points.Calibration:
 def _scale(reference_mc: Any, span_c: Any) -> points.TemperatureScale | None:
     if reference_mc is None and span_c is None:
         return None
-    if type(reference_mc) is not int or reference_mc < ABSOLUTE_ZERO_MC:
+    if type(reference_mc) is not int or not ABSOLUTE_ZERO_MC <= reference_mc < LIMIT:
         raise ValueError(f"calibration.fixed_point.temperature_reference_mc cannot be {reference_mc!r}")
     if isinstance(span_c, bool) or not isinstance(span_c, int | float) or not 0 < span_c < 1e6:
         raise ValueError(f"calibration.fixed_point.temperature_span_c cannot be {span_c!r}")

@@ -155,9 +155,12 @@ class RecordingRun:
         """The existing result if it still holds, else that of both passes.
 
         Raises:
-            AccelcalError: see `result` and `write`; or the outputs are those of another recording.
+            AccelcalError: see `result` and `write`; or the outputs are those of another recording, or files
+                that are read.
         """
-        outputs.prepare(self.job, force=self.request.force)
+        job, read = self.job, (self.reader.recording.companion, self.request.poses)
+        jobs.refuse_overwriting((job.parquet, job.report, job.integers), read)
+        outputs.prepare(job, force=self.request.force)
         if not self.request.force:
             existing = outputs.up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
             if existing is not None:

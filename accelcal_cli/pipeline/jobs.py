@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -59,10 +59,13 @@ class Job:
 
 
 def real(path: Path) -> Path:
-    """The absolute path without links; a loop of links, or a path in a working folder that is gone, stays."""
+    """The absolute path without links.
+
+    A loop of links, a path in a working folder that is gone, and a name that no file can have stay.
+    """
     try:
         return Path(os.path.realpath(path))
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError):
         return path
 
 
@@ -81,7 +84,7 @@ def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> l
 
     Raises:
         UsageError: `output` with several recordings, a standard input named twice, or two
-            recordings with one output.
+            recordings with one output; `output` has no name.
     """
     if output is not None and len(sources) > 1:
         raise UsageError("-o/--output names one file, but there are several recordings", hint="use -d")
@@ -102,17 +105,31 @@ def plan_report(source: Path, output_dir: Path | None, report: Path | None, *inp
     """
     job = _job(source, output_dir, None)
     if report is not None:
+        refuse_nameless(report)
         base = report.name.removesuffix(".json").removesuffix(".calibration")
         job = Job(source, report.with_name(base + PARQUET_SUFFIX), report)
     _refuse_collisions([job])
-    for path in inputs:
-        if real(path) == real(job.report):
-            raise UsageError(f"{path} would be overwritten by the report", hint="use -o or -d")
+    refuse_overwriting((job.report,), inputs)
     return job
+
+
+def refuse_nameless(output: Path) -> None:
+    """Raise UsageError for an output whose name can only be that of a folder."""
+    if output.name in ("", ".."):
+        raise UsageError(f"{printable(output)!r} does not name a file", hint="give the name of a new file")
+
+
+def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Raise UsageError if an output would take the place of a file that is read."""
+    places = {real(path) for path in outputs}
+    for path in inputs:
+        if path is not None and real(path) in places:
+            raise UsageError(f"{printable(path)} would be overwritten by the output", hint="use -o or -d")
 
 
 def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
     if output is not None:
+        refuse_nameless(output)
         base = output.name.removesuffix(".parquet").removesuffix(".calibrated")
         return Job(source, output, output.with_name(base + REPORT_SUFFIX))
     if source == STDIN:
@@ -178,15 +195,16 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
     import shutil  # few runs read standard input
     import tempfile
 
-    with tempfile.TemporaryDirectory(prefix="accelcal-") as folder:
-        path = Path(folder) / "stdin"
+    with contextlib.ExitStack() as stack:
         try:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="accelcal-"))
+            path = Path(folder) / "stdin"
             with path.open("wb") as file:
                 shutil.copyfileobj(stream, file, 1 << 20)
         except OSError as error:
             raise OutputError(
                 f"standard input cannot be stored ({error.strerror or error})",
-                path=path,
+                path=error.filename,
                 hint="set TMPDIR to a disk with more space",
             ) from error
         yield path

@@ -234,7 +234,7 @@ def _check_stillness(record: Settings) -> None:
     rule = STILLNESS[record.stillness]
     for name in ("stillness_axes", "stillness_threshold_g", "stillness_deviation_g"):
         value = getattr(record, name)
-        if bool(value) != bool(rule[name]):
+        if bool(value) != bool(rule[name]) or (name == "stillness_axes" and value != rule[name]):
             raise ValueError(f"{name} cannot be {value}")
     if (record.adaptive is not None) != (record.stillness == "adaptive"):
         raise ValueError(f"adaptive cannot be {record.adaptive}")

@@ -14,7 +14,7 @@ from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.formats import named_encoder
 from accelcal_cli.output.files import replacing, write_text
-from accelcal_cli.pipeline.jobs import Progress
+from accelcal_cli.pipeline.jobs import Progress, refuse_nameless
 from accelcal_cli.simulate import Plan, Truth, describe, stream
 
 
@@ -27,12 +27,13 @@ def simulate(
         the recording's path and the truth.
 
     Raises:
-        UsageError: the format has no writer, or none for such a rate, scale or length.
+        UsageError: the format has no writer, or none for such a rate, scale or length; OUT has no name.
         OutputError: a file exists already and `force` is not given, or cannot be written.
     """
     encoder = named_encoder(format_name)
     plan = _as_sampled(plan, encoder.sampling(describe(plan, out, format_name)))
-    base = out.with_name(out.name.removesuffix(encoder.suffix))
+    refuse_nameless(out)
+    base = out.parent / (out.name.removesuffix(encoder.suffix) or out.name)
     path = base.with_name(base.name + encoder.suffix)
     truth_path = base.with_name(base.name + ".truth.json")
     companion = None if encoder.companion is None else base.with_name(base.name + encoder.companion.suffix)

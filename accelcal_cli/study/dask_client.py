@@ -144,7 +144,7 @@ def _address(named: str, wait_s: float) -> str:
 def _address_in(path: Path) -> str | None:
     try:
         address = json.loads(path.read_text("utf-8"))["address"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return address if isinstance(address, str) else None
 

@@ -6,7 +6,6 @@ that a study writes: these are recognised by name and content.
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import stat
@@ -22,6 +21,7 @@ from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
 from accelcal_cli.formats import all_formats, named_format
 from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
+from accelcal_cli.output.report import load
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.study.ledger import is_ledger
 from accelcal_cli.study.records import Item
@@ -55,12 +55,15 @@ def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force:
 def _foreign(out: Path, base: str) -> Iterator[Path]:
     for suffix in (*SUMMARY, ".ledger"):
         path = out / f"{base}{suffix}"
-        if path.exists() and not (path.is_file() and _summary(path)):
+        if path.exists() and not _summary(path):
             yield path
 
 
 def _summary(path: Path) -> bool:
+    """Whether a file, and no pipe, is a summary or a ledger that a study wrote."""
     try:
+        if not path.is_file():
+            return False
         if path.suffix == ".parquet":
             return list(pq.read_schema(path).names[:2]) == FIRST
         if path.suffix == ".ledger":
@@ -68,9 +71,8 @@ def _summary(path: Path) -> bool:
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
-        summary = json.loads(path.read_text(encoding="utf-8"))
-        return isinstance(summary, dict) and "accelcal_version" in summary and "recordings" in summary
-    except (OSError, ValueError, RecursionError, pa.ArrowException):
+        return "recordings" in (load(path) or {})
+    except (OSError, ValueError, pa.ArrowException):
         return False
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import LockedError, OutputError
 from accelcal_cli.core.system import host, lives
-from accelcal_cli.output.files import beside, discard, open_plain, output_error
+from accelcal_cli.output.files import beside, discard, open_plain, output_error, parsed
 
 try:
     import fcntl
@@ -144,8 +144,8 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 def _parsed(text: str) -> dict[str, Any]:
     try:
-        found = json.loads(text)
-    except (ValueError, RecursionError):
+        found = parsed(text)
+    except ValueError:
         return {}
     return found if isinstance(found, dict) and isinstance(found.get("pid"), int) else {}
 

@@ -50,6 +50,11 @@ class Plan:
     late: set[str] = field(default_factory=set)
     changing: set[str] = field(default_factory=set)
 
+    def ahead(self) -> int:
+        """How many recordings wait that were changed in the future, by this machine's clock."""
+        now = time.time()
+        return sum(item.changed_s > now for item in self.waiting)
+
     def sources(self) -> list[Path]:
         """The files of all recordings."""
         return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
@@ -199,8 +204,11 @@ def overlooked(study: Study) -> int:
 
 
 def _left_for_later(study: Study, item: Item) -> bool:
-    """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile."""
-    too_new = study.settle_s > 0 and time.time() - item.changed_s < study.settle_s
+    """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile.
+
+    What was changed further in the future than the wait is has a wrong time: it would wait for years.
+    """
+    too_new = study.settle_s > 0 and abs(time.time() - item.changed_s) < study.settle_s
     return too_new or (study.newer_than_s is not None and item.changed_s < study.newer_than_s)
 
 

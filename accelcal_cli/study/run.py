@@ -78,6 +78,7 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
         rows=[entry.row for entry in last if entry.row is not None],
         settings={**study.settings(), "pool": study.pool, "borrow": study.borrow},
         waiting=len(planned.waiting),
+        ahead=planned.ahead(),
         left_out=len(planned.left_out),
         up_to_date=len(set(standing) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},

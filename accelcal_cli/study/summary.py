@@ -17,11 +17,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli import __version__
-from accelcal_cli.core.errors import printable
+from accelcal_cli.core.errors import printable, spreadsheet_cell
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.study.records import FAILED, Item
 
+DEVICE = ("model", "serial", "firmware")
 AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
@@ -88,7 +89,7 @@ def _recording(report: dict[str, Any]) -> dict[str, Any]:
     return {
         **{name: recording[name] for name in same},
         **{name: health[name] for name in counts + figures},
-        **{f"device_{name}": value for name, value in recording["device"].items()},
+        **{f"device_{name}": recording["device"][name] for name in DEVICE},
         "rate_hz": recording["sample_rate_hz"],
         "gaps": len(recording["gaps"]) + recording["gaps_omitted"],
         "problems": sum(problem["count"] or 1 for problem in health["problems"]),
@@ -151,6 +152,7 @@ class Summary:
     Attributes:
         rows: one a recording, by path.
         waiting: recordings that were not tried yet: too new, too old, or another shard's.
+        ahead: of these, those that were changed in the future by this machine's clock; not written.
         left_out: files that are no recordings.
         up_to_date: recordings of which nothing had to be done; not part of what is written.
         pools: device, number of recordings, outcome and message of each pool, by name.
@@ -159,6 +161,7 @@ class Summary:
     rows: list[dict[str, Any]]
     settings: dict[str, Any]
     waiting: int = 0
+    ahead: int = 0
     left_out: int = 0
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -204,5 +207,5 @@ def _csv(rows: list[dict[str, Any]]) -> str:
     text = io.StringIO()
     table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
     table.writeheader()
-    table.writerows(rows)
+    table.writerows({name: spreadsheet_cell(value) for name, value in row.items()} for row in rows)
     return text.getvalue()

@@ -20,6 +20,7 @@ from accelcal_cli.study.records import Entry, Item, ProgressCallback
 
 REFUSED = 4
 BUG = 70
+NO_MEMORY = 71
 REPORT_S = 0.2
 STAGES = {"reading": 0.0, "writing": 0.5}
 """Where in the work a stage begins; each is half of it."""
@@ -106,9 +107,9 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
             return TaskResult(task.failure(error.exit_code, str(error), again=again))
         except MemoryError:
             message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
-            return TaskResult(task.failure(BUG, message, again=True))
+            return TaskResult(task.failure(NO_MEMORY, message, again=True))
         except Exception as error:
-            message = " ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split())
+            message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
             return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
     return guarded_work

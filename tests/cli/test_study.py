@@ -59,6 +59,13 @@ def test_a_row_says_what_the_report_says(tmp_path: Path, capsys: Capture) -> Non
     assert held.err.endswith("up to date\n")
 
 
+def test_names_that_a_spreadsheet_would_calculate(tmp_path: Path, capsys: Capture) -> None:
+    study(capsys, study_folder(tmp_path / "in", ("=cmd|' !A1.raw",)), "--report-only")
+    (row,) = rows(tmp_path / "out")
+    assert (row["path"], row["report"]) == ("'=cmd|' !A1.raw", "'=cmd|' !A1.calibration.json")
+    assert pd.read_parquet(tmp_path / "out/study.parquet")["path"][0] == "=cmd|' !A1.raw"
+
+
 def test_what_was_not_fitted_has_no_standard_error(tmp_path: Path, capsys: Capture) -> None:
     study(capsys, study_folder(tmp_path / "in", NAMES[:1]), "--model", "6", "--report-only")
     (row,) = rows(tmp_path / "out")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import time
 from pathlib import Path
 
 import pytest
@@ -85,3 +87,15 @@ def test_one_part_does_not_sum_up_all(tmp_path: Path, capsys: Capture) -> None:
     ran = study(capsys, folder, "--shard", "1/2", "--collect")
     assert (ran.code, "give one of them" in ran.err) == (2, True)
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("ahead_s", "begun"), [(36_000, True), (1800, False), (-1800, False), (-9000, True)])
+def test_a_recording_of_the_future_waits_no_longer_than_another(
+    tmp_path: Path, capsys: Capture, ahead_s: int, begun: bool
+) -> None:
+    folder = study_folder(tmp_path / "in", NAMES[:1])
+    when = time.time() + ahead_s
+    os.utime(folder / NAMES[0], (when, when))
+    ran = study(capsys, folder, "--settle", 3600, "-q", "--report-only")
+    assert (ran.code, len(rows(tmp_path / "out"))) == (0, int(begun))
+    assert ("modified in the future" in ran.err) == (ahead_s == 1800)

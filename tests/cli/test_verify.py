@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import accelcal_cli.verify as verifying
 from accelcal_cli import __version__
 from tests.cli.run import run, verify
 from tests.device_recordings import donor, edit, rest, week, write_device
@@ -121,19 +123,57 @@ def test_settings_of_another_version_are_told(tmp_path: Path, capsys: Capture) -
 
     def change(held: dict) -> None:
         held["accelcal_version"] = "0.0.9"
-        del held["settings"]["cells_per_g"], held["settings"]["input"]["sensor"]
+        del held["settings"]["precision_mg"], held["settings"]["input"]["date_format"]
+        del held["file_health"]["clock"]
         held["settings"]["magic"] = {"a": 1}
 
     edit(report, change)
     ran, found = verify(capsys, report, path)
     assert (ran.code, found["differs"]) == (0, [])
     assert found["versions"] == {"report": "0.0.9", "this": __version__}
-    assert found["settings_assumed"] == ["cells_per_g", "input.sensor"]
+    assert found["settings_assumed"] == ["precision_mg", "input.date_format"]
     assert found["settings_unknown"] == ["magic"]
-    assert "does not state cells_per_g, input.sensor" in ran.err
+    assert "does not state precision_mg, input.date_format" in ran.err
     assert "states magic" in ran.err
     edit(report, lambda held: held["settings"].update(cells_per_g=10))
     assert verify(capsys, report, path)[0].code == 1
+
+
+def places(report: Any, *outer: str) -> list[tuple[str, ...]]:
+    """All keys of a report, outer ones first."""
+    if not isinstance(report, dict):
+        return []
+    return [at for name in report for at in ((*outer, name), *places(report[name], *outer, name))]
+
+
+def test_what_was_taken_out_differs(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without `input`, a report says that it cannot be reproduced."""
+    report, path = donor(tmp_path), tmp_path / "donor.raw"
+    (tmp_path / "donor.calibrated.parquet").unlink()
+    whole = json.loads(report.read_text())
+    made_again = json.loads(report.read_text())
+    monkeypatch.setattr(verifying, "reproduced", lambda *_: (json.loads(json.dumps(made_again)), None))
+    taken_out = [*places(whole["settings"], "settings"), ("file_health", "clock"), ("coverage", "cells")]
+    taken_out.remove(("settings", "input"))
+    for place in taken_out:
+        held = json.loads(json.dumps(whole))
+        section = held
+        for name in place[:-1]:
+            section = section[name]
+        del section[place[-1]]
+        report.write_text(json.dumps(held))
+        ran, found = verify(capsys, report, path)
+        assert ran.code != 0, place
+        assert not found or ".".join(place) in found["differs"], (place, found)
+
+
+def test_a_setting_that_this_version_does_not_have_differs_in_its_own_report(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    report, path = donor(tmp_path), tmp_path / "donor.raw"
+    (tmp_path / "donor.calibrated.parquet").unlink()
+    ran, found = verify(capsys, edit(report, lambda held: held["settings"].update(magic=1)), path)
+    assert (ran.code, found["differs"]) == (1, ["settings.magic"])
 
 
 def test_another_or_a_changed_recording_is_refused(tmp_path: Path, capsys: Capture) -> None:

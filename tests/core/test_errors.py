@@ -45,3 +45,29 @@ def test_an_error_is_one_line() -> None:
 def test_every_kind_has_its_exit_code(name: str, code: int) -> None:
     assert getattr(errors, name).exit_code == code
     assert issubclass(getattr(errors, name), errors.AccelcalError)
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"),
+    [
+        ("=1+1", "'=1+1"), ("@SUM(A1)", "'@SUM(A1)"), ("-2+3+cmd|' /C calc'!A0", "'-2+3+cmd|' /C calc'!A0"),
+        ("+x", "'+x"), ("\t=1", "'\t=1"), ("-rest.csv", "'-rest.csv"), ("a=1", "a=1"), ("-", "-"),
+        ("-0.5", "-0.5"), ("-1.5e-05", "-1.5e-05"), ("", ""), (-3.0, -3.0), (None, None),
+    ],
+)  # fmt: skip
+def test_cells_that_a_spreadsheet_would_calculate(text: object, cell: object) -> None:
+    assert errors.spreadsheet_cell(text) == cell
+
+
+@pytest.mark.parametrize(
+    ("name", "shown"),
+    [
+        ("\ud800", "\ufffd"),
+        ("a\udcffb", "a\ufffdb"),
+        ("\udcc3\udca9", "\u00e9"),
+        ("\x1b[0m", r"\x1b[0m"),
+        ("\0", r"\x00"),
+    ],
+)
+def test_any_name_can_be_printed(name: str, shown: str) -> None:
+    assert errors.printable(name) == shown

@@ -114,3 +114,23 @@ def test_a_cut_table(tmp_path: Path) -> None:
 def test_an_empty_table_and_one_row(tmp_path: Path) -> None:
     assert len(read(write(tmp_path, []), NOW_S)) == 0
     assert len(read(write(tmp_path, [fitted("A", 0)]), NOW_S)) == 1
+
+
+@pytest.mark.parametrize("name", ["format", "k_xx", "device_serial"])
+@pytest.mark.parametrize("how", ["twice", "lists", "words"])
+def test_columns_that_no_study_writes(tmp_path: Path, name: str, how: str) -> None:
+    path = write(tmp_path, [fitted("A", 0), fitted("A", 30)]) / "study.parquet"
+    table = pq.read_table(path)
+    other = pa.array([[1.0], [2.0]]) if how == "lists" else pa.array(["1", "2"])
+    if how == "twice":
+        table = table.append_column(name, table[name])
+    elif how == "lists" or name not in TEXT:
+        table = table.set_column(table.column_names.index(name), name, other)
+    pq.write_table(table, path)
+    if how == "words" and name in TEXT:
+        assert len(read(tmp_path, NOW_S)) == 2
+        return
+    with pytest.raises(
+        UnreadableError, match=f"more than one column {name}" if how == "twice" else "a column of"
+    ):
+        read(tmp_path, NOW_S)
