@@ -26,6 +26,9 @@ y = { offset = 2, type = "int16" }
 z = { offset = 4, type = "int16" }
 """
 SUFFIXES = ("cwa", "raw", "h5", "csv", "bin", "gt3x")
+OPTIONS = {"raw": "--raw", "h5": "--hdf5", "csv": "--csv", "bin": "--bin", "gt3x": "--gt3x"}
+"""What makes the generator write a format beside `.cwa`, which it always writes."""
+
 START = np.datetime64("2024-03-04T00:00:00", "us")
 
 
@@ -66,7 +69,7 @@ def calibrated(folder: Path, suffix: str, *words: str) -> dict:
 
 
 def calibrated_day(real_data: Path, folder: Path, truth: int, days: str, suffixes: tuple[str, ...]) -> Day:
-    make(real_data, folder, truth, ("--days", days, "--raw", "--hdf5", "--csv", "--bin", "--gt3x"))
+    make(real_data, folder, truth, ("--days", days, *(OPTIONS[suffix] for suffix in suffixes[1:])))
     reports = {suffix: calibrated(folder, suffix, "--no-temperature") for suffix in suffixes}
     known = json.loads((folder / "day.truth.json").read_text())
     return Day(folder, known, np.load(folder / "day.i16.npy"), np.load(folder / "day.still.npy"), reports)
