@@ -165,11 +165,9 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
 @limits
 @click.option(
-    "--reference-c",
-    type=Within(-100, 200),
-    metavar="C",
+    "--reference-c", type=Within(-100, 200), metavar="C",
     help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
-)
+)  # fmt: skip
 def command(out: Path, **values: Any) -> int:
     """Show how the devices of a study drift, which of them need service, and why.
 

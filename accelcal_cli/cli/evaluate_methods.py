@@ -17,12 +17,7 @@ from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
-PUBLISHED = (
-    "Table 3 of Farago, Maczak, Gingl 2024 (own recordings)",
-    "before mg",
-    "after mg",
-    "improved %",
-)
+PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
 
 
 @click.command("methods")

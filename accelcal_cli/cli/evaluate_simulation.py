@@ -20,14 +20,8 @@ UNIT = 1e-4
 NINE = PARAMETER_NAMES[:9]
 SIX = " (six)"
 ERRORS = ("", *NINE, "/bound", "/paper", "failed")
-COSTS = (
-    "",
-    "iterations",
-    "additions",
-    "multiplications",
-    "ms here",
-    *(f"{item.name} s" for item in MICROCONTROLLERS),
-)
+COUNTED = ("", "iterations", "additions", "multiplications", "ms here")
+COSTS = (*COUNTED, *(f"{item.name} s" for item in MICROCONTROLLERS))
 
 
 def _lines(protocol: Protocol, tables: tuple[Table, ...]) -> Iterator[str]:
@@ -96,9 +90,8 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
 
 
 @click.command("simulation")
-@click.option(
-    "--cases", type=click.IntRange(1), default=500, show_default=True, help="How many sensors to simulate."
-)
+@click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
+              help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=Listed(int, 10, 8192), default="18,144,432", show_default=True,
               metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,

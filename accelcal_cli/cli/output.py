@@ -129,10 +129,7 @@ def parquet_of(result: Result) -> Path | None:
 
 
 def run_jobs(
-    jobs: list[Job],
-    work: Work,
-    values: dict[str, Any],
-    written: Callable[[Result], Path | None] = parquet_of,
+    jobs: list[Job], work: Work, values: dict[str, Any], written: Callable[[Result], Path | None] = parquet_of
 ) -> int:
     """Do every job and print its result; returns the exit code of all.
 

@@ -136,10 +136,7 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDAr
         row = int(bad.argmax())
         shown = str(frame[name].iloc[row])[:40]
         raise UnreadableError(
-            f"{name} is {shown!r}, not a number within +-{largest:g}",
-            path=path,
-            line=row + 2,
-            hint=_CORRECT,
+            f"{name} is {shown!r}, not a number within +-{largest:g}", path=path, line=row + 2, hint=_CORRECT
         )
     return np.asarray(values)
 

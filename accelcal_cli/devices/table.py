@@ -194,9 +194,7 @@ def _check_there(path: Path) -> None:
         return
     if any(path.parent.glob("study.*-of-*.parquet")):
         raise UsageError(
-            "does not exist; only shards have been run",
-            path=path,
-            hint="run the study with --collect first",
+            "does not exist; only shards have been run", path=path, hint="run the study with --collect first"
         )
     hint = "give the folder that was given to `accelcal study` with -d, or run the study first"
     raise UsageError("does not exist", path=path, hint=hint)

@@ -45,16 +45,8 @@ MEAN_OF_ABSOLUTE = float(np.sqrt(2 / np.pi))
 """Mean |x| of a normal distribution with standard deviation 1."""
 NINE = PARAMETER_NAMES[:9]
 COLUMNS = (
-    "points",
-    "noise_mg",
-    "source",
-    "model",
-    "parameter",
-    "mean_abs_error",
-    "sd_abs_error",
-    "cases",
-    "failed",
-)
+    "points", "noise_mg", "source", "model", "parameter", "mean_abs_error", "sd_abs_error", "cases", "failed",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

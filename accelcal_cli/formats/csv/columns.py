@@ -64,7 +64,7 @@ class ChannelRule:
 CHANNELS = {
     "temperature_mc": ChannelRule(
         ({"temperature"}, {"temp"}), frozenset({"", "c", "°c", "degc", "deg", "celsius"}), 1000, 1000.0
-    ),
+    )
 }
 """Channels that a text file may have, by their name in Chunk. This is all that there is to know of one."""
 

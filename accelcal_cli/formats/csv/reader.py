@@ -38,10 +38,7 @@ SINGLE = 50
 
 MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
 OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
-ASLEEP = (
-    "idle_sleep",
-    "{rows} from line {line} on not measured: the device slept, and repeated a value",
-)
+ASLEEP = ("idle_sleep", "{rows} from line {line} on not measured: the device slept, and repeated a value")
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
