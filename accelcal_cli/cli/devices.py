@@ -29,25 +29,23 @@ PERCENT = (Kind.SCALE, Kind.MISALIGNMENT)
 
 def overview(devices: Sequence[DeviceReview]) -> str:
     """A line for each device, with the verdict and its first reason."""
-    names = _names(devices)
-    cells = [_line(*pair) for pair in zip(names, devices, strict=True)]
-    lines = aligned(HEAD, cells).splitlines()
-    verdicts = ["verdict", "-------", *(_verdict(device) for device in devices)]
+    cells = [_line(*pair) for pair in zip(_names(devices), devices, strict=True)]
+    return _with_last(aligned(HEAD, cells), ["verdict", "-------", *map(_verdict, devices)])
+
+
+def _with_last(table: str, column: list[str]) -> str:
+    """A table with one more column on its right, of any width."""
+    lines = table.splitlines()
     width = max(map(len, lines))
-    return "\n".join(f"{line.ljust(width)}  {text}" for line, text in zip(lines, verdicts, strict=True))
+    return "\n".join(f"{line.ljust(width)}  {text}" for line, text in zip(lines, column, strict=True))
 
 
 def _names(devices: Sequence[DeviceReview]) -> list[str]:
     """Serials; with model and format where several devices have the same."""
-    often = Counter(device.key.serial for device in devices)
-    return [
-        printable(
-            key.serial
-            if often[key.serial] == 1
-            else f"{key.serial} ({key.model or '-'}, {key.format or '-'})"
-        )
-        for key in (device.key for device in devices)
-    ]
+    keys = [device.key for device in devices]
+    often = Counter(key.serial for key in keys)
+    kinds = [f" ({key.model or '-'}, {key.format or '-'})" if often[key.serial] > 1 else "" for key in keys]
+    return [printable(f"{key.serial}{kind}") for key, kind in zip(keys, kinds, strict=True)]
 
 
 def _line(name: str, device: DeviceReview) -> list[str]:
@@ -111,10 +109,9 @@ def _drift(drift: Drift | None, digits: str, recordings: int) -> list[str]:
 
 def _history(review: Review, device: DeviceReview) -> str:
     """A line for each recording, its path last."""
-    lines = aligned(HISTORY, [_recording(review, index) for index in device.rows]).splitlines()
-    paths = ["path", "----", *(printable(review.records.text["path"][index] or "-") for index in device.rows)]
-    width = max(map(len, lines))
-    return "\n".join(f"{line.ljust(width)}  {path}" for line, path in zip(lines, paths, strict=True))
+    cells = [_recording(review, index) for index in device.rows]
+    paths = [printable(review.records.text["path"][index] or "-") for index in device.rows]
+    return _with_last(aligned(HISTORY, cells), ["path", "----", *paths])
 
 
 def _recording(review: Review, index: int) -> list[str]:
