@@ -14,12 +14,13 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Positive, Within
-from accelcal_cli.cli.output import aligned, comma_separated, number, refuse_both
+from accelcal_cli.cli.options import FILE, Positive, Within
+from accelcal_cli.cli.output import aligned, number, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, with_error
 from accelcal_cli.devices.trends import Drift, Rules, Trend
+from accelcal_cli.output.files import csv_text
 
 HEAD = ("device", "recordings", "used", "refused", "first", "last", "held out mg", "mg/month", "%/month")
 DETAIL = ("parameter", "value", "+-", "a month", "+-", "scatter", "recordings", "certain")
@@ -155,7 +156,7 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command("devices")
-@click.argument("out", type=click.Path(path_type=Path, readable=False))
+@click.argument("out", type=FILE)
 @click.option("--device", metavar="SERIAL", help="Show this device only, in detail.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table with a row for each recording.")
@@ -198,7 +199,7 @@ def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str
         return json.dumps(as_json(reviewed, devices))
     if values["as_csv"]:
         rows = [row(reviewed, device, index) for device in devices for index in device.rows]
-        return comma_separated(columns(), [list(map(_cell, one.values())) for one in rows])
+        return csv_text(columns(), [list(map(_cell, one.values())) for one in rows]).rstrip("\n")
     if values["device"] is not None:
         return "\n\n".join(detail(reviewed, device) for device in devices)
     return overview(devices)

@@ -9,11 +9,12 @@ from typing import Any, get_args
 import click
 
 from accelcal_cli.cli.options import Listed
-from accelcal_cli.cli.output import aligned, comma_separated, figure, number, progress_bars
+from accelcal_cli.cli.output import aligned, figure, number, progress_bars
 from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES
 from accelcal_cli.evaluate.cases import USUAL, Selection, methods
 from accelcal_cli.evaluate.simulation import COLUMNS, Protocol, Scores, Table, as_json, rows, run
+from accelcal_cli.output.files import csv_text
 
 NONE = "-"
 UNIT = 1e-4
@@ -127,5 +128,5 @@ def _shown(as_what: str | None, protocol: Protocol, tables: tuple[Table, ...]) -
     if as_what == "json":
         return json.dumps(as_json(protocol, tables), allow_nan=False)
     if as_what == "csv":
-        return comma_separated(COLUMNS, rows(tables))
+        return csv_text(COLUMNS, rows(tables)).rstrip("\n")
     return "\n".join(_lines(protocol, tables))

@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Positive, calibrating_options, precision_option, request_of
+from accelcal_cli.cli.options import FILE, Positive, calibrating_options, precision_option, request_of
 from accelcal_cli.cli.output import study_line
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
@@ -105,12 +105,9 @@ class TerminalObserver:
             exit_codes.say(f"{name}: {problem}")
 
 
-FOLDER = click.Path(path_type=Path, readable=False)
-
-
 @click.command("study")
-@click.argument("folders", nargs=-1, required=True, type=FOLDER)
-@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder for the outputs.")
+@click.argument("folders", nargs=-1, required=True, type=FILE)
+@click.option("-d", "--output-dir", "out", type=FILE, required=True, help="Folder for the outputs.")
 @click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Skip these files, such as 'pilot/*'.")
 @click.option("-j", "--jobs", type=click.IntRange(1, 1024),
