@@ -43,9 +43,8 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
         verified = verify(report, recording, options, bars)
-    click.echo(
-        json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
-    )
+    text = json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
+    click.echo(text)
     if not values["quiet"]:
         _comment(report, verified)
     return exit_codes.OK if verified.identical else DIFFERS

@@ -48,13 +48,8 @@ def to_points(
 ) -> PointSet:
     """Means in fixed-point g; temperatures scaled to a power-of-two span about their mean."""
     scale = Fraction(lsb_per_g)
-    xyz = [
-        [
-            rounded_quotient(axis * ONE * scale.denominator, item.samples * scale.numerator)
-            for axis in item.xyz
-        ]
-        for item in sums
-    ]
+    one, lsb = ONE * scale.denominator, scale.numerator
+    xyz = [[rounded_quotient(axis * one, item.samples * lsb) for axis in item.xyz] for item in sums]
     windows = np.array([item.windows for item in sums], np.int64)
     shares = np.array(weights, np.int64)
     places = np.array(xyz, np.int64).reshape(-1, 3)
@@ -67,9 +62,8 @@ def to_points(
         rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
         for item in sums
     ]
-    return PointSet(
-        places, shares, windows, np.array(tau, np.int64), TemperatureScale(reference, float(span))
-    )
+    temperatures = TemperatureScale(reference, float(span))
+    return PointSet(places, shares, windows, np.array(tau, np.int64), temperatures)
 
 
 def shared_weights(groups: Sequence[tuple[int, ...]], windows: Sequence[int]) -> list[int]:

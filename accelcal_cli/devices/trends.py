@@ -244,9 +244,8 @@ def at_one_temperature(records: Records, counted: Mask, temperature_c: float | N
     spread = np.where(sloped[:, np.newaxis], away * errors[:, SLOPES], TEMPERATURE_DOUBT_C * mean)
     known = np.isfinite(target_c)[:, np.newaxis]
     values[:, OFFSETS] = np.where(known & np.isfinite(away), moved, values[:, OFFSETS])
-    errors[:, OFFSETS] = np.where(
-        known, np.hypot(errors[:, OFFSETS], np.nan_to_num(spread)), errors[:, OFFSETS]
-    )
+    widened = np.hypot(errors[:, OFFSETS], np.nan_to_num(spread))
+    errors[:, OFFSETS] = np.where(known, widened, errors[:, OFFSETS])
     return Referred(replace(records, values=values, errors=errors), chosen)
 
 

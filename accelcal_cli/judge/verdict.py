@@ -103,9 +103,8 @@ def judge_paper(
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
     trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None, fitted)
-    others = (
-        () if name == "9" else (Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment"),)
-    )
+    unfit = Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment")
+    others = () if name == "9" else (unfit,)
     outcome, text = _outcome(trial, (trial, *others), coverage, settings)
     verdict = Judgement(outcome, text, coverage, (trial, *others), holdout=trial.holdout)
     if outcome is Outcome.REFUSED:
