@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, and whether a Parquet file that exists is one of ours.
+"""Files that appear complete or not at all, tables as CSV, and whether a Parquet file is one of ours.
 
 What a Parquet file of ours says of itself is read without loading pyarrow where there is no file.
 """
@@ -6,12 +6,14 @@ What a Parquet file of ours says of itself is read without loading pyarrow where
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import hashlib
+import io
 import json
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -164,6 +166,15 @@ def write_text(path: Path, text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """CSV with a header line; None is an empty cell."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(head)
+    table.writerows(rows)
+    return text.getvalue()
 
 
 def metadata_of(path: Path) -> dict[str, Any]:

@@ -6,7 +6,8 @@ Single lines are looked at only where a block cannot be parsed, to name the firs
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -213,10 +214,6 @@ class TableParser:
     dialect: Dialect
     roles: Roles
     time: TimeFormat | None
-    options: tuple[Any, Any] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "options", (self._parse_options(), self._convert_options()))
 
     @property
     def used(self) -> list[int]:
@@ -224,19 +221,20 @@ class TableParser:
         time = () if self.roles.time is None else (self.roles.time,)
         return [*self.roles.xyz, *time, *self.roles.channels.values()]
 
-    def _parse_options(self) -> Any:
-        return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
-
-    def _convert_options(self) -> Any:
+    @cached_property
+    def _options(self) -> tuple[Any, Any]:
+        """Of pyarrow's parser, and of its conversion."""
         types = {str(column): pa.float64() for column in self.used}
         if self.time is not None:
             types[str(self.roles.time)] = self.time.arrow_type
-        return pa_csv.ConvertOptions(
+        converting = pa_csv.ConvertOptions(
             column_types=types,
             include_columns=list(types),
             null_values=list(MISSING),
             quoted_strings_can_be_null=True,
         )
+        delimiter = self.dialect.normaliser.delimiter
+        return pa_csv.ParseOptions(delimiter=delimiter, newlines_in_values=False), converting
 
     def cells(self, block: Block) -> ParsedTable:
         """The rows of a block's whole lines.
@@ -270,7 +268,7 @@ class TableParser:
 
     def _parsed(self, data: bytes) -> Any:
         """A table, in the C library's memory: Arrow's own keeps an eighth more of what was freed."""
-        parsing, converting = self.options
+        parsing, converting = self._options
         if PADDING.issuperset(data):
             types = converting.column_types
             return pa.table({name: pa.array([], kind) for name, kind in types.items()})
