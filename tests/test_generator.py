@@ -129,7 +129,9 @@ def test_parquet_is_the_calibration_of_every_sample_at_its_time(day: Day) -> Non
         assert np.abs((times - exact).astype(np.int64)).max() <= stamp_resolution_us, suffix
 
 
-@pytest.mark.parametrize("samples", [9000, pytest.param(77_777, marks=pytest.mark.nightly), 10**7])
+@pytest.mark.parametrize(
+    "samples", [9000, *(pytest.param(n, marks=pytest.mark.nightly) for n in (77_777, 10**7))]
+)
 def test_the_chunk_size_changes_nothing(day: Day, samples: int) -> None:
     report = calibrated(
         day.folder, "cwa", "--no-temperature", "--report-only", "--chunk-samples", str(samples), "--force"

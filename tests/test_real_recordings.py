@@ -65,7 +65,7 @@ def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, cap
     ("name", "raw_error_mg"),
     [
         pytest.param("zio_chest_1.56hz_14d.csv.gz", 25.4, marks=pytest.mark.nightly),
-        ("actigraph_30hz_12h.csv.gz", 22.9),
+        pytest.param("actigraph_30hz_12h.csv.gz", 22.9, marks=pytest.mark.nightly),
         ("actigraph_gt3xplus_30hz_9h.csv.gz", 15.36),
     ],
 )
