@@ -55,17 +55,15 @@ class Sensor:
         noise_g: standard deviation of white noise on each axis.
     """
 
-    gain: NDArray[np.float64]
-    offset_g: NDArray[np.float64]
-    slope_g_per_c: NDArray[np.float64]
+    gain: Floats
+    offset_g: Floats
+    slope_g_per_c: Floats
     noise_g: float
     lsb_per_g: float
     range_g: float
     reference_c: float = 30.0
 
-    def counts(
-        self, acceleration: NDArray[np.float64], temperature_c: NDArray[np.float64], random: RandomState
-    ) -> NDArray[np.int16]:
+    def counts(self, acceleration: Floats, temperature_c: Floats, random: RandomState) -> NDArray[np.int16]:
         """Raw counts (n, 3) of true acceleration (n, 3) in g."""
         raw = acceleration @ np.linalg.inv(self.gain).T - self.offset_g
         if self.slope_g_per_c.any():
@@ -88,9 +86,7 @@ class Sensor:
         }
 
 
-def draw_gain_and_offset(
-    seed: int, size: float, misalignment: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def draw_gain_and_offset(seed: int, size: float, misalignment: float) -> tuple[Floats, Floats]:
     """Errors drawn uniformly from half of F's ranges (eq. 17), times `size`.
 
     Returns:
@@ -247,7 +243,7 @@ class Truth:
     before: list[float] = field(default_factory=list)
     after: list[float] = field(default_factory=list)
 
-    def see(self, counts: NDArray[np.int16], temperature: NDArray[np.float64], sensor: Sensor) -> None:
+    def see(self, counts: NDArray[np.int16], temperature: Floats, sensor: Sensor) -> None:
         """Take one motionless stretch in."""
         mean = counts.mean(axis=0) / sensor.lsb_per_g
         moved = mean + sensor.offset_g + sensor.slope_g_per_c * (temperature.mean() - sensor.reference_c)
@@ -304,7 +300,7 @@ def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
             return
 
 
-def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> NDArray[np.float64]:
+def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> Floats:
     """Skin temperature with a daily and a faster swing; some degrees less off the wrist."""
     seconds = (first + np.arange(number)) / rate_hz
     swing = 3.5 * np.sin(2 * np.pi * (seconds / 86_400 - 0.2)) + 1.2 * np.sin(2 * np.pi * seconds / 5400)
@@ -312,7 +308,7 @@ def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> NDA
 
 
 def _note_stillness(
-    bout: Bout, counts: NDArray[np.int16], temperature: NDArray[np.float64], plan: Plan, truth: Truth
+    bout: Bout, counts: NDArray[np.int16], temperature: Floats, plan: Plan, truth: Truth
 ) -> None:
     length = round(STILL_SECONDS * plan.rate_hz)
     at = np.flatnonzero(bout.still[: len(counts)])

@@ -26,6 +26,9 @@ y = { offset = 2, type = "int16" }
 z = { offset = 4, type = "int16" }
 """
 SUFFIXES = ("cwa", "raw", "h5", "csv", "bin", "gt3x")
+OPTIONS = {"raw": "--raw", "h5": "--hdf5", "csv": "--csv", "bin": "--bin", "gt3x": "--gt3x"}
+"""What makes the generator write a format beside `.cwa`, which it always writes."""
+
 START = np.datetime64("2024-03-04T00:00:00", "us")
 
 
@@ -66,7 +69,7 @@ def calibrated(folder: Path, suffix: str, *words: str) -> dict:
 
 
 def calibrated_day(real_data: Path, folder: Path, truth: int, days: str, suffixes: tuple[str, ...]) -> Day:
-    make(real_data, folder, truth, ("--days", days, "--raw", "--hdf5", "--csv", "--bin", "--gt3x"))
+    make(real_data, folder, truth, ("--days", days, *(OPTIONS[suffix] for suffix in suffixes[1:])))
     reports = {suffix: calibrated(folder, suffix, "--no-temperature") for suffix in suffixes}
     known = json.loads((folder / "day.truth.json").read_text())
     return Day(folder, known, np.load(folder / "day.i16.npy"), np.load(folder / "day.still.npy"), reports)
@@ -126,7 +129,9 @@ def test_parquet_is_the_calibration_of_every_sample_at_its_time(day: Day) -> Non
         assert np.abs((times - exact).astype(np.int64)).max() <= stamp_resolution_us, suffix
 
 
-@pytest.mark.parametrize("samples", [9000, pytest.param(77_777, marks=pytest.mark.nightly), 10**7])
+@pytest.mark.parametrize(
+    "samples", [9000, *(pytest.param(n, marks=pytest.mark.nightly) for n in (77_777, 10**7))]
+)
 def test_the_chunk_size_changes_nothing(day: Day, samples: int) -> None:
     report = calibrated(
         day.folder, "cwa", "--no-temperature", "--report-only", "--chunk-samples", str(samples), "--force"

@@ -51,6 +51,7 @@ def freshly_calibrated(capsys: Capture, path: Path, folder: Path, *words: object
     return ran.code, report
 
 
+@pytest.mark.nightly
 def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
     path = real_data / "vendor" / "zio_chest_1.56hz_14d.csv.gz"
     code, report = calibrated(capsys, path, tmp_path, "--report-only")
@@ -64,7 +65,7 @@ def test_a_chest_recording_of_fourteen_days(real_data: Path, tmp_path: Path, cap
     ("name", "raw_error_mg"),
     [
         pytest.param("zio_chest_1.56hz_14d.csv.gz", 25.4, marks=pytest.mark.nightly),
-        ("actigraph_30hz_12h.csv.gz", 22.9),
+        pytest.param("actigraph_30hz_12h.csv.gz", 22.9, marks=pytest.mark.nightly),
         ("actigraph_gt3xplus_30hz_9h.csv.gz", 15.36),
     ],
 )
@@ -120,7 +121,7 @@ def test_too_few_postures_are_refused(real_data: Path, tmp_path: Path, capsys: C
         ("ax3_100hz_3min.cwa", 17_400, 98.86),
         ("ax3_corrupt_blocks_0_13_14_142_143_144.cwa", 16_680, 98.86),
         ("ax3_200hz_5min.cwa", 58_800, 197.25),
-        ("ax3_sacrum_100hz_3h.cwa", 1_208_160, 98.17),
+        pytest.param("ax3_sacrum_100hz_3h.cwa", 1_208_160, 98.17, marks=pytest.mark.nightly),
     ],
 )
 def test_axivity_recordings(

@@ -19,19 +19,10 @@ from accelcal_cli.pipeline.jobs import Request, plan
 
 @click.command("apply")
 @options.place_options
-@click.option(
-    "--coefficients",
-    required=True,
-    type=options.FILE,
-    metavar="STEM.calibration.json",
-    help="Report with the coefficients.",
-)
+@click.option("--coefficients", required=True, type=options.FILE, metavar="STEM.calibration.json",
+              help="Report with the coefficients.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept recordings of any device.")
-@click.option(
-    "--no-temperature",
-    is_flag=True,
-    help="Use the coefficients at their reference temperature.",
-)
+@click.option("--no-temperature", is_flag=True, help="Use the coefficients at their reference temperature.")
 @options.printing_options
 @options.reading_options
 @options.damage_option

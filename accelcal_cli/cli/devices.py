@@ -14,12 +14,13 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Positive, Within
-from accelcal_cli.cli.output import aligned, comma_separated, number, refuse_both
+from accelcal_cli.cli.options import FILE, Positive, Within
+from accelcal_cli.cli.output import aligned, number, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
 from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, with_error
 from accelcal_cli.devices.trends import Drift, Rules, Trend
+from accelcal_cli.output.files import csv_text
 
 HEAD = ("device", "recordings", "used", "refused", "first", "last", "held out mg", "mg/month", "%/month")
 DETAIL = ("parameter", "value", "+-", "a month", "+-", "scatter", "recordings", "certain")
@@ -29,25 +30,23 @@ PERCENT = (Kind.SCALE, Kind.MISALIGNMENT)
 
 def overview(devices: Sequence[DeviceReview]) -> str:
     """A line for each device, with the verdict and its first reason."""
-    names = _names(devices)
-    cells = [_line(*pair) for pair in zip(names, devices, strict=True)]
-    lines = aligned(HEAD, cells).splitlines()
-    verdicts = ["verdict", "-------", *(_verdict(device) for device in devices)]
+    cells = [_line(*pair) for pair in zip(_names(devices), devices, strict=True)]
+    return _with_last(aligned(HEAD, cells), ["verdict", "-------", *map(_verdict, devices)])
+
+
+def _with_last(table: str, column: list[str]) -> str:
+    """A table with one more column on its right, of any width."""
+    lines = table.splitlines()
     width = max(map(len, lines))
-    return "\n".join(f"{line.ljust(width)}  {text}" for line, text in zip(lines, verdicts, strict=True))
+    return "\n".join(f"{line.ljust(width)}  {text}" for line, text in zip(lines, column, strict=True))
 
 
 def _names(devices: Sequence[DeviceReview]) -> list[str]:
     """Serials; with model and format where several devices have the same."""
-    often = Counter(device.key.serial for device in devices)
-    return [
-        printable(
-            key.serial
-            if often[key.serial] == 1
-            else f"{key.serial} ({key.model or '-'}, {key.format or '-'})"
-        )
-        for key in (device.key for device in devices)
-    ]
+    keys = [device.key for device in devices]
+    often = Counter(key.serial for key in keys)
+    kinds = [f" ({key.model or '-'}, {key.format or '-'})" if often[key.serial] > 1 else "" for key in keys]
+    return [printable(f"{key.serial}{kind}") for key, kind in zip(keys, kinds, strict=True)]
 
 
 def _line(name: str, device: DeviceReview) -> list[str]:
@@ -111,10 +110,9 @@ def _drift(drift: Drift | None, digits: str, recordings: int) -> list[str]:
 
 def _history(review: Review, device: DeviceReview) -> str:
     """A line for each recording, its path last."""
-    lines = aligned(HISTORY, [_recording(review, index) for index in device.rows]).splitlines()
-    paths = ["path", "----", *(printable(review.records.text["path"][index] or "-") for index in device.rows)]
-    width = max(map(len, lines))
-    return "\n".join(f"{line.ljust(width)}  {path}" for line, path in zip(lines, paths, strict=True))
+    cells = [_recording(review, index) for index in device.rows]
+    paths = [printable(review.records.text["path"][index] or "-") for index in device.rows]
+    return _with_last(aligned(HISTORY, cells), ["path", "----", *paths])
 
 
 def _recording(review: Review, index: int) -> list[str]:
@@ -158,18 +156,16 @@ def limits(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command("devices")
-@click.argument("out", type=click.Path(path_type=Path, readable=False))
+@click.argument("out", type=FILE)
 @click.option("--device", metavar="SERIAL", help="Show this device only, in detail.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print one CSV table with a row for each recording.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing on stderr.")
 @limits
 @click.option(
-    "--reference-c",
-    type=Within(-100, 200),
-    metavar="C",
+    "--reference-c", type=Within(-100, 200), metavar="C",
     help="Temperature at which offsets are compared.  [default: the median of each device's recordings]",
-)
+)  # fmt: skip
 def command(out: Path, **values: Any) -> int:
     """Show how the devices of a study drift, which of them need service, and why.
 
@@ -203,7 +199,7 @@ def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str
         return json.dumps(as_json(reviewed, devices))
     if values["as_csv"]:
         rows = [row(reviewed, device, index) for device in devices for index in device.rows]
-        return comma_separated(columns(), [list(map(_cell, one.values())) for one in rows])
+        return csv_text(columns(), [list(map(_cell, one.values())) for one in rows]).rstrip("\n")
     if values["device"] is not None:
         return "\n\n".join(detail(reviewed, device) for device in devices)
     return overview(devices)

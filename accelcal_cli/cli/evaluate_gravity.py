@@ -24,9 +24,8 @@ from accelcal_cli.output.report import significant
 @click.option("--local-gravity", type=Within(9.7, 9.9), metavar="M/S2",
               help=f"Gravity at rest.  [default: {TABLE_8_GRAVITY}, as in the paper]")  # fmt: skip
 @gravity_options
-@click.option(
-    "--cases", type=click.IntRange(1), default=500, show_default=True, help="How many sensors to simulate."
-)
+@click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
+              help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=click.IntRange(10, 8192), default=18, show_default=True,
               help="Number of calibration points, shared by nine subsets.")  # fmt: skip
 @click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True,

@@ -10,19 +10,15 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, comma_separated, each_recording, number, refuse_both
+from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
 from accelcal_cli.optimize import all_optimizers, named_optimizer
+from accelcal_cli.output.files import csv_text
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
-PUBLISHED = (
-    "Table 3 of Farago, Maczak, Gingl 2024 (own recordings)",
-    "before mg",
-    "after mg",
-    "improved %",
-)
+PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
 
 
 @click.command("methods")
@@ -66,7 +62,7 @@ def _shown(rows: list[Row], values: dict[str, Any]) -> str:
         return json.dumps(as_json(rows))
     if values["as_csv"]:
         fields = list(Row.__dataclass_fields__)
-        return comma_separated(fields, [[getattr(row, name) for name in fields] for row in rows])
+        return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
     published = [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
     return "\n\n".join([*_tables(rows), aligned(PUBLISHED, published)])
 

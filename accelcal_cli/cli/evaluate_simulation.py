@@ -10,25 +10,20 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import Listed
-from accelcal_cli.cli.output import aligned, comma_separated, figure, number, progress_bars
+from accelcal_cli.cli.output import aligned, figure, number, progress_bars
 from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES
 from accelcal_cli.evaluate.cases import USUAL, Selection, methods
 from accelcal_cli.evaluate.simulation import COLUMNS, Protocol, Scores, Table, as_json, rows, run
+from accelcal_cli.output.files import csv_text
 
 NONE = "-"
 UNIT = 1e-4
 NINE = PARAMETER_NAMES[:9]
 SIX = " (six)"
 ERRORS = ("", *NINE, "/bound", "/paper", "failed")
-COSTS = (
-    "",
-    "iterations",
-    "additions",
-    "multiplications",
-    "ms here",
-    *(f"{item.name} s" for item in MICROCONTROLLERS),
-)
+COUNTED = ("", "iterations", "additions", "multiplications", "ms here")
+COSTS = (*COUNTED, *(f"{item.name} s" for item in MICROCONTROLLERS))
 
 
 def _lines(protocol: Protocol, tables: tuple[Table, ...]) -> Iterator[str]:
@@ -97,9 +92,8 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
 
 
 @click.command("simulation")
-@click.option(
-    "--cases", type=click.IntRange(1), default=500, show_default=True, help="How many sensors to simulate."
-)
+@click.option("--cases", type=click.IntRange(1), default=500, show_default=True,
+              help="How many sensors to simulate.")  # fmt: skip
 @click.option("--points", type=Listed(int, 10, 8192), default="18,144,432", show_default=True,
               metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,
@@ -135,5 +129,5 @@ def _shown(as_what: str | None, protocol: Protocol, tables: tuple[Table, ...]) -
     if as_what == "json":
         return json.dumps(as_json(protocol, tables), allow_nan=False)
     if as_what == "csv":
-        return comma_separated(COLUMNS, rows(tables))
+        return csv_text(COLUMNS, rows(tables)).rstrip("\n")
     return "\n".join(_lines(protocol, tables))

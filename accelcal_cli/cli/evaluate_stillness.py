@@ -9,11 +9,12 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, comma_separated, each_recording, number, refuse_both
+from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.settings import STILLNESS
 from accelcal_cli.evaluate.methods import true_errors
 from accelcal_cli.evaluate.stillness import RAW, Comparison, Found, compare
+from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import rounded
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
@@ -65,7 +66,8 @@ def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
         return "\n".join(json.dumps({"recording": path, "rules": rules}) for path, rules in results.items())
     if values["as_csv"]:
         head = ["recording", "rule", *FIGURES, *(f"on_{rule}_mg" for rule in STILLNESS)]
-        return comma_separated(head, [_cells(path, row) for path, rules in results.items() for row in rules])
+        cells = [_cells(path, row) for path, rules in results.items() for row in rules]
+        return csv_text(head, cells).rstrip("\n")
     return "\n\n".join(f"{path}\n{text(rules)}" for path, rules in results.items())
 
 

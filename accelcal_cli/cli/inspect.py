@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +10,11 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import stdin
+from accelcal_cli.cli.output import bytes_of
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
-from accelcal_cli.pipeline.jobs import STDIN, spooled
+from accelcal_cli.pipeline.jobs import STDIN
 
 QUICK = "gauss-newton"
 """Finds the parameters of the default optimizer to a few micro-g, a hundred times as fast."""
@@ -50,13 +49,8 @@ def _one(path: Path, values: dict[str, Any]) -> int:
 
 
 def _look(path: Path, values: dict[str, Any]) -> Inspection:
-    with contextlib.ExitStack() as stack:
-        source = stack.enter_context(spooled(stdin())) if path == STDIN else path
-        try:
-            inspection = inspect(source, options.read_options(values), _settings(values), full=values["full"])
-        except AccelcalError as error:
-            error.path = path if error.path == source else error.path
-            raise
+    with bytes_of(path) as source:
+        inspection = inspect(source, options.read_options(values), _settings(values), full=values["full"])
     return replace(inspection, recording=replace(inspection.recording, path=path))
 
 
@@ -75,14 +69,16 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     extras = ", ".join(name for name in ("temperature", "gyroscope") if about[name]) or "nothing"
     windows = f"{shown['read']['still_windows']} of {inspection.windows.complete}"
     scope = "all of it" if inspection.whole else f"{inspection.facts.samples} samples in pieces"
+    measured = _known(" (measured {:.3f})", inspection.facts.rate_hz)
+    reach, samples = _known(", range +-{:g} g", about["range_g"]), _known(", {} samples", about["samples"])
     lines = [
         about["path"],
         f"  format       {about['format']}, {about['bytes']} bytes",
         f"  device       {device}",
-        f"  rate         {about['sample_rate_hz']:g} Hz{_measured(inspection)}",
-        f"  scale        {about['lsb_per_g']:.10g} counts per g{_range(about['range_g'])}",
+        f"  rate         {about['sample_rate_hz']:g} Hz{measured}",
+        f"  scale        {about['lsb_per_g']:.10g} counts per g{reach}",
         f"  start        {about['start_time'] or 'unknown'}{zone}",
-        f"  duration     {_hours(about['duration_s'])}{_samples(about['samples'])}",
+        f"  duration     {_hours(about['duration_s'])}{samples}",
         f"  also holds   {extras}",
         f"  read         {scope}: {windows} windows still",
         f"  problems     {_problems(shown)}",
@@ -93,20 +89,13 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
     return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
 
 
-def _measured(inspection: Inspection) -> str:
-    return "" if inspection.facts.rate_hz is None else f" (measured {inspection.facts.rate_hz:.3f})"
-
-
-def _range(range_g: float | None) -> str:
-    return "" if range_g is None else f", range +-{range_g:g} g"
+def _known(text: str, value: float | None) -> str:
+    """A text with a value in it; empty if the value is not known."""
+    return "" if value is None else text.format(value)
 
 
 def _hours(seconds: float | None) -> str:
     return "unknown" if seconds is None else f"{seconds / 3600:.2f} h"
-
-
-def _samples(samples: int | None) -> str:
-    return "" if samples is None else f", {samples} samples"
 
 
 def _clock(clock: dict[str, Any]) -> str:

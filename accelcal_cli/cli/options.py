@@ -149,14 +149,11 @@ _PLACES = [
 
 _PRINTING = [
     click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object per line."),
-    click.option(
-        "--force",
-        is_flag=True,
-        help="Redo outputs that are up to date; overwrite files that accelcal did not write.",
-    ),
+    click.option("--force", is_flag=True,
+                 help="Redo outputs that are up to date; overwrite files that accelcal did not write."),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr."),
     click.option("-v", "--verbose", is_flag=True, help="Print more on stderr."),
-]
+]  # fmt: skip
 
 _READING = [
     setting_option(ReadOptions, name, **({"type": _READ_TYPES[name]} if name in _READ_TYPES else {}))
@@ -167,12 +164,9 @@ _FITTING = _settings_options("optimizer", "model", "temperature")
 _GRAVITY = _settings_options("latitude", "altitude_m")
 
 _CHUNK = click.option(
-    "--chunk-samples",
-    type=click.IntRange(1),
-    default=DEFAULT_CHUNK_SAMPLES,
-    show_default=True,
+    "--chunk-samples", type=click.IntRange(1), default=DEFAULT_CHUNK_SAMPLES, show_default=True,
     help="Samples held in memory at a time; the result does not depend on it.",
-)
+)  # fmt: skip
 _REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
 _INTEGERS = click.option(
     "--integers", is_flag=True, help="Also write each fit's points and result as fixed-point integers."

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 import json
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO, TypeVar
+from typing import Any, TypeVar
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable, spreadsheet_cell
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
@@ -27,15 +25,6 @@ def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 def _line(row: Sequence[str], widths: list[int]) -> str:
     first, *rest = zip(row, widths, strict=True)
     return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in rest)]).rstrip()
-
-
-def comma_separated(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """CSV with a header line; None is an empty cell."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
-    writer.writerows([["" if cell is None else spreadsheet_cell(cell) for cell in row] for row in rows])
-    return text.getvalue().rstrip("\n")
 
 
 def figure(value: float | None, digits: int = 3) -> str:
@@ -118,8 +107,8 @@ def refuse_both(*, as_json: bool, as_csv: bool) -> None:
         raise UsageError("--json and --csv cannot be combined", hint="give one of them")
 
 
-Work = Callable[[Job, ProgressMaker, Path | None], Result]
-"""Makes one recording's result; the path is where its bytes are, if not at the job's source."""
+Work = Callable[[Job, ProgressMaker, Path], Result]
+"""Makes one recording's result; the path is where its bytes are."""
 
 
 def parquet_of(result: Result) -> Path | None:
@@ -128,10 +117,7 @@ def parquet_of(result: Result) -> Path | None:
 
 
 def run_jobs(
-    jobs: list[Job],
-    work: Work,
-    values: dict[str, Any],
-    written: Callable[[Result], Path | None] = parquet_of,
+    jobs: list[Job], work: Work, values: dict[str, Any], written: Callable[[Result], Path | None] = parquet_of
 ) -> int:
     """Do every job and print its result; returns the exit code of all.
 
@@ -144,15 +130,10 @@ def run_jobs(
 
 def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result], Path | None]) -> int:
     """Do one job; a failure is printed and does not stop the rest."""
-    source = None
     try:
-        with contextlib.ExitStack() as stack:
-            if job.source == STDIN:
-                source = stack.enter_context(spooled(stdin()))
-            bars = stack.enter_context(progress_bars(job.source.name, quiet=values["quiet"]))
+        with bytes_of(job.source) as source, progress_bars(job.source.name, quiet=values["quiet"]) as bars:
             result = work(job, bars, source)
     except AccelcalError as error:
-        error.path = STDIN if source is not None and error.path == source else error.path
         exit_codes.say(str(error))
         return error.exit_code
     except Exception:
@@ -163,11 +144,24 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 
 
-def stdin() -> BinaryIO:
-    """Standard input; raises UsageError if there is none."""
+@contextlib.contextmanager
+def bytes_of(recording: Path) -> Iterator[Path]:
+    """Where a recording's bytes are: itself, or a copy of standard input, which errors call `-`.
+
+    Raises:
+        UsageError: there is no standard input.
+    """
+    if recording != STDIN:
+        yield recording
+        return
     if sys.stdin is None:
         raise UsageError("standard input is closed", hint="give the name of a file")
-    return sys.stdin.buffer
+    with spooled(sys.stdin.buffer) as copy:
+        try:
+            yield copy
+        except AccelcalError as error:
+            error.path = STDIN if error.path == copy else error.path
+            raise
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:

@@ -25,26 +25,14 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 @click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length in days.")
 @click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True, metavar="HZ",
               help="Sampling rate.")  # fmt: skip
-@click.option(
-    "--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed for movement and noise."
-)
-@click.option(
-    "--truth", type=click.IntRange(0), help="Seed for the sensor's errors.  [default: that of --seed]"
-)
-@click.option(
-    "--errors",
-    type=Within(0, 100),
-    default=1.0,
-    show_default=True,
-    help="Factor applied to all sensor errors; 0 for a perfect sensor.",
-)
-@click.option(
-    "--misalignment",
-    type=Within(-100, 100),
-    default=1.0,
-    show_default=True,
-    help="Factor applied to the misalignment.",
-)
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True,
+              help="Seed for movement and noise.")  # fmt: skip
+@click.option("--truth", type=click.IntRange(0),
+              help="Seed for the sensor's errors.  [default: that of --seed]")  # fmt: skip
+@click.option("--errors", type=Within(0, 100), default=1.0, show_default=True,
+              help="Factor applied to all sensor errors; 0 for a perfect sensor.")  # fmt: skip
+@click.option("--misalignment", type=Within(-100, 100), default=1.0, show_default=True,
+              help="Factor applied to the misalignment.")  # fmt: skip
 @click.option("--temp-slope", type=Within(-1000, 1000), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
               help="Change of the offsets in mg per degree Celsius.")  # fmt: skip
 @click.option("--noise-mg", type=Within(0, 100_000), default=3.0, show_default=True,

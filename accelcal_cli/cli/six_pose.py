@@ -17,11 +17,8 @@ from accelcal_cli.six_pose.run import six_pose
 
 @click.command("six-pose")
 @click.argument("recording", type=options.FILE)
-@click.option(
-    "--poses",
-    type=options.FILE,
-    help="CSV with start,end,ax,ay,az of each pose.  [default: find the six faces]",
-)
+@click.option("--poses", type=options.FILE,
+              help="CSV with start,end,ax,ay,az of each pose.  [default: find the six faces]")  # fmt: skip
 @click.option("-o", "--output", type=options.FILE, help="Name of the report (JSON).")
 @click.option("-d", "--output-dir", type=options.FILE, help="Folder for the report.")
 @options.printing_options

@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Positive, calibrating_options, precision_option, request_of
+from accelcal_cli.cli.options import FILE, Positive, calibrating_options, precision_option, request_of
 from accelcal_cli.cli.output import study_line
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
@@ -105,42 +105,28 @@ class TerminalObserver:
             exit_codes.say(f"{name}: {problem}")
 
 
-FOLDER = click.Path(path_type=Path, readable=False)
-
-
 @click.command("study")
-@click.argument("folders", nargs=-1, required=True, type=FOLDER)
-@click.option("-d", "--output-dir", "out", type=FOLDER, required=True, help="Folder for the outputs.")
+@click.argument("folders", nargs=-1, required=True, type=FILE)
+@click.option("-d", "--output-dir", "out", type=FILE, required=True, help="Folder for the outputs.")
 @click.option("--include", multiple=True, metavar="GLOB", help="Process only these files, such as '*.cwa'.")
 @click.option("--exclude", multiple=True, metavar="GLOB", help="Skip these files, such as 'pilot/*'.")
-@click.option(
-    "-j",
-    "--jobs",
-    type=click.IntRange(1, 1024),
-    help="Number of workers.  [default: as many as CPUs and memory allow]",
-)
+@click.option("-j", "--jobs", type=click.IntRange(1, 1024),
+              help="Number of workers.  [default: as many as CPUs and memory allow]")  # fmt: skip
 @click.option("--timeout", type=Positive(1e6), metavar="MINUTES", help="Time limit for each recording.")
-@click.option(
-    "--settle", type=Positive(), metavar="SECONDS", help="Skip files modified within the last SECONDS."
-)
-@click.option(
-    "--newer-than",
-    type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]),
-    metavar="DATE",
-    help="Process only files modified since DATE.",
-)
+@click.option("--settle", type=Positive(), metavar="SECONDS",
+              help="Skip files modified within the last SECONDS.")  # fmt: skip
+@click.option("--newer-than", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]), metavar="DATE",
+              help="Process only files modified since DATE.")  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
-@click.option(
-    "--shard", metavar="I/N", help="Process part I of N only; `slurm`: the part of this job array task."
-)
+@click.option("--shard", metavar="I/N",
+              help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
 @click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
-    "--pool",
-    type=click.Choice(["device"]),
+    "--pool", type=click.Choice(["device"]),
     help="Calibrate all recordings of a device together, and apply the result to each of them.",
-)
+)  # fmt: skip
 @click.option(
     "--borrow",
     is_flag=True,

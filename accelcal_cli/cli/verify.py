@@ -22,24 +22,12 @@ SHOWN_KEYS = 5
 @click.command("verify")
 @click.argument("report", type=FILE)
 @click.argument("recording", type=FILE)
-@click.option(
-    "--values", is_flag=True, help="Also compare every value of the Parquet file beside the report."
-)
-@click.option(
-    "--layout",
-    type=FILE,
-    help="Layout file of a raw dump, if not beside the recording.",
-)
-@click.option(
-    "--poses",
-    type=FILE,
-    help="List of poses of a session, if not beside the recording.",
-)
-@click.option(
-    "--coefficients",
-    type=FILE,
-    help="Coefficient file that a report of `apply` used, if it has moved.",
-)
+@click.option("--values", is_flag=True,
+              help="Also compare every value of the Parquet file beside the report.")  # fmt: skip
+@click.option("--layout", type=FILE, help="Layout file of a raw dump, if not beside the recording.")
+@click.option("--poses", type=FILE, help="List of poses of a session, if not beside the recording.")
+@click.option("--coefficients", type=FILE,
+              help="Coefficient file that a report of `apply` used, if it has moved.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print a JSON object.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @chunk_option
@@ -55,9 +43,8 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:
         verified = verify(report, recording, options, bars)
-    exit_codes.show(
-        json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
-    )
+    text = json.dumps(as_object(report, recording, verified)) if values["as_json"] else line(report, verified)
+    exit_codes.show(text)
     if not values["quiet"]:
         _comment(report, verified)
     return exit_codes.OK if verified.identical else DIFFERS

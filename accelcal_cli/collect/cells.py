@@ -48,13 +48,8 @@ def to_points(
 ) -> PointSet:
     """Means in fixed-point g; temperatures scaled to a power-of-two span about their mean."""
     scale = Fraction(lsb_per_g)
-    xyz = [
-        [
-            rounded_quotient(axis * ONE * scale.denominator, item.samples * scale.numerator)
-            for axis in item.xyz
-        ]
-        for item in sums
-    ]
+    one, lsb = ONE * scale.denominator, scale.numerator
+    xyz = [[rounded_quotient(axis * one, item.samples * lsb) for axis in item.xyz] for item in sums]
     windows = np.array([item.windows for item in sums], np.int64)
     shares = np.array(weights, np.int64)
     places = np.array(xyz, np.int64).reshape(-1, 3)
@@ -67,9 +62,17 @@ def to_points(
         rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
         for item in sums
     ]
-    return PointSet(
-        places, shares, windows, np.array(tau, np.int64), TemperatureScale(reference, float(span))
-    )
+    temperatures = TemperatureScale(reference, float(span))
+    return PointSet(places, shares, windows, np.array(tau, np.int64), temperatures)
+
+
+def shared_weights(groups: Sequence[tuple[int, ...]], windows: Sequence[int]) -> list[int]:
+    """Weights of cells: each group counts as one point, shared by its cells' numbers of windows."""
+    totals: dict[tuple[int, ...], int] = defaultdict(int)
+    for group, number in zip(groups, windows, strict=True):
+        totals[group] += number
+    pairs = zip(groups, windows, strict=True)
+    return [max(1, rounded_quotient(number * WEIGHT_ONE, totals[group])) for group, number in pairs]
 
 
 def _span_c(largest_mc: int) -> int:
@@ -129,7 +132,7 @@ class CellCollector:
         if windows.temperature_sums is not None:
             np.add.at(values[:, 4], inverse, windows.temperature_sums)
         for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
-            self._put(tuple(key), [count, *row])
+            _add(self._cells, tuple(key), [count, *row])
 
     def merge(self, other: CellCollector) -> None:
         """Take in what another collector holds; exact.
@@ -140,20 +143,15 @@ class CellCollector:
         for spread, number in other.spreads.items():
             self.spreads[spread] += number
         for key, value in other._cells.items():
-            self._put(key if self.temperature else (*key[:3], 0, key[_CONSTANT]), value)
+            _add(self._cells, key if self.temperature else (*key[:3], 0, key[_CONSTANT]), value)
 
     def points(self) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates."""
         cells = self._believed()
         while len(cells) > MAX_POINTS:
             cells = _merged(cells)
-        groups: dict[tuple[int, ...], int] = defaultdict(int)
-        for key, value in cells.items():
-            groups[_group(key)] += value[0]
         ordered = sorted(cells.items())
-        weights = [
-            max(1, rounded_quotient(value[0] * WEIGHT_ONE, groups[_group(key)])) for key, value in ordered
-        ]
+        weights = shared_weights([_group(key) for key, _ in ordered], [value[0] for _, value in ordered])
         sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for _, v in ordered]
         return to_points(sums, weights, self.lsb_per_g, temperature=self.temperature)
 
@@ -196,9 +194,6 @@ class CellCollector:
             if real or not key[_CONSTANT]:
                 _add(merged, key[:_CONSTANT], value)
         return merged
-
-    def _put(self, key: tuple[int, ...], value: list[int]) -> None:
-        _add(self._cells, key, value)
 
 
 def _step(spreads: dict[int, int]) -> int:

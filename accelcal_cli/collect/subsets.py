@@ -80,9 +80,7 @@ class PaperCollector:
         """Take still windows in, in the order of time."""
         usable = plausible(windows, self.lsb_per_g, self.settings)
         self.implausible += int(len(windows) - usable.sum())
-        usable_windows = windows.select(usable)
-        for samples, (x, y, z) in zip(
-            usable_windows.samples.tolist(), usable_windows.sums.tolist(), strict=True
-        ):
+        near_1_g = windows.select(usable)
+        for samples, (x, y, z) in zip(near_1_g.samples.tolist(), near_1_g.sums.tolist(), strict=True):
             if not self.fit.offer(samples, (x, y, z)):
                 self.control.offer(samples, (x, y, z))

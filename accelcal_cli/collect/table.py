@@ -8,7 +8,6 @@ weights stands: a point then weighs as much as its rows together.
 from __future__ import annotations
 
 import zlib
-from collections import defaultdict
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -18,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cells import MAX_POINTS, CellCollector, Sums, plausible, to_points
+from accelcal_cli.collect.cells import MAX_POINTS, CellCollector, Sums, plausible, shared_weights, to_points
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.formats import ReadOptions, probe_file
@@ -136,10 +135,7 @@ def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDAr
         row = int(bad.argmax())
         shown = str(frame[name].iloc[row])[:40]
         raise UnreadableError(
-            f"{name} is {shown!r}, not a number within +-{largest:g}",
-            path=path,
-            line=row + 2,
-            hint=_CORRECT,
+            f"{name} is {shown!r}, not a number within +-{largest:g}", path=path, line=row + 2, hint=_CORRECT
         )
     return np.asarray(values)
 
@@ -201,7 +197,7 @@ def _kept_apart(
             break
         width = width / 2
     ordered = sorted(cells.items())
-    weights = _own_weights(ordered) if table.weight is not None else _group_weights(ordered)
+    weights = _group_weights(ordered) if table.weight is None else _own_weights(ordered)
     points = to_points([sums for _, sums in ordered], weights, lsb_per_g, temperature=temperature)
     label = None if table.posture is None else np.array([key[0] for key, _ in ordered], np.int64)
     return points, label
@@ -251,14 +247,8 @@ def _own_weights(ordered: list[tuple[Key, Sums]]) -> list[int]:
 
 def _group_weights(ordered: list[tuple[Key, Sums]]) -> list[int]:
     """Each 2 x 2 x 2 group of cells of one posture counts as one point, as in `cells`."""
-    groups: dict[Key, int] = defaultdict(int)
-    for key, sums in ordered:
-        groups[_group(key)] += sums.windows
-    return [max(1, rounded_quotient(s.windows * WEIGHT_ONE, groups[_group(key)])) for key, s in ordered]
-
-
-def _group(key: Key) -> Key:
-    return (key[0], *(part >> 1 for part in key[1:4]))
+    groups = [(key[0], *(part >> 1 for part in key[1:4])) for key, _ in ordered]
+    return shared_weights(groups, [sums.windows for _, sums in ordered])
 
 
 def _rows(table: Table, lsb_per_g: float, points: PointSet) -> PointSet:

@@ -245,9 +245,7 @@ def review(out: Path, rules: Rules, now_s: float) -> Review:
 def judged(records: table.Records, rules: Rules) -> Review:
     """Judge the devices of recordings."""
     usage = table.usages(records)
-    referred = at_one_temperature(
-        records, table.mask(usage, table.Usage.USED, table.Usage.UNDATED), rules.reference_c
-    )
+    referred = at_one_temperature(records, table.mask(usage, *table.COUNTED), rules.reference_c)
     levels = trends(referred.records, usage, rules)
     devices = [_reviewed(records, referred, usage, index, one) for index, one in enumerate(levels)]
     kinds = {
@@ -344,18 +342,16 @@ def _trend(trend: Trend) -> dict[str, Any]:
 def row(review: Review, device: DeviceReview, position: int) -> dict[str, Any]:
     """One recording of a device: a row of the CSV, in the study's units."""
     records = review.records
-    whose = {"serial": device.key.serial, "device_model": device.key.model or None}
-    own = {"format": device.key.format or None, "device_firmware": records.text["device_firmware"][position]}
-    result = {name: records.text[name][position] for name in RESULT}
-    numbers = {name: _number(records.number[name], position) for name in ERRORS}
     return {
-        **whose,
-        **own,
+        "serial": device.key.serial,
+        "device_model": device.key.model or None,
+        "format": device.key.format or None,
+        "device_firmware": records.text["device_firmware"][position],
         "verdict": str(device.verdict),
-        **result,
+        **{name: records.text[name][position] for name in RESULT},
         "use": str(review.usage[position]),
         "model": records.text["model"][position],
-        **numbers,
+        **{name: _number(records.number[name], position) for name in ERRORS},
         **_parameters(review, position),
         "message": records.text["message"][position],
     }

@@ -24,6 +24,7 @@ from accelcal_cli.study.summary import PARAMETERS as COLUMNS
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 NAME = "study.parquet"
 TEXT = (
@@ -197,9 +198,7 @@ def _check_there(path: Path) -> None:
         return
     if any(path.parent.glob("study.*-of-*.parquet")):
         raise UsageError(
-            "does not exist; only shards have been run",
-            path=path,
-            hint="run the study with --collect first",
+            "does not exist; only shards have been run", path=path, hint="run the study with --collect first"
         )
     hint = "give the folder that was given to `accelcal study` with -d, or run the study first"
     raise UsageError("does not exist", path=path, hint=hint)
@@ -310,6 +309,8 @@ class Usage(StrEnum):
 
 
 COUNTED = (Usage.USED, Usage.UNDATED)
+"""Recordings whose coefficients count."""
+
 NOT_OWN: dict[str, Usage] = {
     Outcome.REFUSED: Usage.REFUSED,
     Outcome.BORROWED: Usage.BORROWED,
@@ -357,7 +358,7 @@ def usages(records: Records) -> list[Usage]:
     ]
 
 
-def _by_row(known: NDArray[np.bool_], whether: Callable[[Iterable[bool]], bool]) -> list[bool]:
+def _by_row(known: Mask, whether: Callable[[Iterable[bool]], bool]) -> list[bool]:
     return [whether(row) for row in known.tolist()]
 
 
@@ -396,6 +397,6 @@ def _single(evidence: _Evidence, row: int, *, shared: bool) -> Usage:
     return Usage.USED if evidence.dated[row] else Usage.UNDATED
 
 
-def mask(usage: list[Usage], *wanted: Usage) -> NDArray[np.bool_]:
+def mask(usage: list[Usage], *wanted: Usage) -> Mask:
     """(n,) which recordings have one of these usages."""
     return np.array([use in wanted for use in usage], bool)

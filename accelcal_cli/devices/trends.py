@@ -14,19 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.devices.table import (
-    FACTOR,
-    IDEAL,
-    OFFSETS,
-    PARAMETERS,
-    SLOPES,
-    Floats,
-    Indices,
-    Parameter,
-    Records,
-    Usage,
-    mask,
-)
+from accelcal_cli.devices import table
+from accelcal_cli.devices.table import OFFSETS, SLOPES, Floats, Indices, Mask, Parameter, Records, Usage, mask
 
 SIGNIFICANT = 3.0
 """Standard errors beyond which a thing is certain; of drifts, their two-sided probability (0.27 %)."""
@@ -97,7 +86,7 @@ class Measured:
     days: Floats
     first: Indices
 
-    def where(self, kept: NDArray[np.bool_]) -> Measured:
+    def where(self, kept: Mask) -> Measured:
         """Without the values of other recordings."""
         values = np.where(kept[:, np.newaxis], self.values, nan)
         return Measured(values, self.errors, self.days, self.first)
@@ -185,9 +174,7 @@ def _cells(*columns: NDArray[Any]) -> Iterator[Iterator[tuple[Any, ...]]]:
         yield zip(*device, strict=True)
 
 
-def _fitted(
-    measured: Measured, there: NDArray[np.bool_], number: Floats, last_day: Floats
-) -> tuple[Floats, ...]:
+def _fitted(measured: Measured, there: Mask, number: Floats, last_day: Floats) -> tuple[Floats, ...]:
     """Slope, its error, value and error at the last day (d, p), scatter; see `lines`."""
     weights, days = measured.weights(), measured.days[:, np.newaxis]
     total = measured.total(weights)
@@ -209,12 +196,12 @@ def _inflation(scatter: Floats) -> Floats:
     return np.sqrt(np.where(scatter > 1, scatter, 1.0))
 
 
-def _masked(values: Floats, kept: NDArray[np.bool_]) -> Floats:
+def _masked(values: Floats, kept: Mask) -> Floats:
     """NaN in place of what is not kept."""
     return np.asarray(np.where(kept, values, nan), np.float64)
 
 
-def _extremes(measured: Measured, there: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+def _extremes(measured: Measured, there: Mask) -> tuple[Floats, Floats]:
     """First and last day of each device's values, (d, p); NaN where there are none."""
     if not len(there):
         return measured.values[:0], measured.values[:0]
@@ -236,9 +223,7 @@ class Referred:
     temperature_c: Floats
 
 
-def at_one_temperature(
-    records: Records, counted: NDArray[np.bool_], temperature_c: float | None = None
-) -> Referred:
+def at_one_temperature(records: Records, counted: Mask, temperature_c: float | None = None) -> Referred:
     """Move the offsets of recordings with slopes to one temperature, and widen the errors.
 
     With slopes: o + s (T - Tref), variance SE(o)^2 + (T - Tref)^2 SE(s)^2; Tref is the mean temperature of
@@ -259,15 +244,12 @@ def at_one_temperature(
     spread = np.where(sloped[:, np.newaxis], away * errors[:, SLOPES], TEMPERATURE_DOUBT_C * mean)
     known = np.isfinite(target_c)[:, np.newaxis]
     values[:, OFFSETS] = np.where(known & np.isfinite(away), moved, values[:, OFFSETS])
-    errors[:, OFFSETS] = np.where(
-        known, np.hypot(errors[:, OFFSETS], np.nan_to_num(spread)), errors[:, OFFSETS]
-    )
+    widened = np.hypot(errors[:, OFFSETS], np.nan_to_num(spread))
+    errors[:, OFFSETS] = np.where(known, widened, errors[:, OFFSETS])
     return Referred(replace(records, values=values, errors=errors), chosen)
 
 
-def _of_devices(
-    records: Records, sloped: NDArray[np.bool_], temperature_c: float | None
-) -> tuple[Floats, Floats]:
+def _of_devices(records: Records, sloped: Mask, temperature_c: float | None) -> tuple[Floats, Floats]:
     """Temperature (d,) and weighted mean slope (d, 3) of each device that has slopes."""
     chosen = np.full(len(records.devices), nan)
     slope = np.full((len(records.devices), 3), nan)
@@ -357,17 +339,16 @@ def trends(records: Records, usage: list[Usage], rules: Rules) -> list[tuple[Tre
     Args:
         records: with their offsets at one temperature a device.
     """
-    measured = Measured(
-        (records.values - IDEAL) * FACTOR, records.errors * FACTOR, records.days, records.first
-    )
-    level = means(measured.where(mask(usage, Usage.USED, Usage.UNDATED)))
+    values, errors = (records.values - table.IDEAL) * table.FACTOR, records.errors * table.FACTOR
+    measured = Measured(values, errors, records.days, records.first)
+    level = means(measured.where(mask(usage, *table.COUNTED)))
     drift = lines(measured.where(mask(usage, Usage.USED)), rules.least_days)
     return [_of_device(*one) for one in zip(level, drift, strict=True)]
 
 
 def _of_device(level: list[Mean], drift: list[Line]) -> tuple[Trend, ...]:
     tested = sum(not isnan(line.slope) for line in drift)
-    cells = zip(PARAMETERS, level, drift, strict=True)
+    cells = zip(table.PARAMETERS, level, drift, strict=True)
     return tuple(_trend(*cell, tested) for cell in cells if cell[1].number)
 
 

@@ -94,7 +94,9 @@ def _row(path: Path, procedure: Procedure, settings: Settings) -> Row:
     except AccelcalError as error:
         return Row(printable(path), settings.optimizer, "failed", str(error))
     seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
-    return _judged(Row(printable(path), settings.optimizer, "", ""), verdict, seconds)
+    cells = verdict.coverage.cells
+    row = Row(printable(path), settings.optimizer, str(verdict.outcome), verdict.message, points=cells)
+    return _judged(row, verdict, seconds)
 
 
 def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float:
@@ -107,17 +109,16 @@ def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float
 
 
 def _judged(row: Row, verdict: Judgement, seconds: float | None) -> Row:
+    """The row with the errors, and with what it cost where there is a calibration."""
     holdout, fit = verdict.holdout, verdict.fit
-    judged = replace(
-        row, outcome=str(verdict.outcome), message=verdict.message, points=verdict.coverage.cells
-    )
-    if holdout is not None:
-        judged = replace(judged, postures=holdout.postures, before_mg=holdout.before.mean)
-    if holdout is None or fit is None or verdict.calibration is None:
-        return judged
+    if holdout is None:
+        return row
+    row = replace(row, postures=holdout.postures, before_mg=holdout.before.mean)
+    if fit is None or verdict.calibration is None:
+        return row
     operations = fit.operations
     return replace(
-        judged,
+        row,
         model=verdict.calibration.model,
         after_mg=holdout.after.mean,
         improvement_percent=holdout.improvement_percent(),

@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from fractions import Fraction
+from itertools import product
 from statistics import median
 from time import perf_counter
 from typing import Any
@@ -45,16 +46,8 @@ MEAN_OF_ABSOLUTE = float(np.sqrt(2 / np.pi))
 """Mean |x| of a normal distribution with standard deviation 1."""
 NINE = PARAMETER_NAMES[:9]
 COLUMNS = (
-    "points",
-    "noise_mg",
-    "source",
-    "model",
-    "parameter",
-    "mean_abs_error",
-    "sd_abs_error",
-    "cases",
-    "failed",
-)
+    "points", "noise_mg", "source", "model", "parameter", "mean_abs_error", "sd_abs_error", "cases", "failed",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,9 +198,8 @@ class Protocol:
 
     def plans(self) -> list[Plan]:
         """A plan for each table; raises UsageError if nine subsets cannot share the points."""
-        plans = [
-            Plan(number, noise * MG, self.selection) for number in self.points for noise in self.noise_mg
-        ]
+        pairs = product(self.points, self.noise_mg)
+        plans = [Plan(number, noise * MG, self.selection) for number, noise in pairs]
         for plan in plans:
             plan.check()
         return plans

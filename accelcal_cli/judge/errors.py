@@ -17,6 +17,8 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Model, PointSet
 from accelcal_cli.core.results import Coverage, ErrorSummary
 
+Floats = NDArray[np.float64]
+
 INTERVALS_G = ((-1.25, -0.75), (-0.25, 0.25), (0.75, 1.25))
 _PAIRS = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 
@@ -55,9 +57,7 @@ def coverage(points: PointSet) -> Coverage:
     return Coverage(subsets, (low[0], low[1], low[2]), (high[0], high[1], high[2]), len(points))
 
 
-def jacobian(
-    g: NDArray[np.float64], tau: NDArray[np.float64] | None, parameters: tuple[int, ...]
-) -> NDArray[np.float64]:
+def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
     """d(|a|^2 - 1)/dp for raw points g (n, 3) and scaled temperatures (n,): (n, 12)."""
     tau = np.zeros(len(g)) if tau is None else tau
     k, u = _gain_and_shifted(g, tau, parameters)
@@ -67,9 +67,7 @@ def jacobian(
     return np.asarray(2 * np.stack(columns, axis=1))
 
 
-def _gain_and_shifted(
-    g: NDArray[np.float64], tau: NDArray[np.float64], parameters: tuple[int, ...]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gain_and_shifted(g: Floats, tau: Floats, parameters: tuple[int, ...]) -> tuple[Floats, Floats]:
     """K, and v + o + s (T - Tref)."""
     p = np.array(parameters) / ONE
     k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
@@ -102,7 +100,7 @@ def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> 
     return Uncertainty(tuple(errors.tolist()), float(singular[0] / singular[-1]), worst)
 
 
-def _worst_direction(parameters: tuple[int, ...], free: list[int], covariance: NDArray[np.float64]) -> float:
+def _worst_direction(parameters: tuple[int, ...], free: list[int], covariance: Floats) -> float:
     """A standard error of |a|^2 is twice that of |a|."""
     rows = jacobian(directions(), None, parameters)[:, free]
     variances = np.einsum("ni,ij,nj->n", rows, covariance, rows)
@@ -110,7 +108,7 @@ def _worst_direction(parameters: tuple[int, ...], free: list[int], covariance: N
 
 
 @cache
-def directions() -> NDArray[np.float64]:
+def directions() -> Floats:
     """162 directions evenly spread over the sphere (a golden spiral), (162, 3)."""
     index = np.arange(162) + 0.5
     z = 1 - 2 * index / 162
@@ -119,7 +117,7 @@ def directions() -> NDArray[np.float64]:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
-def deviations_mg(points: PointSet, parameters: tuple[int, ...]) -> NDArray[np.float64]:
+def deviations_mg(points: PointSet, parameters: tuple[int, ...]) -> Floats:
     """| |a| - 1 g | of each point after calibration [mg], (n,)."""
     p = [value / ONE for value in parameters]
     u = [points.xyz[:, axis] / ONE + p[6 + axis] for axis in range(3)]
@@ -131,9 +129,7 @@ def deviations_mg(points: PointSet, parameters: tuple[int, ...]) -> NDArray[np.f
     return np.asarray(np.abs(np.sqrt(ax * ax + ay * ay + az * az) - 1.0) * 1000.0)
 
 
-def per_posture(
-    errors: NDArray[np.float64], weights: NDArray[np.int64], label: NDArray[np.int64]
-) -> dict[int, float]:
+def per_posture(errors: Floats, weights: NDArray[np.int64], label: NDArray[np.int64]) -> dict[int, float]:
     """Weighted mean error of each posture."""
     shares: dict[int, list[tuple[float, float]]] = {}
     for posture, error, weight in zip(label.tolist(), errors.tolist(), weights.tolist(), strict=True):

@@ -103,9 +103,8 @@ def judge_paper(
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
     trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None, fitted)
-    others = (
-        () if name == "9" else (Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment"),)
-    )
+    unfit = Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment")
+    others = () if name == "9" else (unfit,)
     outcome, text = _outcome(trial, (trial, *others), coverage, settings)
     verdict = Judgement(outcome, text, coverage, (trial, *others), holdout=trial.holdout)
     if outcome is Outcome.REFUSED:
@@ -166,16 +165,13 @@ def _outcome(
         return _no_model(holdout, trials, coverage, settings)
     if holdout.after.mean >= settings.max_error_mg:
         text = f"the best model ({chosen.model}) leaves {holdout.after.mean:.1f} mg on {_unseen(holdout)}"
-        return (
-            Outcome.REFUSED,
-            f"{text}, {settings.max_error_mg:g} mg is the limit; {_advice(coverage, settings)}",
-        )
+        limit = f"{settings.max_error_mg:g} mg is the limit"
+        return Outcome.REFUSED, f"{text}, {limit}; {_advice(coverage, settings)}"
     insisted = settings.model != "auto"
+    model = f"model {chosen.model}{' as asked for' if insisted else ''}"
     if insisted and holdout.after.mean >= holdout.before.mean:
-        return Outcome.REFUSED, f"model {chosen.model} as asked for does not improve: {_change(holdout)}"
-    text = (
-        f"model {chosen.model}{' as asked for' if insisted else ''}: {_change(holdout)} on {_unseen(holdout)}"
-    )
+        return Outcome.REFUSED, f"{model} does not improve: {_change(holdout)}"
+    text = f"{model}: {_change(holdout)} on {_unseen(holdout)}"
     if chosen.model in FULL_MODELS:
         return Outcome.CALIBRATED, text
     return Outcome.REDUCED_MODEL, text if insisted else text + _why_reduced(chosen, trials)

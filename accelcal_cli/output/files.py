@@ -1,4 +1,4 @@
-"""Files that appear complete or not at all, and whether a Parquet file that exists is one of ours.
+"""Files that appear complete or not at all, tables as CSV, and whether a Parquet file is one of ours.
 
 What a Parquet file of ours says of itself is read without loading pyarrow where there is no file.
 """
@@ -6,18 +6,20 @@ What a Parquet file of ours says of itself is read without loading pyarrow where
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import hashlib
+import io
 import json
 import os
 import stat
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.errors import OutputError, spreadsheet_cell
 from accelcal_cli.core.system import host, lives
 
 LONG_NAME = 160
@@ -244,6 +246,15 @@ def _parts(value: Any) -> Iterable[Any]:
     elif isinstance(value, float) and not isfinite(value):
         raise ValueError("a number without end")
     return ()
+
+
+def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """CSV with a header line for spreadsheets; None is an empty cell, and no text is a formula."""
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(head)
+    table.writerows(map(spreadsheet_cell, row) for row in rows)
+    return text.getvalue()
 
 
 def metadata_of(path: Path) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli import __version__
+from accelcal_cli.core import results
 from accelcal_cli.core.clock import ZoneChange, iso_time
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS, to_float
@@ -32,16 +33,7 @@ from accelcal_cli.core.points import (
     PointSet,
 )
 from accelcal_cli.core.recording import Device, Problem, Recording
-from accelcal_cli.core.results import (
-    Coverage,
-    ErrorSummary,
-    Facts,
-    Gap,
-    Holdout,
-    Judgement,
-    SampleCounts,
-    Trial,
-)
+from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.output.files import parsed
 
@@ -125,7 +117,7 @@ def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
     }
 
 
-def holdout_json(holdout: Holdout) -> dict[str, Any]:
+def holdout_json(holdout: results.Holdout) -> dict[str, Any]:
     """The `holdout` object: the number to quote."""
     return {
         "method": holdout.method,
@@ -138,7 +130,7 @@ def holdout_json(holdout: Holdout) -> dict[str, Any]:
     }
 
 
-def summary_json(errors: ErrorSummary) -> dict[str, float]:
+def summary_json(errors: results.ErrorSummary) -> dict[str, float]:
     """Mean, median and 95th percentile [mg]."""
     return {"mean": round(errors.mean, 4), "median": round(errors.median, 4), "p95": round(errors.p95, 4)}
 
@@ -155,7 +147,7 @@ def fit_json(verdict: Judgement, windows: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def coverage_json(coverage: Coverage) -> dict[str, Any]:
+def coverage_json(coverage: results.Coverage) -> dict[str, Any]:
     """The `coverage` object."""
     worst, condition = coverage.worst_direction_mg, coverage.condition_number
     return {
@@ -168,7 +160,7 @@ def coverage_json(coverage: Coverage) -> dict[str, Any]:
     }
 
 
-def trial_json(trial: Trial) -> dict[str, Any]:
+def trial_json(trial: results.Trial) -> dict[str, Any]:
     """One entry of `models_tried`."""
     holdout = trial.holdout
     return {
@@ -379,7 +371,7 @@ class FileHealth:
     """The report's `file_health`, in the order of its keys; by default that of no samples."""
 
     problems: list[dict[str, Any]] = field(default_factory=list)
-    counts: SampleCounts = field(default_factory=SampleCounts)
+    counts: results.SampleCounts = field(default_factory=results.SampleCounts)
     clipped_samples_after: int | None = None
     rate_hz_measured: float | None = None
     lost_bytes: int = 0
@@ -485,7 +477,7 @@ def duration_s(recording: Recording, facts: Facts) -> float:
     return round((facts.last_us - facts.first_us) / 1e6 + 1 / recording.rate_hz, 6)
 
 
-def _gap(gap: Gap, offset_s: int | None) -> dict[str, Any]:
+def _gap(gap: results.Gap, offset_s: int | None) -> dict[str, Any]:
     return {
         "sample": gap.sample,
         "start_time": iso_time(gap.start_us, offset_s),

@@ -20,6 +20,8 @@ if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to 
 
 BLOCK_ROWS = 1 << 14
 
+Floats = NDArray[np.float64]
+
 
 @dataclass(frozen=True, slots=True)
 class Transform:
@@ -29,9 +31,9 @@ class Transform:
         steps_per_g: a power of two; calibrated values are rounded to 1 / steps_per_g. None: they are not.
     """
 
-    gain: NDArray[np.float64]
-    offset_g: NDArray[np.float64]
-    slope_g_per_c: NDArray[np.float64]
+    gain: Floats
+    offset_g: Floats
+    slope_g_per_c: Floats
     reference_c: float
     lsb_per_g: float
     steps_per_g: float | None = None
@@ -53,9 +55,7 @@ class Transform:
         mixed = np.count_nonzero(self.gain, axis=1) == 3
         return "".join(name for name, fine in zip("xyz", mixed, strict=True) if fine or self.steps_per_g)
 
-    def _block(
-        self, chunk: Chunk, part: slice, buffers: NDArray[np.float64], xyz: list[NDArray[np.float32]]
-    ) -> None:
+    def _block(self, chunk: Chunk, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
         shifted, total, product = buffers[:3], buffers[3], buffers[4]
         for axis in range(3):
@@ -75,9 +75,7 @@ class Transform:
         """Columns besides the diagonal; above it only where K is not lower triangular."""
         return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
-    def _shift(
-        self, chunk: Chunk, part: slice, axis: int, buffers: tuple[NDArray[np.float64], NDArray[np.float64]]
-    ) -> None:
+    def _shift(self, chunk: Chunk, part: slice, axis: int, buffers: tuple[Floats, Floats]) -> None:
         """v + o + s (T - Tref) of one axis."""
         values, drift = buffers
         np.divide(chunk.counts[part, axis], self.lsb_per_g, out=values)

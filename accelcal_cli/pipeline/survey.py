@@ -202,17 +202,9 @@ class PaperProcedure(Procedure):
 
 def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:
     """Windows by fate, from the segmenter's counts and the collector's."""
-    return WindowUse(
-        complete=counts.complete,
-        moving=counts.moving,
-        filled=counts.filled,
-        clipped=counts.clipped,
-        recovered=counts.recovered,
-        joined=counts.joined,
-        implausible=implausible,
-        constant_left_out=constant,
-        used=counts.still - implausible - constant,
-    )
+    fates = asdict(counts)
+    used = fates.pop("still") - implausible - constant
+    return WindowUse(**fates, implausible=implausible, constant_left_out=constant, used=used)
 
 
 def survey(

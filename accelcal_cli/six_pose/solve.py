@@ -210,8 +210,7 @@ def _inverse(k: Sequence[Sequence[Fraction]], o: Sequence[Fraction], gravity: Gr
         gain = eliminated([list(row) for row in k], unity)
     except DivergedError as error:
         raise DivergedError(
-            "K has no inverse: an axis does not follow the orientation",
-            hint="check the sensor and the poses",
+            "K has no inverse: an axis does not follow the orientation", hint="check the sensor and the poses"
         ) from error
     lower = tuple(to_fixed(gain[row][column]) for row, column in _LOWER)
     upper = tuple(to_fixed(gain[row][column]) for row, column in _UPPER)

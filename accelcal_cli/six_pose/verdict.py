@@ -15,7 +15,8 @@ from accelcal_cli.core.fixed import to_float
 from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Calibration, Fit, Operations, PointSet
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.judge.errors import coverage, interval95, mean, summary
+from accelcal_cli.judge.errors import coverage, mean, summary
+from accelcal_cli.judge.model_ladder import of_postures
 from accelcal_cli.output.report import rounded, significant, summary_json
 from accelcal_cli.six_pose.poses import (
     Integers3,
@@ -132,15 +133,8 @@ def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:
     after = _by_orientation(session, fit, lambda error: error.held_out or 0.0)
     repeats = [error.repeat for error in fit.errors if error.repeat is not None]
     raw, norms = (
-        Holdout(
-            METHOD,
-            len(known),
-            len(shown),
-            summary(norm_before),
-            summary(shown),
-            interval95(shown),
-            tuple(zip(norm_before, shown, strict=True)),
-            tuple(enumerate(compared)),
+        of_postures(
+            METHOD, len(known), tuple(zip(norm_before, shown, strict=True)), tuple(enumerate(compared))
         )
         for shown, compared in ((norm_before, before), (norm_after, after))
     )

@@ -58,11 +58,7 @@ def _damaged(row: Row, max_percent: float) -> bool:
 
 
 def donors(
-    rows: Mapping[str, Row],
-    max_damage_percent: float,
-    *,
-    compare: bool,
-    settled: Collection[str] = (),
+    rows: Mapping[str, Row], max_damage_percent: float, *, compare: bool, settled: Collection[str] = ()
 ) -> dict[str, list[str]]:
     """For each recording that should borrow, by name, whom it may ask: the nearest in time first.
 

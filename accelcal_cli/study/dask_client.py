@@ -313,8 +313,7 @@ class DaskSession:
         if type(error).__name__ != "KilledWorker":
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise ClusterError(
-                f"a worker cannot start a task ({reason})",
-                hint="install the same accelcal on every machine",
+                f"a worker cannot start a task ({reason})", hint="install the same accelcal on every machine"
             ) from error
         del self.running[key]
         self._clear(running, running.owners)

@@ -183,14 +183,10 @@ def _plain(path: Path) -> bool:
 
 def _item(where: Where, path: Path, name: str) -> Item:
     target = (where.out / name).parent / jobs.stem(path)
-    job = jobs.Job(
-        path,
-        target.with_name(target.name + jobs.PARQUET_SUFFIX),
-        target.with_name(target.name + jobs.REPORT_SUFFIX),
-    )
-    return Item(
-        name, job, tuple(jobs.file_stamp(one) for one in (path, named_layout(path), folder_layout(path)))
-    )
+    parquet = target.with_name(target.name + jobs.PARQUET_SUFFIX)
+    report = target.with_name(target.name + jobs.REPORT_SUFFIX)
+    stamps = tuple(map(jobs.file_stamp, (path, named_layout(path), folder_layout(path))))
+    return Item(name, jobs.Job(path, parquet, report), stamps)
 
 
 def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:

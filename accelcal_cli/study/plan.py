@@ -11,16 +11,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.study import summary
 from accelcal_cli.study.discovery import below_out, files, is_recording, without_collisions
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.records import Entry, Item
 from accelcal_cli.study.rounds import Round, RoundTask
 from accelcal_cli.study.study import REPLACING, WHOLE, Study
-
-WRONG_USE = 2
-UNREADABLE = 3
 
 
 def ledger_of(study: Study) -> Ledger:
@@ -139,8 +136,8 @@ class _Planning:
             own = self.ledger.known(item, self.asked)
             stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
             return own if stands else None
-        code = WRONG_USE if item.source.is_file() else UNREADABLE
-        row = summary.failed(item, code, f"{printable(item.source)}: {item.refusal}")
+        kind = UsageError if item.source.is_file() else UnreadableError
+        row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
         return Entry(item.name, item.stamps, self.asked, row, again=True)
 
     def _replaced(self, item: Item) -> bool:

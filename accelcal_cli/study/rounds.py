@@ -97,6 +97,13 @@ class StudyState:
     standing: dict[str, records.RecordingState] = field(default_factory=dict)
     pools: dict[str, records.Entry] = field(default_factory=dict)
 
+    def take(self, one: Round, name: str, entry: records.Entry) -> None:
+        """Replace what is known of a recording, or of a pool, by what a round made of it."""
+        if one.of_pools:
+            self.pools[name] = entry
+        else:
+            self.standing[name] = replace(self.standing[name], last=entry)
+
 
 class RoundTask(Task, Protocol):
     """A task of a round after the first."""

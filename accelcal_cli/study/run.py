@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence, Set
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 from accelcal_cli.core.errors import OutputError
@@ -151,15 +150,10 @@ class StudyRun:
 
         It is done once all that is replaced is known, and before others' reports are read.
         """
-        self._calibrate(
-            [
-                one.item
-                for name, one in sorted(self.known.standing.items())
-                if name not in concerned | self._planner.untouched
-                and one.last is one.own
-                and not self._ledger.in_place(one.own)
-            ]
-        )
+        left_alone = concerned | self._planner.untouched
+        standing = [one for name, one in sorted(self.known.standing.items()) if name not in left_alone]
+        own = [one for one in standing if one.last is one.own]
+        self._calibrate([one.item for one in own if not self._ledger.in_place(one.own)])
 
     def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
         todo, taken = self._planner.of(one, tasks)
@@ -171,11 +165,9 @@ class StudyRun:
             self.worked |= set() if one.of_pools else {item.name}
 
     def _take(self, one: Round, item: Item, result: TaskResult) -> None:
-        if one.of_pools:
-            self.known.pools[item.name] = result.entry
-            return
-        self.known.standing[item.name] = replace(self.known.standing[item.name], last=result.entry)
-        self._pending[item.name] = result
+        self.known.take(one, item.name, result.entry)
+        if not one.of_pools:
+            self._pending[item.name] = result
 
 
 def preview(study: Study) -> dict[Item, str]:
@@ -200,11 +192,6 @@ def preview(study: Study) -> dict[Item, str]:
         todo, taken = planner.of(one, one.tasks(study, known))
         states |= {known.standing[name].item: "todo" for task in todo for name in task.names}
         for task, entry in taken:
-            if one.of_pools:
-                known.pools[task.item.name] = entry
-            else:
-                known.standing[task.item.name] = replace(known.standing[task.item.name], last=entry)
-    rest = {
-        one.item: (one.last.row or {})["outcome"] for one in known.standing.values() if not one.item.aside
-    }
-    return rest | states
+            known.take(one, task.item.name, entry)
+    named = [one for one in known.standing.values() if not one.item.aside]
+    return {one.item: (one.last.row or {})["outcome"] for one in named} | states

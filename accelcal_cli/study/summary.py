@@ -5,8 +5,6 @@ Sorted and without times, so that a study that was interrupted ends with the sam
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from collections import Counter
 from dataclasses import dataclass, field
@@ -17,9 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli import __version__
-from accelcal_cli.core.errors import printable, spreadsheet_cell
+from accelcal_cli.core.errors import printable
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
-from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.output.files import csv_text, replacing, write_text
 from accelcal_cli.study.records import FAILED, Item
 
 DEVICE = ("model", "serial", "firmware")
@@ -193,7 +191,8 @@ def write(summary: Summary, out: Path, name: str) -> None:
     with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
         columns = [pa.array([row[column] for row in summary.rows], _kind(column)) for column in COLUMNS]
         pq.write_table(pa.Table.from_arrays(columns, COLUMNS), file, compression="zstd")
-    write_text(out / f"{name}.csv", _csv(summary.rows))
+    rows = [[row[column] for column in COLUMNS] for row in summary.rows]
+    write_text(out / f"{name}.csv", csv_text(COLUMNS, rows))
     write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
 
 
@@ -201,11 +200,3 @@ def _kind(name: str) -> pa.DataType:
     if name in TEXT:
         return pa.string()
     return pa.int64() if name in WHOLE else pa.float64()
-
-
-def _csv(rows: list[dict[str, Any]]) -> str:
-    text = io.StringIO()
-    table = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-    table.writeheader()
-    table.writerows({name: spreadsheet_cell(value) for name, value in row.items()} for row in rows)
-    return text.getvalue()

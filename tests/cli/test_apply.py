@@ -30,7 +30,7 @@ def report_of(path: Path) -> dict:
     [
         (50, ()),
         pytest.param(499, ("--no-temperature",), marks=pytest.mark.nightly),
-        (10**7, ("--profile", "paper")),
+        pytest.param(10**7, ("--profile", "paper"), marks=pytest.mark.nightly),
         pytest.param(1000, ("--model", "6"), marks=pytest.mark.nightly),
     ],
 )

@@ -29,7 +29,7 @@ Capture = pytest.CaptureFixture[str]
         pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),
         ("--stillness", "adaptive"),
         ("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"),
-        ("--report-only", "--lsb-per-g", 250.0, "--no-temperature"),
+        pytest.param(("--report-only", "--lsb-per-g", 250.0, "--no-temperature"), marks=pytest.mark.nightly),
     ],
 )
 def test_a_report_with_any_settings_is_reproduced(

@@ -56,6 +56,7 @@ def test_it_grows_with_the_noise_and_falls_with_the_points() -> None:
     assert expected_errors(np.tile(case.still_g, (4, 1)), case.truth, 0.001) == pytest.approx(one / 2)
 
 
+@pytest.mark.nightly
 def test_repeated_fits_of_one_sensor_spread_as_it_says() -> None:
     """Efficient estimates by SciPy (each residual over its own spread) reach the bound."""
     case, noise = make_case(Plan(45, 0.001), 1, 2), 0.001

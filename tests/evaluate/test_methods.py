@@ -30,7 +30,9 @@ def sample_points(name: str) -> PointSet:
     return collected(SAMPLES / name, ReadOptions(), DEFAULT, no_progress).result()
 
 
-@pytest.mark.parametrize("name", RECORDINGS)
+@pytest.mark.parametrize(
+    "name", [RECORDINGS[0], *(pytest.param(name, marks=pytest.mark.nightly) for name in RECORDINGS[1:])]
+)
 @pytest.mark.parametrize("optimizer", NINE, ids=lambda item: item.name)
 def test_nine_parameters_end_at_the_optimum_of_the_sample_recordings(optimizer, name: str) -> None:
     held, model = sample_points(name), MODELS["9"]

@@ -74,7 +74,10 @@ def test_every_sample_and_time_comes_back(made: tuple[Format, Expected]) -> None
         assert np.abs(times(chunks) - expected.times_us).max() <= expected.tolerance_us
 
 
-@pytest.mark.parametrize("chunk_samples", [1, 7, 80, 1000, 10**6])
+@pytest.mark.parametrize(
+    "chunk_samples",
+    [1, pytest.param(7, marks=pytest.mark.nightly), 80, pytest.param(1000, marks=pytest.mark.nightly), 10**6],
+)
 def test_the_rows_do_not_depend_on_the_chunk_size(made: tuple[Format, Expected], chunk_samples: int) -> None:
     item, expected = made
     with item.open(expected.path, expected.options) as reader:

@@ -49,9 +49,9 @@ def by_pygt3x(path: Path) -> Found:
     ("name", "scale", "reader"),
     [
         ("cwa", LINK, by_actfast),
-        ("cwa", LINK, by_skdh),
+        pytest.param("cwa", LINK, by_skdh, marks=pytest.mark.nightly),
         ("geneactiv", LINK, by_actfast),
-        ("geneactiv", LINK, by_skdh),
+        pytest.param("geneactiv", LINK, by_skdh, marks=pytest.mark.nightly),
         ("gt3x", OLDER, by_actfast),
         ("gt3x", OLDER, by_pygt3x),
         ("gt3x", LINK, by_pygt3x),

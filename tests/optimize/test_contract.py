@@ -54,11 +54,22 @@ TOLERANCES = {
 }
 """Every optimizer that is not named here must reach the plain values."""
 
+
+def is_slow(optimizer: Optimizer, model: str) -> bool:
+    """Whether a fit takes a hundred times as long as others: the smaller models of it are in every run."""
+    return optimizer.name == "differential-evolution" and len(MODELS[model].free) > 6
+
+
 EVERY = pytest.mark.parametrize("optimizer", all_optimizers(), ids=lambda item: item.name)
 EACH_MODEL = pytest.mark.parametrize(
     ("optimizer", "model"),
-    [(item, model) for item in all_optimizers() for model in item.models],
-    ids=lambda item: item if isinstance(item, str) else item.name,
+    [
+        pytest.param(
+            item, model, id=f"{item.name}-{model}", marks=[pytest.mark.nightly] * is_slow(item, model)
+        )
+        for item in all_optimizers()
+        for model in item.models
+    ],
 )
 
 

@@ -64,7 +64,7 @@ class ChannelRule:
 CHANNELS = {
     "temperature_mc": ChannelRule(
         ({"temperature"}, {"temp"}), frozenset({"", "c", "°c", "degc", "deg", "celsius"}), 1000, 1000.0
-    ),
+    )
 }
 """Channels that a text file may have, by their name in Chunk. This is all that there is to know of one."""
 
@@ -261,12 +261,9 @@ def _may_be_time(dialect: Dialect, column: int) -> bool:
 def _time_column(
     dialect: Dialect, titles: list[Title], options: ReadOptions, xyz: tuple[int, int, int], path: Path
 ) -> int | None:
-    if options.time_column is not None:
-        return (
-            None
-            if options.time_column == "none"
-            else _pick(dialect, options.time_column, "--time-column", path)
-        )
+    name = options.time_column
+    if name is not None:
+        return None if name == "none" else _pick(dialect, name, "--time-column", path)
     named = [title for title in titles if title.number not in xyz and _is_time_name(title)]
     date_columns = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
     for found in (

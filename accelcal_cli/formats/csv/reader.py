@@ -14,19 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core import recording
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import (
-    NO_BREAKS,
-    Channels,
-    Chunk,
-    Problem,
-    Reader,
-    Recording,
-    Validity,
-    cut_channels,
-)
+from accelcal_cli.core.recording import Channels, Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowParser, Rows, SharedStamps, block_bytes, joined
@@ -39,10 +31,7 @@ SINGLE = 50
 MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
 OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
 IMPOSSIBLE = ("impossible_time", "{rows} from line {line} on left out: an impossible time")
-ASLEEP = (
-    "idle_sleep",
-    "{rows} from line {line} on not measured: the device slept, and repeated a value",
-)
+ASLEEP = ("idle_sleep", "{rows} from line {line} on not measured: the device slept, and repeated a value")
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
@@ -200,7 +189,7 @@ class Assembler:
                 breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
                 problems=problems if start == 0 else (),
                 used_bytes=(stop - start) * self._row_bytes,
-                **cut_channels(channels, part),
+                **recording.cut_channels(channels, part),
             )
             self.samples += stop - start
 
@@ -260,7 +249,7 @@ class Assembler:
             length = (int(kept.row[0]) if len(kept.row) else stop) - self.rows
             events.append(Event(self.rows, length, *self._last_jump, None, self.samples, 0))
         if not len(kept.row):
-            return NO_BREAKS
+            return recording.NO_BREAKS
         first = self._last_row < 0
         rows = self._strides(kept)
         broken = rows > 1

@@ -73,10 +73,6 @@ class Rows:
         columns, channels = cut_columns(self, COLUMNS, rows), cut_channels(self.channels, rows)
         return replace(self, first_row=self.first_row + start, channels=channels, **columns)
 
-    def then(self, other: Rows) -> Rows:
-        """These rows and the next ones of the same file."""
-        return joined_rows([self, other])
-
 
 COLUMNS = ("line", "counts", "fault", "time_us", "filled")
 
@@ -184,7 +180,7 @@ class SharedStamps:
 
     def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those whose times are settled (all, where these are the last)."""
-        rows = rows if self._waiting is None else self._waiting.then(rows)
+        rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
         stamps = self._filled(rows.time_us)
         starts = self._starts(stamps)
         ends = np.append(starts[1:], len(stamps))
@@ -253,7 +249,7 @@ class IdleFill:
 
     def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those that are settled (all, where these are the last)."""
-        rows = rows if self._waiting is None else self._waiting.then(rows)
+        rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
         usable = rows.fault == Fault.NONE
         filled = self._repeats.mark(rows.counts, usable, last=last)
         settled = len(filled)

@@ -6,7 +6,8 @@ Single lines are looked at only where a block cannot be parsed, to name the firs
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -208,10 +209,6 @@ class TableParser:
     dialect: Dialect
     roles: Roles
     time: TimeFormat | None
-    options: tuple[Any, Any] = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "options", (self._parse_options(), self._convert_options()))
 
     @property
     def used(self) -> list[int]:
@@ -219,13 +216,21 @@ class TableParser:
         time = () if self.roles.time is None else (self.roles.time,)
         return [*self.roles.xyz, *time, *self.roles.channels.values()]
 
-    def _parse_options(self) -> Any:
-        return pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
+    @cached_property
+    def _parsing(self) -> Any:
+        """How pyarrow cuts lines into cells."""
+        delimiter = self.dialect.normaliser.delimiter
+        return pa_csv.ParseOptions(delimiter=delimiter, newlines_in_values=False)
 
-    def _convert_options(self, times_as: Any = None) -> Any:
+    @cached_property
+    def _converting(self) -> Any:
+        """How pyarrow makes values of cells."""
+        return self._converting_times(None if self.time is None else self.time.arrow_type)
+
+    def _converting_times(self, kind: Any) -> Any:
         types = {str(column): pa.float64() for column in self.used}
-        if self.time is not None:
-            types[str(self.roles.time)] = times_as or self.time.arrow_type
+        if kind is not None:
+            types[str(self.roles.time)] = kind
         return pa_csv.ConvertOptions(
             column_types=types,
             include_columns=list(types),
@@ -306,12 +311,11 @@ class TableParser:
         Args:
             times_as: another type for the column of times.
         """
-        parsing, converting = self.options
-        converting = self._convert_options(times_as) if times_as else converting
+        converting = self._converting if times_as is None else self._converting_times(times_as)
         if PADDING.issuperset(data):
             types = converting.column_types
             return pa.table({name: pa.array([], kind) for name, kind in types.items()})
         names = [str(column) for column in range(self.dialect.columns)]
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
         pool = pa.system_memory_pool()
-        return pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=pool)
+        return pa_csv.read_csv(pa.BufferReader(data), reading, self._parsing, converting, memory_pool=pool)

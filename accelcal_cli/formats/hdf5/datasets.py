@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+from posixpath import basename, dirname
 from typing import Any
 
 import h5py
@@ -41,12 +42,12 @@ class Track:
     @property
     def name(self) -> str:
         """The last part of the path."""
-        return self.path.rsplit("/", 1)[-1]
+        return basename(self.path)
 
     @property
     def parent(self) -> str:
         """The group that holds it, `/` for the file itself."""
-        return self.path.rsplit("/", 1)[0] or "/"
+        return dirname(self.path)
 
 
 def as_track(path: str, dataset: Any) -> Track | None:
@@ -183,7 +184,7 @@ def _refuse_without_accel(tracks: tuple[Track, ...], path: Path, sensor: str | N
 def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """The nearest gyroscope datasets of the same length."""
     groups = _groups(tracks, _GYRO, _GYRO_PREFIXES)
-    own = sorted({item.parent for item in tracks if normal(_last(item.parent)) in _GYRO.split()})
+    own = sorted({item.parent for item in tracks if normal(basename(item.parent)) in _GYRO.split()})
     groups += [triple for parent in own if (triple := _triple(tracks, parent, ""))]
     groups = [group for group in groups if group[0].rows == accel.rows]
     return _nearest(groups, accel) or _beside(groups, accel)
@@ -224,7 +225,7 @@ def _groups(tracks: tuple[Track, ...], names: str, prefixes: tuple[str, ...]) ->
 
 
 def _is_named(track: Track, names: str) -> bool:
-    parent = normal(_last(track.parent))
+    parent = normal(basename(track.parent))
     own, known = normal(track.name), names.split()
     return own in known or (own in _VALUES.split() and parent in known)
 
@@ -257,17 +258,9 @@ def _nearest(groups: list[Group], accel: Track) -> tuple[Group, ...]:
 
 def _beside(groups: list[Group], accel: Track) -> tuple[Group, ...]:
     """Those in a gyroscope's own group, beside the acceleration or its group."""
-    places = (accel.parent, _outer(accel.parent))
+    places = (accel.parent, dirname(accel.parent))
     return tuple(
         group
         for group in groups
-        if _outer(group[0].parent) in places and normal(_last(group[0].parent)) in _GYRO.split()
+        if dirname(group[0].parent) in places and normal(basename(group[0].parent)) in _GYRO.split()
     )
-
-
-def _last(group: str) -> str:
-    return group.rsplit("/", 1)[-1]
-
-
-def _outer(group: str) -> str:
-    return group.rsplit("/", 1)[0] or "/"

@@ -86,11 +86,6 @@ def good_rows(rows: TrackRows, start: int, stop: int) -> NDArray[Any]:
     return values[good]
 
 
-def head_rows(file: Any, track: Track, path: Path) -> NDArray[Any]:
-    """The first rows of a dataset, at most one block, without lost ones."""
-    return good_rows(TrackRows(file, track, path), 0, min(track.rows, BLOCK_ROWS))
-
-
 def spread_rows(file: Any, track: Track, path: Path, places: int = 5, each: int = 1024) -> NDArray[Any]:
     """Some rows from the beginning, the end and between, without lost ones."""
     rows = TrackRows(file, track, path)
@@ -256,7 +251,7 @@ def _stamp_scale(
     """Unit and base of a time dataset, whether it is UTC for certain, whether its start is known."""
     stated = Attributes([file[track.path]]).text("units", "unit")
     unit = _stated_unit(track, stated, path)
-    head = head_rows(file, track, path)[:, 0]
+    head = good_rows(TrackRows(file, track, path), 0, min(track.rows, BLOCK_ROWS))[:, 0]
     head = head[head > 0]
     unit = unit or (units.unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
     if unit is None:

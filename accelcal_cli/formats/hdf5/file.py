@@ -29,16 +29,9 @@ LARGEST_ATTRIBUTE = 1 << 16
 SPARE_BYTES = 256 << 20
 STATUS = Path("/proc/self/statm")
 H5PY_ERRORS = (
-    OSError,
-    RuntimeError,
-    ValueError,
-    TypeError,
-    LookupError,
-    ArithmeticError,
-    AttributeError,
-    MemoryError,
+    OSError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError,
     SystemError,
-)
+)  # fmt: skip
 """h5py maps the failures of the HDF5 library to almost any of Python's own kinds."""
 
 

@@ -16,21 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core import recording
 from accelcal_cli.core.clock import Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
-from accelcal_cli.core.recording import (
-    FLOAT_LSB_PER_G,
-    NO_BREAKS,
-    Channels,
-    Chunk,
-    Device,
-    Problem,
-    Reader,
-    Recording,
-    cut_channels,
-)
+from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.hdf5 import description, units
 from accelcal_cli.formats.hdf5 import file as h5
@@ -189,7 +180,7 @@ def _checked_lsb(lsb: float | None, path: Path) -> float:
         raise UnreadableError(
             "the file does not state the counts per g", path=path, hint="give --lsb-per-g N"
         )
-    if not 0 < lsb <= FLOAT_LSB_PER_G * units.LARGEST_G:
+    if not 0 < lsb <= recording.FLOAT_LSB_PER_G * units.LARGEST_G:
         raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
     return lsb
 
@@ -201,7 +192,7 @@ def _count_scale(source: Source, lsb: float, dtype: np.dtype[Any]) -> Scale:
             seen = description.spread_rows(source.file, item, source.path)
             seen = seen[np.isfinite(seen)]
             if np.any(seen != np.rint(seen)):
-                return Scale(FLOAT_LSB_PER_G, lsb, units.LARGEST_G)
+                return Scale(recording.FLOAT_LSB_PER_G, lsb, units.LARGEST_G)
     return units.count_scale(lsb, dtype)
 
 
@@ -319,7 +310,7 @@ class _Stream:
             name: channel.values(self._channels[name], selection, self._before.get(name))
             for name, channel in self._plan.channels.items()
         }
-        self._before = cut_channels(channels, [-1])
+        self._before = recording.cut_channels(channels, [-1])
         return channels
 
     def _clock(
@@ -338,7 +329,7 @@ class _Stream:
     ) -> NDArray[np.int64]:
         """Where the kept rows do not follow on the ones before them, in place or in time."""
         if not len(rows):
-            return NO_BREAKS
+            return recording.NO_BREAKS
         before = self._last_row
         every = len(rows) == len(selection.keep)
         jumps = np.zeros(len(rows), np.bool_) if every else np.diff(rows, prepend=rows[0]) != 1

@@ -273,7 +273,8 @@ class TrackRows:
         self._chunk_rows, self._chunk_bytes = self._chunking()
         self._refuse_unreadable()
         self._shuffled = gzip_shuffled(self._dataset, track.axis, track.width)
-        self._stream = self._open_stream() if self._is_streamed() else None
+        streamed = self._has_filters() and self._chunk_bytes > STREAM_ABOVE_BYTES
+        self._stream = self._open_stream() if streamed else None
         self._stored = None if self._stream else self._open_stored()
         self._has_holes = self._find_holes()
 
@@ -288,9 +289,6 @@ class TrackRows:
 
     def _has_filters(self) -> bool:
         return bool(self._dataset.id.get_create_plist().get_nfilters())
-
-    def _is_streamed(self) -> bool:
-        return self._has_filters() and self._chunk_bytes > STREAM_ABOVE_BYTES
 
     def _open_stored(self) -> StoredChunks | None:
         track = self._track

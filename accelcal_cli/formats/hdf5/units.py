@@ -41,19 +41,13 @@ _ACCEL_UNITS = {
 def accel_unit(text: str) -> str | None:
     """One of g, mg, m/s2, counts for what a unit attribute says; None if unknown."""
     name = normal(text.replace("m s-2", "m/s2").replace("s^-2", "s2").replace("s-2", "s2"))
-    for unit, names in _ACCEL_UNITS.items():
-        if name in names.split():
-            return unit
-    return None
+    return next((unit for unit, names in _ACCEL_UNITS.items() if name in names.split()), None)
 
 
 def factor_of(text: str, table: dict[float, str]) -> float | None:
     """The factor of a unit in a table of factors and the units' names; None if it is in none."""
     name = normal(text)
-    for factor, names in table.items():
-        if name in {normal(item) for item in names.split()}:
-            return factor
-    return None
+    return next((factor for factor, names in table.items() if name in map(normal, names.split())), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,19 +126,14 @@ def physical_scale(unit: str, dtype: np.dtype[Any]) -> Scale:
 
 def time_unit(text: str) -> str | None:
     """One of s, ms, us, ns for what an attribute says (`seconds since ...` too); None if unknown."""
-    first = text.lower().split()[:1]
-    for unit, names in _UNIT_NAMES.items():
-        if first and first[0] in names.split():
-            return unit
-    return None
+    first = next(iter(text.lower().split()), None)
+    return next((unit for unit, names in _UNIT_NAMES.items() if first in names.split()), None)
 
 
 def unit_by_size(value: float) -> str | None:
     """The unit in which a number is a moment of 1980..2100; at most one fits."""
-    for unit, per_second in PER_SECOND.items():
-        if EARLIEST_ABSOLUTE_US <= value / per_second * MICROSECONDS < LATEST_US:
-            return unit
-    return None
+    moments_us = {unit: value / per_second * MICROSECONDS for unit, per_second in PER_SECOND.items()}
+    return next((unit for unit, us in moments_us.items() if EARLIEST_ABSOLUTE_US <= us < LATEST_US), None)
 
 
 def parse_moment(value: str | float) -> tuple[int, bool] | None:

@@ -18,6 +18,7 @@ from accelcal_cli.core.recording import Chunk, Recording
 
 CHUNK_ROWS = 65_536
 FILE_VERSIONS = ("earliest", "v110")
+EPOCH = datetime(1970, 1, 1)
 
 
 def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
@@ -151,11 +152,7 @@ class _Writer:
 
 def _describe(accel: Any, recording: Recording) -> None:
     """What the reader needs, and what is known of the device; unknown things are left away."""
-    start = (
-        None
-        if recording.start_us is None
-        else datetime(1970, 1, 1) + timedelta(microseconds=recording.start_us)
-    )
+    start = recording.start_us
     _set(
         accel,
         {
@@ -163,7 +160,7 @@ def _describe(accel: Any, recording: Recording) -> None:
             "units": "counts",
             "lsb_per_g": float(recording.lsb_per_g),
             "range_g": recording.range_g,
-            "start_time": start and start.isoformat(),
+            "start_time": None if start is None else (EPOCH + timedelta(microseconds=start)).isoformat(),
             "timezone": recording.timezone,
             "serial": recording.device.serial,
             "model": recording.device.model,

@@ -41,7 +41,7 @@ def by_skdh(path: Path) -> Found:
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("reader", [by_actfast, by_skdh])
+@pytest.mark.parametrize("reader", [by_actfast, pytest.param(by_skdh, marks=pytest.mark.nightly)])
 def test_counts_are_the_same_integers(real_data: Path, name: str, reader: Callable[[Path], Found]) -> None:
     path = real_data / "vendor" / name
     with open_recording(path, ReadOptions()) as ours:

@@ -71,7 +71,7 @@ def test_files_made_by_hand(tmp_path: Path, oracle: Oracle, ending: bytes) -> No
     assert check(path, oracle) == 6000
 
 
-@pytest.mark.parametrize("oracle", [by_actfast, by_skdh])
+@pytest.mark.parametrize("oracle", [by_actfast, pytest.param(by_skdh, marks=pytest.mark.nightly)])
 def test_files_of_the_independent_generator(real_data: Path, tmp_path: Path, oracle: Oracle) -> None:
     tool = real_data.parent / "tools" / "make_recording.py"
     if not tool.exists():

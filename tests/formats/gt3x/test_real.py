@@ -142,7 +142,7 @@ def generated(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     return out
 
 
-@pytest.mark.parametrize("kind", ["", "_act2"])
+@pytest.mark.parametrize("kind", ["", pytest.param("_act2", marks=pytest.mark.nightly)])
 def test_every_sample_of_an_independent_generator(generated: Path, kind: str) -> None:
     truth = np.load(f"{generated}.i16.npy")
     path = Path(f"{generated}{kind}.gt3x")

@@ -58,7 +58,7 @@ def by_h5py(path: Path, monkeypatch: pytest.MonkeyPatch) -> Read:
         return streamed(path)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
 @pytest.mark.parametrize("shuffle", [False, True])
 @pytest.mark.parametrize("dtype", ["<i2", ">i4", "<f4", "f8", ">i8"])
 @pytest.mark.parametrize("shape", ["wide", "transposed", "columns"])
