@@ -26,7 +26,6 @@ $(READY): $(PLAIN)
 	$(PIP) --editable '.[dev]'
 	$(PIP) --editable '.[oracles]' \
 	  || echo "The other readers that some tests compare with do not install here; those tests are skipped."
-	$(BIN)/python -m compileall -q -j 0 $(VENV)/lib accelcal_cli || true
 	touch $@
 
 demo: $(PLAIN)

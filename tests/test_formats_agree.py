@@ -63,6 +63,7 @@ def test_every_format_of_256_counts_per_g(tmp_path: Path, capsys: Capture) -> No
     agree(capsys, tmp_path, names, PLAIN, 4)
 
 
+@pytest.mark.nightly
 def test_packed_records_of_341_counts_per_g(tmp_path: Path, capsys: Capture) -> None:
     agree(capsys, tmp_path, ["flash", "gt3x"], FINER, 4)
 

@@ -134,6 +134,7 @@ def test_axivity_recordings(
     assert report["file_health"]["rate_hz_measured"] == pytest.approx(rate_hz, rel=2e-3)
 
 
+@pytest.mark.nightly
 def test_the_sacrum_recording_says_which_side_is_missing(
     real_data: Path, tmp_path: Path, capsys: Capture
 ) -> None:

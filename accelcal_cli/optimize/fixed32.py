@@ -247,8 +247,11 @@ def _forward(sets: Sequence[PointSet], model: Model, settings: Settings) -> list
 
 
 def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
-    """The update is counted as F does, an addition and a multiplication for each group of three
-    parameters with one learning rate: M (100 N + 3) in all for nine parameters."""
+    """The fit to one set.
+
+    The update is counted as F does, an addition and a multiplication for each group of three
+    parameters with one learning rate: M (100 N + 3) in all for nine parameters.
+    """
     rates, number = _rates(settings), settings.max_iterations
     history: list[tuple[int, ...]] = []
     p = np.array(IDENTITY, np.int64)

@@ -37,7 +37,7 @@ def test_a_name_that_is_not_utf8(tmp_path: Path, capsys: Capture) -> None:
     ("words", "code"),
     [
         pytest.param(("calibrate", "p.csv"), 3, marks=pytest.mark.nightly),
-        (("calibrate", "{good}", "-d", "out"), 5),
+        pytest.param(("calibrate", "{good}", "-d", "out"), 5, marks=pytest.mark.nightly),
         pytest.param(("calibrate", "{good}", "-d", "{out}"), 0, marks=pytest.mark.nightly),
         pytest.param(("study", ".", "-d", "out"), 5, marks=pytest.mark.nightly),
         (("study", "{folder}", "-d", "{out}"), 5),

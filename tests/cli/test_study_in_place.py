@@ -42,7 +42,7 @@ def test_recordings_below_the_outputs_are_left_out_and_that_is_said(tmp_path: Pa
     assert "ignored" not in run(capsys, "study", folder, "-d", folder).err
 
 
-@pytest.mark.parametrize("force", [(), ("--force",)])
+@pytest.mark.parametrize("force", [("--force",), pytest.param((), marks=pytest.mark.nightly)])
 def test_a_recording_of_the_summarys_name_is_not_overwritten(
     tmp_path: Path, capsys: Capture, force: tuple[str, ...]
 ) -> None:

@@ -27,7 +27,7 @@ Capture = pytest.CaptureFixture[str]
         pytest.param(("--optimizer", "gauss-newton"), marks=pytest.mark.nightly),
         ("--profile", "paper"),
         pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),
-        ("--stillness", "adaptive"),
+        pytest.param(("--stillness", "adaptive"), marks=pytest.mark.nightly),
         ("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"),
         pytest.param(("--report-only", "--lsb-per-g", 250.0, "--no-temperature"), marks=pytest.mark.nightly),
     ],

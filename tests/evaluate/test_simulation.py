@@ -107,6 +107,7 @@ def test_fixed_point_costs_nothing() -> None:
         assert fixed.mean == pytest.approx(floating.mean, rel=5e-3)
 
 
+@pytest.mark.nightly
 def test_432_points_halve_every_entry_of_table_2() -> None:
     for table in tables(Protocol(cases=25, points=(432,)), "fixed32"):
         assert (np.array(table.scores[0].mean) < 0.5 * np.array(TABLE_2[table.noise_mg].mean)).all()

@@ -68,7 +68,7 @@ def test_samples_and_times(
     assert np.abs(when - times(12_000, what)).max() <= 1
 
 
-@pytest.mark.parametrize("reader", [by_actfast, by_skdh])
+@pytest.mark.parametrize("reader", [by_actfast, pytest.param(by_skdh, marks=pytest.mark.nightly)])
 def test_temperatures_of_geneactiv(tmp_path: Path, reader: Callable[[Path], Found]) -> None:
     heat = np.repeat(np.array([24_900, 31_000], np.int32), 300)
     path = written(

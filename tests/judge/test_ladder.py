@@ -122,7 +122,7 @@ def test_the_range_of_temperatures_is_in_degrees() -> None:
     assert temperature_range_c(warm_points(3.0).select(np.zeros(60, bool))) == 0
 
 
-@pytest.mark.parametrize("model", ["auto", "9"])
+@pytest.mark.parametrize("model", ["auto", pytest.param("9", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize(("degrees", "tried"), [(1.9, False), (2.1, True)])
 def test_slopes_need_a_range_of_temperatures(degrees: float, tried: bool, model: str) -> None:
     trials = try_models(evidence(warm_points(degrees)), replace(DEFAULT, model=model), fast_fits)

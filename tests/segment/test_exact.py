@@ -39,7 +39,7 @@ def test_an_odd_sum_just_above_two_to_the_24_is_not_rounded() -> None:
     assert exact_sums(block, 513 << 15).tolist() == [32_767 * 513 - 1]
 
 
-@pytest.mark.parametrize("kind", [np.int32, np.int64])
+@pytest.mark.parametrize("kind", [np.int32, pytest.param(np.int64, marks=pytest.mark.nightly)])
 def test_an_odd_sum_just_above_two_to_the_53_is_not_rounded(kind: type) -> None:
     block = np.array([[1] + [2**30] * 2**23], kind)
     assert exact_sums(block, (2**23 + 1) << 30).tolist() == [2**53 + 1]

@@ -71,6 +71,7 @@ def test_a_poorer_calibration_gives_way_to_a_better_one(base: Path) -> None:
     assert report(out, "b/poor")["calibration"] == report(out, "a/near")["calibration"]
 
 
+@pytest.mark.nightly
 def test_a_farther_lender_changes_nothing_but_a_nearer_one_is_asked(base: Path, here: Path) -> None:
     write(here / "in/a/farther.raw", "2023-01-01", poses=40, seed=6)
     assert "8 unchanged" in study(here).err

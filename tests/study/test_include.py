@@ -78,6 +78,7 @@ def test_what_is_excluded_gone_or_of_other_settings_has_no_row(here: Path, capsy
     assert paths(here) == [NAMES[0]]
 
 
+@pytest.mark.nightly
 def test_a_pool_stays_whole(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "in").mkdir()
     for number, name in enumerate(("one", "two", "three")):
@@ -94,6 +95,7 @@ def test_a_pool_stays_whole(tmp_path: Path, capsys: Capture) -> None:
     assert results(tmp_path / "out") == results(tmp_path / "at once")
 
 
+@pytest.mark.nightly
 def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Path, capsys: Capture) -> None:
     """What a plain `--collect` cannot tell of is still known to the next one."""
     (tmp_path / "in").mkdir()

@@ -56,6 +56,7 @@ def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(
     assert results(out) == undisturbed
 
 
+@pytest.mark.nightly
 def test_a_worker_that_is_killed_costs_its_recording_alone(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with held(tmp_path, "b/p2.calibrated.parquet") as hold:
@@ -118,6 +119,7 @@ def test_of_two_at_once_the_second_leaves(
     assert results(out) == undisturbed
 
 
+@pytest.mark.nightly
 def test_a_disk_that_takes_no_more_costs_the_recordings_that_need_it(folder: Path, tmp_path: Path) -> None:
     study, out = tmp_path / "in", tmp_path / "out"
     study_folder(study, NAMES[:1])

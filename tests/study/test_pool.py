@@ -119,6 +119,7 @@ def test_order_and_workers_make_no_difference_and_a_rerun_does_nothing(base: Pat
     assert {path: path.stat().st_mtime_ns for path in here.rglob("out/**/*.cal*")} == held
 
 
+@pytest.mark.nightly
 def test_collected_shards_are_the_same(base: Path, here: Path) -> None:
     for number in (2, 1):
         assert "calibrated" not in study(here, "--shard", f"{number}/2", out="parts").out

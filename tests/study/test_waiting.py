@@ -53,6 +53,7 @@ def here(base: Path, tmp_path: Path) -> Path:
     return shutil.copytree(base, tmp_path / "study")
 
 
+@pytest.mark.nightly
 def test_a_pool_waits_for_a_member_that_is_being_copied(here: Path) -> None:
     """A new member would make another pool, but one of the old ones is half there."""
     before, made = {name: outputs(here, name) for name in list(PARTS)[:3]}, pool_of(here / "out")

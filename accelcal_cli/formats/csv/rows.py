@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
-from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_columns
+from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats.csv.cells import Scale
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN
@@ -82,7 +82,7 @@ def joined_rows(parts: list[Rows]) -> Rows:
     if len(parts) == 1:
         return parts[0]
     first = parts[0]
-    channels = {name: np.concatenate([part.channels[name] for part in parts]) for name in first.channels}
+    channels = joined_channels([part.channels for part in parts])
     return Rows(first.first_row, channels=channels, **joined_columns(parts, COLUMNS))
 
 

@@ -228,12 +228,13 @@ def find_channels(
         if len(groups) > 1:
             paths = ", ".join(readable(group[0].path) for group in groups)
             notes.append(f"no {rule.noun} is used: several datasets fit ({paths})")
-        for group in groups if len(groups) == 1 else ():
-            channel = rule.find(file, group, path)
-            if isinstance(channel, str):
-                notes.append(f"{readable(group[0].path)} is not used: {channel}")
-            else:
-                channels[name] = channel
+        if len(groups) != 1:
+            continue
+        channel = rule.find(file, groups[0], path)
+        if isinstance(channel, str):
+            notes.append(f"{readable(groups[0][0].path)} is not used: {channel}")
+        else:
+            channels[name] = channel
     return channels, tuple(notes)
 
 

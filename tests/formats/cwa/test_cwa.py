@@ -228,7 +228,9 @@ def test_no_temperature_where_nothing_was_measured(tmp_path: Path) -> None:
     assert [chunk.temperature_mc for chunk in reader.chunks(100)] == [None, None]
 
 
-@pytest.mark.parametrize("chunk_samples", [1, pytest.param(100, marks=pytest.mark.nightly), 7000, 10**6])
+@pytest.mark.parametrize(
+    "chunk_samples", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (100, 7000, 10**6))]
+)
 def test_rows_do_not_depend_on_the_chunk_size(real_data: Path, chunk_samples: int) -> None:
     for name in ("ax3_corrupt_blocks_0_13_14_142_143_144.cwa", "ax6_100hz_2min.cwa"):
         reader = opened(real_data / "vendor" / name)

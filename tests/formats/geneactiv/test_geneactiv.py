@@ -189,7 +189,9 @@ def test_real_files_number_by_number(real_data: Path, name: str) -> None:
     assert (np.rint((found_g * gain + offset) / 100) == raw).all()
 
 
-@pytest.mark.parametrize("chunk_samples", [1, pytest.param(1000, marks=pytest.mark.nightly), 10**6])
+@pytest.mark.parametrize(
+    "chunk_samples", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1000, 10**6))]
+)
 def test_rows_do_not_depend_on_the_chunk_size(real_data: Path, chunk_samples: int) -> None:
     for name in REAL:
         reader = opened(real_data / "vendor" / name)

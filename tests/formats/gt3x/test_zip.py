@@ -100,6 +100,7 @@ def test_a_header_without_sizes(tmp_path: Path) -> None:
     assert found.found == [NO_DIRECTORY]
 
 
+@pytest.mark.nightly
 def test_a_stored_file_cut_anywhere_gives_what_is_left(tmp_path: Path) -> None:
     data = zipped(PARTS, zipfile.ZIP_STORED)
     begin = data.index(b"log.bin") + 7

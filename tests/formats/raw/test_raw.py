@@ -294,7 +294,9 @@ def test_stamps_of_whole_seconds_leave_a_nominal_recording_evenly_spaced(tmp_pat
     assert (breaks, problems(chunks)) == ([], [])
 
 
-@pytest.mark.parametrize("real_rate", [94.0, 97.3, 100.01, 104.0])
+@pytest.mark.parametrize(
+    "real_rate", [94.0, 100.01, *(pytest.param(rate, marks=pytest.mark.nightly) for rate in (97.3, 104.0))]
+)
 def test_times_follow_a_sensor_that_is_off_its_nominal_rate(tmp_path: Path, real_rate: float) -> None:
     count = 2000
     rows = rows_of(0)
