@@ -1,3 +1,3 @@
 """Batch calibration of raw actigraph recordings from the stillness they contain."""
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

@@ -11,7 +11,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, fitting_options, fitting_settings
-from accelcal_cli.cli.output import result_line
+from accelcal_cli.cli.output import show_result
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
@@ -23,6 +23,9 @@ from accelcal_cli.pipeline.outputs import refuse_foreign_report, save_report, wi
 @click.argument("points", type=FILE)
 @click.option("-o", "--output", type=FILE, help="Name of the report; without it none is written.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as one JSON object.")
+@click.option(
+    "--tsv", is_flag=True, help="Print tab-separated fields at a terminal too, instead of a sentence."
+)
 @click.option("--force", is_flag=True, help="Overwrite a file that accelcal did not write.")
 @fitting_options
 def command(points: Path, output: Path | None, as_json: bool, force: bool, **values: Any) -> int:
@@ -43,7 +46,10 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     if output is not None and not refused:
         save_report(output, report)
     shown = None if output is None or refused else output
-    exit_codes.show(json.dumps(report) if as_json else result_line(report, points, shown))
+    if as_json:
+        exit_codes.show(json.dumps(report))
+    else:
+        show_result(report, points, shown, values)
     if refused:
         exit_codes.say(f"{printable(points)}: refused: {report['message']}")
         return exit_codes.REFUSED

@@ -12,12 +12,16 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import bytes_of
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 from accelcal_cli.pipeline.jobs import STDIN
 
 QUICK = "gauss-newton"
 """Finds the parameters of the default optimizer to a few micro-g, a hundred times as fast."""
+
+CLOCKS_S_PER_DAY = 86.4
+"""No clock is a thousandth off: where the measured rate is, the nominal one is not meant as exact."""
 
 
 @click.command("inspect")
@@ -76,7 +80,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  format       {about['format']}, {about['bytes']} bytes",
         f"  device       {device}",
         f"  rate         {about['sample_rate_hz']:g} Hz{measured}",
-        f"  scale        {about['lsb_per_g']:.10g} counts per g{reach}",
+        f"  scale        {_scale(about['lsb_per_g'])}{reach}",
         f"  start        {about['start_time'] or 'unknown'}{zone}",
         f"  duration     {_hours(about['duration_s'])}{samples}",
         f"  also holds   {extras}",
@@ -87,6 +91,11 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
     ]
     return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
+
+
+def _scale(lsb_per_g: float) -> str:
+    decimal = lsb_per_g >= FLOAT_LSB_PER_G
+    return "decimal values, to a step of 2^-24 g" if decimal else f"{lsb_per_g:.10g} counts per g"
 
 
 def _known(text: str, value: float | None) -> str:
@@ -100,7 +109,12 @@ def _hours(seconds: float | None) -> str:
 
 def _clock(clock: dict[str, Any]) -> str:
     drift, gaps = clock["drift_s_per_day"], clock["gaps"]
-    parts = ["drift unknown" if drift is None else f"drift {drift:+g} s/day"]
+    if drift is None:
+        parts = ["drift unknown"]
+    elif abs(drift) > CLOCKS_S_PER_DAY:
+        parts = [f"{clock['rate_hz_measured']:.4g} Hz where {clock['rate_hz_nominal']:g} Hz is nominal"]
+    else:
+        parts = [f"drift {drift:+g} s/day"]
     if gaps is not None:
         parts += [f"{gaps} gaps ({clock['gap_seconds']:g} s)", f"{clock['backward']} steps back"]
     return ", ".join(parts)

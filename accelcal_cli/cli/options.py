@@ -149,6 +149,8 @@ _PLACES = [
 
 _PRINTING = [
     click.option("--json", "as_json", is_flag=True, help="Print the report, one JSON object per line."),
+    click.option("--tsv", is_flag=True,
+                 help="Print fields at a terminal too, instead of a sentence."),
     click.option("--force", is_flag=True,
                  help="Redo outputs that are up to date; overwrite files that accelcal did not write."),
     click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr."),

@@ -14,6 +14,14 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
+WORDS = {
+    Outcome.CALIBRATED: "calibrated",
+    Outcome.REDUCED_MODEL: "calibrated in part",
+    Outcome.ALREADY_GOOD: "good as it is",
+    Outcome.BORROWED: "calibrated with another recording's coefficients",
+}
+"""Outcomes for people, where their names are no words."""
+
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Columns as wide as their widest cell, the first to the left and the others to the right."""
@@ -39,17 +47,34 @@ def number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
 
 
-def result_line(report: dict[str, Any], source: Path, written: Path | None) -> str:
-    """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
+def show_result(report: dict[str, Any], source: Path, written: Path | None, values: dict[str, Any]) -> None:
+    """Print the line of one recording's report; see `show_row`."""
     holdout, calibration = report["holdout"] or {}, report["calibration"] or {}
     before, after = (holdout.get(f"{when}_mg", {}).get("mean") for when in ("before", "after"))
+    low, high = holdout.get("ci95_mg", (None, None))
     row = {"outcome": report["outcome"], "model": calibration.get("model"), "before_mg": before}
-    judged = {"after_mg": after, "improvement_percent": holdout.get("improvement_percent")}
-    return study_line(row | (judged if calibration else dict.fromkeys(judged)), source, written)
+    judged = {
+        "after_mg": after,
+        "ci95_low_mg": low,
+        "ci95_high_mg": high,
+        "improvement_percent": holdout.get("improvement_percent"),
+    }
+    show_row(row | (judged if calibration else dict.fromkeys(judged)), source, written, values)
 
 
-def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
-    """The same fields from a recording's row in a study's summary."""
+def show_row(row: dict[str, Any], source: Path, written: Path | None, values: dict[str, Any]) -> None:
+    """Print one recording's row of a study's summary: a sentence at a terminal, else fields.
+
+    Args:
+        written: its output, if there is one.
+        values: the option `tsv`: fields at a terminal, too.
+    """
+    words = sys.stdout.isatty() and not values["tsv"]
+    exit_codes.show((_sentence if words else _fields)(row, source, written))
+
+
+def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
+    """Path, outcome, model, errors before and after [mg], improvement [%], output; `-` for nothing."""
     fields = [
         str(source),
         row["outcome"],
@@ -59,6 +84,26 @@ def study_line(row: dict[str, Any], source: Path, written: Path | None) -> str:
         "-" if written is None else str(written),
     ]
     return "\t".join(map(printable, fields))
+
+
+def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
+    """What became of a recording, and how certain the error is that was left."""
+    parts = [f"{source}: {WORDS.get(row['outcome'], row['outcome'])}"]
+    before, after, high = row["before_mg"], row["after_mg"], row["ci95_high_mg"]
+    if row["model"] is not None:
+        parts[0] += f" (model {row['model']})"
+    if after is not None:
+        low = figure(row["ci95_low_mg"])
+        parts.append(
+            f"{figure(before)} mg before, {figure(after)} mg after (95 % interval {low} to {figure(high)})"
+        )
+        if high >= before:
+            parts.append("this may be no better than the raw data, whose error lies within the interval")
+    elif before is not None:
+        parts.append(f"{figure(before)} mg")
+    if written is not None:
+        parts.append(f"written to {written}")
+    return printable("; ".join(parts))
 
 
 @contextlib.contextmanager
@@ -138,8 +183,10 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
         return error.exit_code
     except Exception:
         return exit_codes.report_bug(job.source)
-    shown = result_line(result.report, result.job.source, written(result))
-    exit_codes.show(json.dumps(result.report) if values["as_json"] else shown)
+    if values["as_json"]:
+        exit_codes.show(json.dumps(result.report))
+    else:
+        show_result(result.report, result.job.source, written(result), values)
     _comment(result, values)
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 

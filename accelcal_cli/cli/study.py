@@ -14,7 +14,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, Positive, calibrating_options, precision_option, request_of
-from accelcal_cli.cli.output import study_line
+from accelcal_cli.cli.output import show_row
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
@@ -89,7 +89,7 @@ class TerminalObserver:
                 exit_codes.show(json.dumps(json.loads(item.job.report.read_text("utf-8"))))
         elif not self._values["quiet"]:
             written = None if row["parquet"] is None else item.job.parquet
-            exit_codes.show(study_line(row, item.source, written))
+            show_row(row, item.source, written, self._values)
 
     def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
         name = printable(item.source)

@@ -26,7 +26,7 @@ from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale, Win
 from accelcal_cli.core.settings import Settings
 
 MAX_POINTS = 4096
-SPREAD_BITS = 8
+LEADING_BITS = 8
 NEARLY_CONSTANT_SHARE = 10
 """Constant windows are believed where nearly constant ones are at least a tenth as many."""
 
@@ -104,6 +104,34 @@ class CellCounts:
     constant_used: bool
 
 
+class Histogram:
+    """Of whole numbers from 0: exact below 256, then by eight leading bits, so that it stays small."""
+
+    def __init__(self) -> None:
+        self.numbers: dict[int, int] = defaultdict(int)
+
+    def add(self, values: NDArray[np.int64]) -> None:
+        """Take values in."""
+        unique, numbers = np.unique(values, return_counts=True)
+        for value, number in zip(unique.tolist(), numbers.tolist(), strict=True):
+            drop = max(0, value.bit_length() - LEADING_BITS)
+            self.numbers[value >> drop << drop] += number
+
+    def merge(self, other: Histogram) -> None:
+        """Take in what another one holds."""
+        for value, number in other.numbers.items():
+            self.numbers[value] += number
+
+    def quantile(self, percent: int) -> int | None:
+        """The smallest value that is not below so many percent of all; None without values."""
+        seen, total = 0, sum(self.numbers.values())
+        for value in sorted(self.numbers):
+            seen += self.numbers[value]
+            if 100 * seen >= percent * total:
+                return value
+        return None
+
+
 class CellCollector:
     """Collects windows of one recording; see the module for how."""
 
@@ -112,7 +140,7 @@ class CellCollector:
         self.temperature = temperature
         self.settings = settings
         self.implausible = 0
-        self.spreads: dict[int, int] = defaultdict(int)
+        self.spreads = Histogram()
         self._cells: dict[tuple[int, ...], list[int]] = {}
 
     def add(self, windows: Windows) -> None:
@@ -123,7 +151,7 @@ class CellCollector:
         if not len(windows):
             return
         widest = windows.spread.max(axis=1)
-        self._note_spreads(widest)
+        self.spreads.add(widest)
         keys = self._keys(windows, widest == 0)
         unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
         values = np.zeros((len(unique), 5), np.int64)
@@ -140,8 +168,7 @@ class CellCollector:
         It has the same scale and settings, and temperature where this one has.
         """
         self.implausible += other.implausible
-        for spread, number in other.spreads.items():
-            self.spreads[spread] += number
+        self.spreads.merge(other.spreads)
         for key, value in other._cells.items():
             _add(self._cells, key if self.temperature else (*key[:3], 0, key[_CONSTANT]), value)
 
@@ -157,7 +184,7 @@ class CellCollector:
 
     def counts(self) -> CellCounts:
         """What was left out and why."""
-        return CellCounts(self.implausible, self.spreads.get(0, 0), self._constants_are_real())
+        return CellCounts(self.implausible, self.spreads.numbers.get(0, 0), self._constants_are_real())
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)
@@ -169,23 +196,17 @@ class CellCollector:
         keys[:, _CONSTANT] = constant
         return keys
 
-    def _note_spreads(self, widest: NDArray[np.int64]) -> None:
-        """A histogram of spreads that stays small: exact up to 256, then by eight leading bits."""
-        values, numbers = np.unique(widest, return_counts=True)
-        for value, number in zip(values.tolist(), numbers.tolist(), strict=True):
-            drop = max(0, value.bit_length() - SPREAD_BITS)
-            self.spreads[value >> drop << drop] += number
-
     def _constants_are_real(self) -> bool:
         """Whether windows without any spread can be a coarse sensor's stillness.
 
         A sensor whose noise is far below its step shows many windows of one step as well; where a
         device repeats a sample or writes a constant (idle sleep mode), there are none.
         """
-        step = _step(self.spreads)
+        spreads = self.spreads.numbers
+        step = _step(spreads)
         limit = step * 3 // 2
-        nearly = sum(number for spread, number in self.spreads.items() if 0 < spread <= limit)
-        return step > 0 and nearly * NEARLY_CONSTANT_SHARE >= self.spreads.get(0, 0)
+        nearly = sum(number for spread, number in spreads.items() if 0 < spread <= limit)
+        return step > 0 and nearly * NEARLY_CONSTANT_SHARE >= spreads.get(0, 0)
 
     def _believed(self) -> dict[tuple[int, ...], list[int]]:
         real = self._constants_are_real()

@@ -6,6 +6,7 @@ Names of files as text that any terminal, table and JSON file can hold, and numb
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,11 @@ def spreadsheet_cell(value: Any) -> Any:
 def counted(number: int, what: str) -> str:
     """`1 recording`, `2 recordings`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def listed(items: Sequence[str]) -> str:
+    """`x`, `x and y`, `x, y and z`."""
+    return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
 class AccelcalError(Exception):

@@ -55,8 +55,12 @@ class Holdout:
         """Mean over the blocks after calibration: what the model ladder compares [mg]."""
         return fsum(after for _, after in self.blocks) / len(self.blocks)
 
+    def improvement_factor(self) -> float:
+        """Error before over error after: how many times smaller it has become."""
+        return self.before.mean / self.after.mean if self.after.mean else float("inf")
+
     def improvement_percent(self) -> float:
-        """R of F eq. 21: error before over error after, in percent."""
+        """R of F eq. 21: the factor in percent, so that 100 means no change."""
         return 100 * self.before.mean / self.after.mean if self.after.mean else float("inf")
 
 
@@ -165,6 +169,30 @@ class SampleCounts:
 
 
 @dataclass(frozen=True, slots=True)
+class Rest:
+    """What still windows measure before calibration, near 1 g or not, in units of local gravity.
+
+    Attributes:
+        windows: how many there are; without any, all but the last attribute have no meaning.
+        median_g, p5_g, p95_g: quantiles of |a|, to half a percent.
+        axis_min_g, axis_max_g: extreme means of x, y, z.
+        alike: axes whose values are the same in all windows, such as ("x", "y").
+        error_mg: mean | |a| - 1 g | of the windows of 0.5 to 1.5 g; None without any.
+        samples_median_g: median of |a| over every 997th sample that was measured; None without any.
+    """
+
+    windows: int = 0
+    median_g: float = 0.0
+    p5_g: float = 0.0
+    p95_g: float = 0.0
+    axis_min_g: tuple[float, ...] = ()
+    axis_max_g: tuple[float, ...] = ()
+    alike: tuple[str, ...] = ()
+    error_mg: float | None = None
+    samples_median_g: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Facts:
     """A recording as it was found.
 
@@ -172,8 +200,7 @@ class Facts:
         first_us, last_us: times of the first and last sample; None without samples.
         rate_hz: measured: samples over time within unbroken stretches; None if unknown.
         gaps_omitted: gaps beyond those that are listed.
-        still_error_mg: mean | |v| - 1 g | of the raw means of all plausible still windows; None
-            without any.
+        rest: what its still windows measure.
         utc_offset_s: seconds that the device's clock is ahead of UTC; None if its zone, or the
             time of the start, is not known.
         lost_bytes, used_bytes: of the (uncompressed) file: damaged ones, and those that the samples
@@ -191,7 +218,7 @@ class Facts:
     counts: SampleCounts
     has_temperature: bool
     has_gyroscope: bool
-    still_error_mg: float | None = None
+    rest: Rest = Rest()
     utc_offset_s: int | None = None
     lost_bytes: int = 0
     used_bytes: int = 0

@@ -17,18 +17,21 @@ from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet, in_standard_g
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.errors import deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sample, postures
+from accelcal_cli.judge.rest import picture
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
 FEWEST_CONTROL_POINTS = 2
 LONGER = "record longer, with more turns of the wrist"
 NO_STILLNESS = f"no still window was found; {LONGER}"
+FAR_FROM_1_G = "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
 
 CUT_SHORT = "truncated"
 """Code of the problem that all readers report for a file that breaks off."""
@@ -220,8 +223,13 @@ def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judg
     return Judgement(Outcome.REFUSED, text, coverage, ())
 
 
-def advised(verdict: Judgement, facts: Facts) -> Judgement:
-    """A refusal's advice, if the file was cut short: the rest may still be on the device."""
+def advised(verdict: Judgement, facts: Facts, recording: Recording) -> Judgement:
+    """A refusal with advice that fits: rest that is none, or a file that was cut short."""
+    if verdict.outcome is not Outcome.REFUSED:
+        return verdict
+    odd = picture(facts.rest, recording.lsb_per_g, decimal=recording.lsb_per_g >= FLOAT_LSB_PER_G)
+    if odd is not None:
+        return replace(verdict, message=f"{verdict.message.split('; ')[0]}; {odd}")
     if all(problem.code != CUT_SHORT for problem in facts.problems):
         return verdict
     return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))

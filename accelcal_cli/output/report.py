@@ -126,6 +126,7 @@ def holdout_json(holdout: results.Holdout) -> dict[str, Any]:
         "before_mg": summary_json(holdout.before),
         "after_mg": summary_json(holdout.after),
         "improvement_percent": round(holdout.improvement_percent(), 1) if holdout.after.mean else None,
+        "improvement_factor": significant(holdout.improvement_factor()) if holdout.after.mean else None,
         "ci95_mg": [round(value, 4) for value in holdout.ci95],
     }
 
@@ -169,6 +170,15 @@ def trial_json(trial: results.Trial) -> dict[str, Any]:
         "compared_mg": None if holdout is None else round(holdout.compared_mg(), 4),
         "reason": trial.reason,
     }
+
+
+def rest_json(rest: results.Rest) -> dict[str, Any] | None:
+    """The object `file_health.rest`; None without still windows."""
+    if not rest.windows:
+        return None
+    quantiles = {name: getattr(rest, name) for name in ("median_g", "p5_g", "p95_g")}
+    ends = {name: [round(value, 4) for value in getattr(rest, name)] for name in ("axis_min_g", "axis_max_g")}
+    return {"windows": rest.windows, **quantiles, **ends}
 
 
 def problem_json(problem: Problem) -> dict[str, Any]:
@@ -377,6 +387,7 @@ class FileHealth:
     lost_bytes: int = 0
     lost_percent: float = 0.0
     clock: dict[str, Any] | None = None
+    rest: dict[str, Any] | None = None
 
     def as_json(self) -> dict[str, Any]:
         """The object; each of the counts is a key of its own."""
@@ -412,7 +423,7 @@ class ReportInput(JudgedInput):
 
 def build(data: ReportInput) -> dict[str, Any]:
     """The report without `provenance`: the same for the same input, settings and version."""
-    raw = data.facts.still_error_mg
+    raw = data.facts.rest.error_mg
     windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
     return document(_recording(data), _health(data), windows, data) | data.taken
 
@@ -494,6 +505,7 @@ def _health(data: ReportInput) -> FileHealth:
         rate_hz_measured=None if facts.rate_hz is None else round(facts.rate_hz, 6),
         **damage_json(facts),
         clock=clock_json(data.recording, facts),
+        rest=rest_json(facts.rest),
     )
 
 

@@ -109,7 +109,8 @@ class OwnCalibration(Judge):
         """The judgement of the profile's procedure."""
         if found.damage is not None:
             return Verdict(found.damage)
-        return Verdict(advised(found.method.procedure.judge(survey.fitting(self.settings)), found.facts))
+        judgement = found.method.procedure.judge(survey.fitting(self.settings))
+        return Verdict(advised(judgement, found.facts, found.recording))
 
 
 @contextmanager

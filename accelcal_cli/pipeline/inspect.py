@@ -58,7 +58,7 @@ def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool)
     facts = observer.result()
     whole = full or facts.samples == recording.samples
     damage = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.result()))
-    prediction = damage or advised(method.procedure.judge(fitter), facts)
+    prediction = damage or advised(method.procedure.judge(fitter), facts, recording)
     return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, prediction, whole)
 
 

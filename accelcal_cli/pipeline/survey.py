@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from accelcal_cli.collect.cells import CellCollector, norms_g
+from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.collect.rest import RestSums
 from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
@@ -25,7 +26,7 @@ from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps, SampleCounts
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.model_ladder import FitFunction
-from accelcal_cli.judge.verdict import NO_STILLNESS, judge, judge_paper
+from accelcal_cli.judge.verdict import FAR_FROM_1_G, NO_STILLNESS, judge, judge_paper
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.pipeline.jobs import Progress
@@ -39,7 +40,6 @@ BATCH_WINDOWS = 4096
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000
 GAP_PERIODS = 1.5
-PLAUSIBLE_ERROR_G = 0.5
 
 
 class Observer:
@@ -164,7 +164,7 @@ class CellProcedure(Procedure):
         if settings.adaptive is not None:
             return "no rest comes near the quietest window of the recording; use another rule of --stillness"
         if counts.implausible:
-            return "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
+            return FAR_FROM_1_G
         if counts.constant:
             return "still windows hold nothing but constant values: the device did not measure"
         return NO_STILLNESS
@@ -304,7 +304,7 @@ class FactsObserver(Observer):
 
     def __init__(self, recording: Recording, rest_lsb: float) -> None:
         self.recording = recording
-        self.rest_lsb = rest_lsb
+        self._rest = RestSums(rest_lsb)
         self.samples = self.filled = self.clipped = 0
         self.first_us: int | None = None
         self.last_us: int | None = None
@@ -316,7 +316,6 @@ class FactsObserver(Observer):
         self._lost_bytes = self._used_bytes = 0
         self._run_start_us = self._run_first = 0
         self._run_steps = self._run_us = 0
-        self._still_ng = self._still_windows = 0
 
     def see(self, chunk: Chunk) -> None:
         """Take a chunk's facts in."""
@@ -330,17 +329,12 @@ class FactsObserver(Observer):
             self.filled += int((chunk.validity == Validity.FILLED).sum())
             self.clipped += int((chunk.validity == Validity.CLIPPED).sum())
         self._note_times(chunk)
+        self._rest.add_samples(chunk)
         self.samples += len(chunk)
 
     def see_still(self, windows: Windows) -> None:
-        """Take still windows' raw errors in, as whole nano-g so that the sum is exact.
-
-        Windows of less than 0.5 or more than 1.5 g, such as zeros, are not rest under gravity.
-        """
-        error_g = np.abs(norms_g(windows, self.rest_lsb) - 1)
-        plausible = np.rint(error_g[error_g < PLAUSIBLE_ERROR_G] * 1e9).astype(np.int64)
-        self._still_ng += int(plausible.sum())
-        self._still_windows += len(plausible)
+        """Take in what still windows measure."""
+        self._rest.add_windows(windows)
 
     def result(self) -> Facts:
         """What was found; call after the last chunk."""
@@ -359,7 +353,7 @@ class FactsObserver(Observer):
             counts=SampleCounts(self.filled, self.clipped),
             has_temperature=self.has_temperature,
             has_gyroscope=self.has_gyroscope,
-            still_error_mg=self._still_ng / self._still_windows / 1e6 if self._still_windows else None,
+            rest=self._rest.result(),
             utc_offset_s=utc_offset_s(self.recording.timezone, self.first_us or 0) if self._dated else None,
             lost_bytes=self._lost_bytes,
             used_bytes=self._used_bytes,

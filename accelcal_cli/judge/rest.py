@@ -1,0 +1,93 @@
+"""What rest looks like in a recording that is refused: the picture of a wrong unit, scale, type or column.
+
+A sensor's own errors leave rest within a few tenths of 1 g, and a wrist turns all three axes. `picture` says
+how a recording is not like that, and what would explain it: said instead of the advice to record longer.
+"""
+
+from __future__ import annotations
+
+from accelcal_cli.core.errors import listed
+from accelcal_cli.core.results import Rest
+
+NEAR_ONE_G = (0.7, 1.4)
+"""Between these is the median of |a| at rest [g] for any sensor whose unit and counts per g are right."""
+
+WIDEST_G = 0.5
+"""From the 5th to the 95th percentile, |a| at rest varies by less than this with any sensor's offsets [g]."""
+
+STUCK_G, TURNED_G = 0.02, 0.5
+"""An axis that stays within the first while rest turns others by more than the second [g] is none."""
+
+UNITS = {
+    9.80665: "as values in m/s2 do that are taken for g",
+    1000.0: "as values in mg do that are taken for g",
+    1 / 9.80665: "as values in g do that are taken for m/s2",
+    1 / 1000.0: "as values in g do that are taken for mg",
+}
+"""What rest measures [g] if the unit is wrong, and how to say so."""
+
+UNIT_TOLERANCE = 0.15
+"""Rest that is nearer than this share to an entry of UNITS is explained by it."""
+
+
+def picture(rest: Rest, lsb_per_g: float, *, decimal: bool) -> str | None:
+    """What is odd about rest and what would explain it; None if nothing is.
+
+    Args:
+        lsb_per_g: the counts per g that were taken for right.
+        decimal: the values arrived as decimal numbers in a unit, not as counts.
+    """
+    if rest.windows:
+        return (
+            _alike(rest)
+            or _stuck(rest)
+            or _size(rest.median_g, "rest measures", lsb_per_g, decimal)
+            or _scatter(rest)
+        )
+    return _size(rest.samples_median_g, "the median of |a| is", lsb_per_g, decimal)
+
+
+def _alike(rest: Rest) -> str | None:
+    if not rest.alike:
+        return None
+    return f"{listed(rest.alike)} hold the same values throughout: give each axis its own column or field"
+
+
+def _stuck(rest: Rest) -> str | None:
+    spans = dict(
+        zip(
+            "xyz",
+            (high - low for low, high in zip(rest.axis_min_g, rest.axis_max_g, strict=True)),
+            strict=True,
+        )
+    )
+    stuck = [axis for axis, span in spans.items() if span < STUCK_G]
+    turned = [f"{axis} by {span:.2f} g" for axis, span in spans.items() if span > TURNED_G]
+    if not stuck or not turned:
+        return None
+    at = rest.axis_min_g["xyz".index(stuck[0])]
+    text = f"{stuck[0]} stays at {at:.2f} g while rest turns {listed(turned)}"
+    return f"{text}: check that it is the right column or field"
+
+
+def _size(median_g: float | None, what: str, lsb_per_g: float, decimal: bool) -> str | None:
+    low, high = NEAR_ONE_G
+    if median_g is None or low < median_g < high:
+        return None
+    if not median_g:
+        return f"{what} 0 g: check that the columns or fields are those of the sensor"
+    text = f"{what} {median_g:.3g} g instead of 1 g"
+    unit = next((why for g, why in UNITS.items() if abs(median_g / g - 1) < UNIT_TOLERANCE), None)
+    if unit is not None:
+        return f"{text}, {unit}; check the unit (--unit)"
+    if decimal:
+        return f"{text}; check the unit (--unit) and the columns"
+    fits = f"{lsb_per_g * median_g:.4g} counts per g would fit instead of {lsb_per_g:.6g}"
+    return f"{text}; {fits}: check --lsb-per-g and the layout"
+
+
+def _scatter(rest: Rest) -> str | None:
+    if rest.p95_g - rest.p5_g < WIDEST_G:
+        return None
+    text = f"rest measures anything from {rest.p5_g:.2f} to {rest.p95_g:.2f} g"
+    return f"{text}, more than scale and offset can explain: check the columns, or places and types of fields"
