@@ -40,21 +40,29 @@ def run_safely(command: Callable[[], Any]) -> int:
     The command returns its exit code, or None for 0.
     """
     _watch_signals()
+    try:
+        code = _code_of(command)
+    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
+        say("interrupted; no incomplete output was left behind")
+        code = INTERRUPTED
+    return code if isinstance(code, int) else OK
+
+
+def _code_of(command: Callable[[], Any]) -> Any:
     lost = _open_standard_files()
     try:
         code = command()
         sys.stdout.flush()
         if lost is not None and lost.lines:
             raise OutputError("standard output is closed: the output was lost")
+    except click.Abort:
+        raise
     except click.ClickException as error:
         error.show()
         code = error.exit_code
     except AccelcalError as error:
         say(str(error))
         code = error.exit_code
-    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
-        say("interrupted; no incomplete output was left behind")
-        code = INTERRUPTED
     except BrokenPipeError:
         _silence_stdout()
         code = SOME_FAILED
@@ -62,7 +70,7 @@ def run_safely(command: Callable[[], Any]) -> int:
         code = _output_failed(error)
     except Exception:
         code = report_bug()
-    return code if isinstance(code, int) else OK
+    return code
 
 
 class _Lost(io.StringIO):
@@ -103,14 +111,27 @@ def say(message: str) -> None:
 
 
 def report_bug() -> int:
-    """Keep the traceback of the current exception in a file, and say where."""
+    """Keep the traceback of the current exception in a file, and say where.
+
+    Raises:
+        InterruptedBySignalError: it came of a signal, which may end the wait for a lock within the code that
+            releases it.
+    """
     import traceback
 
     kind, value, _ = sys.exc_info()
+    if _came_of_a_signal(value):
+        raise InterruptedBySignalError from None
     name = "error" if kind is None else kind.__name__
     text = " ".join(f"{name}: {value}".split())
     say(f"a bug in accelcal ({text}); please report it with {keep_trace(traceback.format_exc())}")
     return BUG
+
+
+def _came_of_a_signal(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt | InterruptedBySignalError):
+        error = error.__context__
+    return error is not None
 
 
 def keep_trace(text: str) -> str:
