@@ -155,10 +155,16 @@ def report_bug(path: Path | None = None) -> int:
 
     Args:
         path: what was worked on.
+
+    Raises:
+        InterruptedBySignalError: it came of a signal, which may end the wait for a lock within the code that
+            releases it.
     """
     import traceback
 
     kind, value, _ = sys.exc_info()
+    if _came_of_a_signal(value):
+        raise InterruptedBySignalError from None
     if isinstance(value, MemoryError) or getattr(value, "errno", None) == errno.ENOMEM:
         where = "" if path is None else f"{path}: "
         say(f"{where}there was not enough memory; free some, or give fewer --chunk-samples")
@@ -167,6 +173,12 @@ def report_bug(path: Path | None = None) -> int:
     text = " ".join(f"{name}: {value}".split())
     say(f"a bug in accelcal ({text}); please report it with {keep_trace(traceback.format_exc())}")
     return BUG
+
+
+def _came_of_a_signal(error: BaseException | None) -> bool:
+    while error is not None and not isinstance(error, KeyboardInterrupt | InterruptedBySignalError):
+        error = error.__context__
+    return error is not None
 
 
 def keep_trace(text: str) -> str:

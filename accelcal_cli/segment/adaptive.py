@@ -278,11 +278,12 @@ class AdaptiveRule:
         return self._states.add(self._decided(new))
 
     def rest(self) -> list[Windows]:
-        """The candidates that wait, decided by the minima of the whole recording."""
-        waiting = np.concatenate(self._waiting)
-        self._waiting = [waiting[:0]]
+        """The candidates that wait; those that too few others follow by the minima of the whole recording."""
+        followed, waiting = self._all_decided(), self._waiting[0]
         waiting["least_norm"], waiting["least_turn"] = self.least_norm.now(), self.least_turn.now()
-        return [*self._states.add(waiting[passing(waiting, self.numbers)]), *self._states.rest()]
+        last = waiting[passing(waiting, self.numbers)]
+        self._waiting = [waiting[:0]]
+        return [*self._states.add(np.concatenate([followed, last])), *self._states.rest()]
 
     def _decided(self, new: Candidates) -> Candidates:
         """Still windows among the candidates that enough others have followed.
@@ -291,10 +292,13 @@ class AdaptiveRule:
         """
         self._waiting.append(new)
         wait = self.numbers.held_windows
-        due = sum(map(len, self._waiting)) - wait
-        if due <= wait // 4:
-            return new[:0]
-        waiting = np.concatenate(self._waiting)
+        enough = 4 * (sum(map(len, self._waiting)) - wait) > wait
+        return self._all_decided() if enough else new[:0]
+
+    def _all_decided(self) -> Candidates:
+        """Still windows among all candidates that enough others have followed; the others go on waiting."""
+        waiting, wait = np.concatenate(self._waiting), self.numbers.held_windows
+        due = max(0, len(waiting) - wait)
         self._waiting = [waiting[due:].copy()]
         for name in ("least_norm", "least_turn"):
             waiting[name][:due] = waiting[name][wait:].copy()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -61,6 +62,22 @@ def test_a_bug_is_one_line_and_the_traceback_is_kept(
     assert str(kept) in err
     assert "ZeroDivisionError" in kept.read_text()
     monkeypatch.undo()
+
+
+def test_a_lock_that_a_signal_left_open_is_an_interruption_and_no_bug(
+    capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A handler that raises while `Condition.wait` gives its lock up makes the release of it fail."""
+
+    def interrupted() -> None:
+        try:
+            raise exit_codes.InterruptedBySignalError
+        finally:
+            threading.Lock().release()
+
+    monkeypatch.setattr(exit_codes, "_watch_signals", lambda: None)
+    assert exit_codes.run_safely(interrupted) == 130
+    assert capsys.readouterr().err == "accelcal: interrupted; no incomplete output was left behind\n"
 
 
 def test_an_unknown_command_is_wrong_usage(capsys: Capture) -> None:

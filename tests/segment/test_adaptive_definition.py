@@ -107,3 +107,14 @@ def test_windows_of_real_size_equal_the_definition(kind: type, lsb_per_g: float)
     assert found(stream, 100, lsb_per_g, numbers) == expected
     assert found(stream, 100, lsb_per_g, numbers, [1, 99, 5050, 11_111]) == expected
     assert len(expected) >= 4
+
+
+def test_what_enough_others_follow_is_decided_by_what_they_show_also_at_the_end() -> None:
+    """Ten windows, nine of them noisy: the first is decided by the ninth, not by the quiet tenth."""
+    noisy, quiet = [250, 262, 250, 262], [255, 257, 255, 257]
+    counts = np.zeros((40, 3), np.int16)
+    counts[:, 2] = 9 * noisy + quiet
+    numbers = Adaptive(held_windows=8, min_windows=1, max_windows=1)
+    for cuts in ((), range(40), range(4, 40, 4)):
+        states = found(Stream(counts), 4, 256.0, numbers, cuts)
+        assert [first for first, *_ in states] == [0, 36]
