@@ -7,6 +7,7 @@ weights stands: a point then weighs as much as its rows together.
 
 from __future__ import annotations
 
+import warnings
 import zlib
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -96,7 +97,13 @@ def read_table(path: Path) -> Table:
 def _frame(path: Path) -> pd.DataFrame:
     try:
         options: dict[str, Any] = {"dtype": str, "keep_default_na": False, "skip_blank_lines": False}
-        return pd.read_csv(path, sep=_delimiter(path), index_col=False, **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", pd.errors.ParserWarning)  # what is cut off is none of ours to lose
+            return pd.read_csv(path, sep=_delimiter(path), index_col=False, **options)
+    except pd.errors.ParserWarning as error:
+        raise UnreadableError(
+            "a line has more fields than the header line", path=path, hint="give each column a name"
+        ) from error
     except (OSError, EOFError, zlib.error) as error:
         shown = getattr(error, "strerror", None) or error
         raise UnreadableError(f"cannot be read ({shown})", path=path) from error

@@ -76,6 +76,12 @@ def test_what_is_no_table_of_points_is_said_with_its_line(tmp_path: Path, text: 
     assert "points.csv" in str(caught.value)
 
 
+def test_rows_longer_than_the_header_are_not_cut(tmp_path: Path) -> None:
+    """As R's write.table makes them, with names of rows that have no column name."""
+    with pytest.raises(UnreadableError, match="more fields than the header line"):
+        read_table(written(tmp_path, "x,y,z\n1,0,0,1\n2,0,1,0\n"))
+
+
 @pytest.mark.parametrize(
     "data", [b"\x00" * 300, bytes(range(256)) * 4, b"\x1f\x8b\x08\x00broken", b"x,y,z\n\xff,1,2\n"]
 )

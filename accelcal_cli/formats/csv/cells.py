@@ -142,7 +142,8 @@ class Scale:
         if self.unit == "counts":
             return values
         in_g = values if self.per_g == 1.0 else values / self.per_g
-        return np.rint(in_g * self.lsb_per_g)
+        with np.errstate(over="ignore"):
+            return np.rint(in_g * self.lsb_per_g)
 
     @property
     def per_g(self) -> float:
@@ -196,7 +197,8 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
 
 def usual_length(values: NDArray[np.float64]) -> float:
     """Median length of vectors (n, 3), zeros and missing ones left out; 0 where there are no others."""
-    norm = np.sqrt((values * values).sum(axis=1))
+    with np.errstate(over="ignore"):
+        norm = np.sqrt((values * values).sum(axis=1))
     norm = norm[np.isfinite(norm) & (norm > 0)]
     return float(np.median(norm)) if len(norm) else 0.0
 
