@@ -119,7 +119,7 @@ def _refuse_not_positive(options: ReadOptions) -> None:
 
 def _head(path: Path, bare_returns: bool) -> bytes:
     with LineFile(path, bare_returns) as file:
-        return file.read(HEAD_BYTES)
+        return file.read(HEAD_BYTES).rstrip(b"\0")
 
 
 def _head_block(head: bytes, dialect: Dialect) -> Block:

@@ -302,11 +302,13 @@ def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
     """What the last block leaves behind."""
     text = BROKEN_OFF
     if not block.broken:
-        if not block.tail.strip():
+        if not block.tail.strip() and not block.zeros:
             return ()
         line = block.line + block.lines
         text = f"line {line}, the last one, has no end: it may be cut off and was left out"
-    return (Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail)),)
+        if not block.tail.strip(b"\0"):
+            text = f"the file ends in {block.zeros + len(block.tail)} bytes of zeros, which hold no rows"
+    return (Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail) + block.zeros),)
 
 
 def _validity(rows: Rows) -> Channels:

@@ -51,6 +51,7 @@ class Block:
         end_byte: how far the file on the disk has been read.
         last: nothing follows.
         broken: the compressed data ended early or is damaged.
+        zeros: how many bytes of value 0 follow the tail, where they are too many to be kept.
     """
 
     data: bytes
@@ -62,6 +63,7 @@ class Block:
     end_byte: int
     last: bool
     broken: bool
+    zeros: int = 0
 
     def without_lines(self) -> Block:
         """Where it lies, without the memory of its lines."""
@@ -107,19 +109,24 @@ class LineFile(Closing):
             UnreadableError: a line does not end within 1 MiB, or the disk fails.
         """
         fresh = [self.read(start + block_bytes)[start:]]
-        tail, offset, last = b"", start, False
+        tail, offset, last, zeros = b"", start, False, 0
         while not last:
+            endless = zeros > 0 and any(piece.strip(b"\0") for piece in fresh)
             data, tail = _cut([tail, *fresh])
             fresh = self._pieces(block_bytes)
             last = not fresh
             if len(tail) > LONGEST_LINE and not data:
+                text = tail.rstrip(b"\0")
+                zeros += len(tail) - len(text)
+                tail = text
+            if endless or (len(tail) > LONGEST_LINE and not data):
                 raise UnreadableError(
                     "a line has no end", path=self._source.path, line=line, byte_offset=offset
                 )
             if data or last:
                 rest, lines = tail if last else b"", count_lines(data)
                 disk, broken = self._source.disk_position(), self._source.broken
-                yield Block(data, rest, line, lines, offset, offset + len(data), disk, last, broken)
+                yield Block(data, rest, line, lines, offset, offset + len(data), disk, last, broken, zeros)
                 line += lines
                 offset += len(data)
 

@@ -224,6 +224,24 @@ def test_a_last_line_without_its_end_may_be_cut_and_is_left_out(tmp_path: Path) 
     assert (len(found.counts), found.codes) == (9, ["truncated"])
 
 
+@pytest.mark.parametrize("number", [1000, 2 << 20])
+@pytest.mark.parametrize(
+    ("tail", "said"), [("", "zeros, which hold no rows"), ("2024-03-04T00:", "has no end")]
+)
+def test_zeros_that_were_never_written_over_end_the_rows(
+    tmp_path: Path, number: int, tail: str, said: str
+) -> None:
+    text = HEADER + rows(10) + tail
+    path = written(tmp_path, text.encode() + bytes(number))
+    found = read(path, 7)
+    assert (len(found.counts), found.codes) == (10, ["truncated"])
+    assert said in found.problems[0].message
+    assert found.problems[0].lost_bytes == len(tail) + number
+    after = written(tmp_path, text.encode() + bytes(number) + rows(3).encode())
+    with pytest.raises(UnreadableError):
+        read(after, 7)
+
+
 def test_an_endless_line_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path, HEADER + rows(10) + "7" * 3_000_000)
     with pytest.raises(UnreadableError, match=r"line 12.*a line has no end"):
