@@ -523,6 +523,14 @@ def load(path: Path) -> dict[str, Any] | None:
     return report if isinstance(report, dict) and "accelcal_version" in report else None
 
 
+def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
+    """An object in a report, by the keys that lead to it; an empty one where there is none."""
+    found: Any = report
+    for name in names:
+        found = found.get(name) if isinstance(found, dict) else None
+    return found if isinstance(found, dict) else {}
+
+
 def load_report(path: Path) -> dict[str, Any] | None:
     """A report of ours that says whose it is, or None if the file is anything else."""
     report, needed = load(path), ("path", "sha256", "bytes")

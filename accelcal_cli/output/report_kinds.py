@@ -84,6 +84,7 @@ class PoolInput(reports.JudgedInput):
         left_out: recordings that contradict the others, and how.
         example: one of the recordings; they agree in device, counts per g and range.
         bytes, samples: of all together.
+        copies: recordings with the content of a member.
     """
 
     members: Sequence[Member]
@@ -92,6 +93,7 @@ class PoolInput(reports.JudgedInput):
     bytes: int
     samples: int
     windows: reports.WindowUse
+    copies: Sequence[Member] = ()
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
@@ -104,7 +106,8 @@ def build_pool(data: PoolInput) -> dict[str, Any]:
         "recordings": [member.as_json() for member in data.members],
         "left_out": [{**member.as_json(), "reason": printable(why)} for member, why in data.left_out],
     }
-    return {**report, "pool": section}
+    copies = {"copies": [copy.as_json() for copy in data.copies]} if data.copies else {}
+    return {**report, "pool": section | copies}
 
 
 def _pool_recording(data: PoolInput) -> reports.ReportRecording:

@@ -51,7 +51,10 @@ class _Fitted:
 
 
 def pool(
-    members: Sequence[Member], request: Request, progress: ProgressMaker = no_progress
+    members: Sequence[Member],
+    request: Request,
+    progress: ProgressMaker = no_progress,
+    copies: Sequence[Member] = (),
 ) -> dict[str, Any]:
     """Fit and judge the points of several recordings as `calibrate` does those of one.
 
@@ -61,6 +64,7 @@ def pool(
 
     Args:
         members: recordings of one device with the same counts per g and range, at least one.
+        copies: recordings with the content of a member; they are named and not read.
 
     Returns:
         the pool's report without `provenance`.
@@ -82,7 +86,7 @@ def pool(
             fitted = replace(fitted, verdict=_contradictory(fitted.verdict, misfits))
             break
         fitted = _fitted(rest, settings)
-    return build_pool(_input(fitted, left_out, request))
+    return build_pool(replace(_input(fitted, left_out, request), copies=copies))
 
 
 def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:

@@ -135,10 +135,15 @@ class _Planning:
         if item.refusal is None:
             own = self.ledger.known(item, self.asked)
             stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
-            return own if stands else None
+            return own if stands and own is not None and self._named(item, own) else None
         kind = UsageError if item.source.is_file() else UnreadableError
         row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
         return Entry(item.name, item.stamps, self.asked, row, again=True)
+
+    def _named(self, item: Item, entry: Entry) -> bool:
+        """Whether the outputs have the names that they would be given now."""
+        job, out = item.job, self.study.out
+        return {out / name for name, _ in entry.outputs} <= {job.parquet, job.report, job.integers}
 
     def _replaced(self, item: Item) -> bool:
         """Whether the outputs are those of a later round, which can be taken back if the file is the same."""
