@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
@@ -180,6 +181,7 @@ def reproduced(
         report_only=session or made_with.report_only,
         coefficients=donor_of(document, options.coefficients),
         any_device=True,
+        unused=noted_unused(document.report["recording"]),
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:
         data = run.count_beyond(run.result(judge_of(run, document))[0])

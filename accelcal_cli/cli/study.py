@@ -6,6 +6,7 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -164,7 +165,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
-    request = request_of(values)
+    request = replace(request_of(values), several=True)
     refuse_dash(values["out"])
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")

@@ -85,6 +85,7 @@ class PoolInput(reports.JudgedInput):
         example: one of the recordings; they agree in device, counts per g and range.
         bytes, samples: of all together.
         copies: recordings with the content of a member.
+        notes: what the members' notes have in common.
     """
 
     members: Sequence[Member]
@@ -94,6 +95,7 @@ class PoolInput(reports.JudgedInput):
     samples: int
     windows: reports.WindowUse
     copies: Sequence[Member] = ()
+    notes: Sequence[str] = ()
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
@@ -121,6 +123,7 @@ def _pool_recording(data: PoolInput) -> reports.ReportRecording:
         lsb_per_g=example.lsb_per_g,
         range_g=example.range_g,
         samples=data.samples,
+        notes=list(data.notes),
     )
 
 

@@ -8,17 +8,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import ReadOptions, without
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
-from accelcal_cli.formats import all_formats
+from accelcal_cli.formats import all_formats, refuse_unused, unused_options
 
 if TYPE_CHECKING:
     from accelcal_cli.output.report_reading import Coefficients
@@ -245,6 +245,8 @@ class Request:
         force: overwrite what accelcal did not write, and redo what is up to date.
         command: the command line, for the provenance.
         threads: how many may work at a time on one recording.
+        several: the options are for several recordings; those that mean nothing for one are left out there.
+        unused: of this recording's options those that mean nothing; its report has a note of them.
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
@@ -258,6 +260,25 @@ class Request:
     coefficients: Coefficients | None = None
     any_device: bool = False
     threads: int = field(default_factory=cpus)
+    several: bool = False
+    unused: tuple[str, ...] = ()
+
+    def for_recording(self, path: Path) -> Request:
+        """The request without options that are meant for others of several recordings.
+
+        Raises:
+            UnreadableError, UsageError: see `find_format`.
+        """
+        unused = unused_options(path, self.options) if self.several else ()
+        return replace(self, options=without(self.options, unused), unused=unused) if unused else self
+
+    def for_jobs(self, planned: Sequence[Job]) -> Request:
+        """The request for so many recordings; raises UsageError if an option means nothing for any."""
+        if len(planned) < 2:
+            return self
+        if all(job.source != STDIN for job in planned):
+            refuse_unused([job.source for job in planned], self.options)
+        return replace(self, several=True)
 
     @property
     def recording_settings(self) -> Settings:

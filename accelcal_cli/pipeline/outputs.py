@@ -16,6 +16,7 @@ from typing import Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, printable
+from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
@@ -91,7 +92,7 @@ def _matches(report: dict[str, Any], recording: Recording, request: Request) -> 
     """Whether a report is whole, of this version, these settings and these coefficients."""
     if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
         return False
-    if "pool" in report:
+    if "pool" in report or _unused(report) != request.unused:
         return False
     used = report.get("coefficients", {}).get("sha256")
     settings = json_round_trip(request.effective_settings(recording.companion).as_json())
@@ -148,7 +149,11 @@ def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: R
 
 
 def _part(report: dict[str, Any], name: str) -> Any:
-    return section(report, "settings", "input").get(name)
+    return None if name in _unused(report) else section(report, "settings", "input").get(name)
+
+
+def _unused(report: dict[str, Any]) -> tuple[str, ...]:
+    return noted_unused(report["recording"])
 
 
 def _words(report: dict[str, Any], name: str) -> str:
