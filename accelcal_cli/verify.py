@@ -26,7 +26,7 @@ from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import Column, ParquetSource, schema_of, values_of
-from accelcal_cli.output.report import ReportInput, build, section, significant
+from accelcal_cli.output.report import ReportInput, build, section, significant, with_new_names
 from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
@@ -299,6 +299,8 @@ def check_parquet(
             )
         return None
     metadata, names = metadata_of(path), ("accelcal_version", "calibration", "recording")
+    if document.first is not None:
+        metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}
     expected = {name: document.report.get(name) for name in names}
     keys = tuple(differing({name: metadata.get(name) for name in names}, expected))
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)

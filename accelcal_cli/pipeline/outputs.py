@@ -20,7 +20,7 @@ from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
-from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema, section
+from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema, section, upgraded
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
@@ -178,13 +178,17 @@ def _asked_by(request: Request) -> str:
 
 def applied_by_hand(job: Job, source: Path) -> Result | None:
     """The whole result of `apply` that lies in a job's place, if it is of the recording as it is."""
-    report = load_report(job.report) if exists(job.report) else None
-    if report is None or _made_by(report) != APPLY or fault(report, report_schema()) is not None:
+    held = load_report(job.report) if exists(job.report) else None
+    if (
+        held is None
+        or _made_by(held) != APPLY
+        or fault(report := upgraded(held), report_schema()) is not None
+    ):
         return None
     result = Result(job, report, up_to_date=True)
     if report["calibration"] is None or not _is_of(report, source):
         return None
-    whole = not result.has_parquet or _are_a_pair(report, metadata_of(job.parquet))
+    whole = not result.has_parquet or _are_a_pair(held, metadata_of(job.parquet))
     return result if whole else None
 
 

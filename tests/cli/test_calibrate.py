@@ -63,7 +63,7 @@ def test_the_report_validates_and_holds_the_true_errors(tmp_path: Path, capsys: 
     gain, offset = worst_errors(report)
     assert gain < 2.5e-4
     assert offset < 1e-4
-    names = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz")
+    names = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy")
     places = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
     found = report["calibration"]
     assert [found["parameters"][name] for name in names] == [found["gain"][i][j] for i, j in places]
