@@ -331,13 +331,6 @@ def test_report_only_leaves_a_parquet_that_still_holds(tmp_path: Path, capsys: C
     assert not (tmp_path / "good.calibrated.parquet").exists()
 
 
-def test_options_that_mean_nothing_are_noted(tmp_path: Path, capsys: Capture) -> None:
-    path = write_raw(tmp_path / "a.raw", still_counts(directions(40)))
-    run(capsys, "calibrate", path, "--columns", "a,b,c")
-    notes = report_of(tmp_path / "a.calibration.json")["recording"]["notes"]
-    assert any("--columns" in note for note in notes)
-
-
 @pytest.mark.parametrize(
     ("zone", "hours"), [("Europe/Berlin", 1), ("+05:30", 5.5), ("UTC", 0), ("-03:00", -3)]
 )

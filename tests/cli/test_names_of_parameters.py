@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from accelcal_cli.output.report_reading import read_document
 from tests.cli.run import run
 from tests.cli.studies import rows, study
 from tests.device_recordings import donor, edit, set_coefficients, week
@@ -119,7 +121,16 @@ def test_a_first_report_gives_its_coefficients(tmp_path: Path, capsys: Capture) 
     assert pa.Table.equals(*tables)
 
 
-def test_new_names_in_a_first_report_are_not_guessed_at(tmp_path: Path, capsys: Capture) -> None:
+def test_a_first_report_is_known_by_what_its_file_holds(tmp_path: Path) -> None:
+    """Reports of pools and of lenders are named by the hash of their content."""
+    path = as_first(donor(tmp_path))
+    held = {name: value for name, value in report(path).items() if name != "provenance"}
+    document = read_document(path)
+    assert document.content_sha256 == hashlib.sha256(json.dumps(held, sort_keys=True).encode()).hexdigest()
+    assert "k_yx" in document.report["calibration"]["parameters"]
+
+
+def test_first_names_in_a_new_report_are_not_guessed_at(tmp_path: Path, capsys: Capture) -> None:
     """`kyx` is above the diagonal in the first version, and no name at all in the second."""
     coefficients = donor(tmp_path)
     edit(coefficients, lambda held: first_names(held["calibration"]))
