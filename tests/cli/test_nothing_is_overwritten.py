@@ -9,6 +9,10 @@ from typing import Any
 
 import pytest
 
+from accelcal_cli.pipeline.jobs import Request, file_stamp, plan
+from accelcal_cli.study.borrowing import copies, pools
+from accelcal_cli.study.records import Item
+from accelcal_cli.study.task import CalibrationTask, Common, calibrated
 from tests.cli.run import assert_one_line, run
 from tests.cli.studies import rows, study
 from tests.device_recordings import donor, rest, write_device
@@ -78,6 +82,20 @@ def test_columns_of_one_sensor_do_not_replace_those_of_another(tmp_path: Path, c
     assert run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z", "--force").code == 0
 
 
+def test_a_worker_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+    coefficients, path, out = donor(tmp_path), tmp_path / "donor.raw", tmp_path / "out"
+    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    before, (job,) = held(out), plan([path], out, None)
+    item = Item("donor.raw", job, (file_stamp(path), None, None))
+    result = calibrated(CalibrationTask(item, Common(out, Request(), "asked")), lambda _part: None)
+    assert (result.up_to_date, result.entry.row["parquet"]) == (True, "donor.calibrated.parquet")
+    assert held(out) == before
+    result = calibrated(CalibrationTask(item, Common(out, Request(force=True), "asked")), lambda _part: None)
+    assert not result.up_to_date
+    assert held(out) != before
+
+
+@pytest.mark.nightly
 def test_a_study_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "good").mkdir()
     coefficients = donor(tmp_path / "good")
@@ -183,6 +201,24 @@ def test_a_foreign_ledger_stays(tmp_path: Path, capsys: Capture) -> None:
     assert held(tmp_path / "out") == {"study.ledger": b"2024-03-04 rent 900\n"}
 
 
+def test_a_copy_is_known_by_device_and_content() -> None:
+    def row(serial: str | None, sha256: str, outcome: str = "refused") -> dict[str, Any]:
+        same = {"device_model": None, "lsb_per_g": 256.0, "range_g": 8.0, "lost_percent": 0.0}
+        return {"device_serial": serial, "sha256": sha256, "outcome": outcome, **same}
+
+    table = {
+        "c": row("A", "1"),
+        "a": row("A", "2"),
+        "b": row("A", "1"),
+        "d": row("B", "1"),
+        "e": row("B", "1"),
+    }
+    table |= {"f": row(None, "3"), "g": row(None, "3"), "h": row("A", "4", "borrowed")}
+    assert copies(table) == {"c": "b", "e": "d"}
+    assert pools(table, 50.0) == [["a", "b"]]
+
+
+@pytest.mark.nightly
 def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path, capsys: Capture) -> None:
     values, _ = rest(directions(24))
     half = len(values) // 2

@@ -8,6 +8,10 @@ from typing import Any
 
 import pytest
 
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.output.report_kinds import Member
+from accelcal_cli.pipeline.jobs import Request, sha256
+from accelcal_cli.pipeline.pool import pool
 from tests.cli.run import assert_one_line, run
 from tests.cli.studies import rows, study
 from tests.device_recordings import rest, write_device
@@ -107,6 +111,16 @@ def test_reports_of_before_that_hold_such_an_option_are_still_verified(
     assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran
 
 
+def test_what_means_nothing_for_all_members_is_left_out_of_a_pool(tmp_path: Path) -> None:
+    members = []
+    for name, seed in (("one", 1), ("two", 2)):
+        path = write_device(tmp_path / f"{name}.raw", rest(directions(12), seed)[0])
+        members.append(Member(path, sha256(path)))
+    made = pool(members, Request(options=ReadOptions(unit="g"), several=True))
+    assert (made["settings"]["input"]["unit"], made["recording"]["notes"]) == (None, [NOTE])
+
+
+@pytest.mark.nightly
 def test_a_pool_leaves_out_what_means_nothing_for_its_members(tmp_path: Path, capsys: Capture) -> None:
     folder = mixed(tmp_path / "in")
     values, _ = rest(directions(24))
