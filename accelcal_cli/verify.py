@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
@@ -19,13 +19,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import Column, ParquetSource, schema_of, values_of
-from accelcal_cli.output.report import ReportInput, build, significant
+from accelcal_cli.output.report import ReportInput, build, section, significant, with_new_names
 from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
@@ -182,6 +183,7 @@ def reproduced(
         report_only=session or made_with.report_only,
         coefficients=donor_of(document, options.coefficients),
         any_device=True,
+        unused=noted_unused(document.report["recording"]),
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:
         data = run.count_beyond(run.result(judge_of(run, document))[0])
@@ -226,9 +228,9 @@ def _verified(
 
 def _keep_paths(now: dict[str, Any], then: dict[str, Any]) -> None:
     """Files that have moved are the same files: their hashes are compared."""
-    for section in ("recording", "coefficients"):
-        if section in now and section in then:
-            now[section]["path"] = then[section]["path"]
+    for name in ("recording", "coefficients"):
+        if name in now and name in then:
+            now[name]["path"] = then[name]["path"]
     settings, before = now["settings"], then["settings"]
     for new, old, name in ((settings["input"], before["input"], "layout"), (settings, before, "poses")):
         if new.get(name) is not None and name in old:
@@ -239,17 +241,9 @@ def _leave_out_later(now: dict[str, Any], then: dict[str, Any]) -> None:
     """Take out of a report what one of an earlier version cannot say."""
     for place, version in LATER.items():
         *outer, name = place.split(".")
-        section, before = _section(now, outer), _section(then, outer)
+        inner, before = section(now, *outer), section(then, *outer)
         if name not in before and _release(then["accelcal_version"]) < _release(version):
-            section.pop(name, None)
-
-
-def _section(report: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """An object of a report; an empty one where there is none."""
-    found: Any = report
-    for name in names:
-        found = found.get(name) if isinstance(found, dict) else None
-    return found if isinstance(found, dict) else {}
+            inner.pop(name, None)
 
 
 def _release(version: Any) -> tuple[float, ...]:
@@ -307,6 +301,8 @@ def check_parquet(
             )
         return None
     metadata, names = metadata_of(path), ("accelcal_version", "calibration", "recording")
+    if document.first is not None:
+        metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}
     expected = {name: document.report.get(name) for name in names}
     keys = tuple(differing({name: metadata.get(name) for name in names}, expected))
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)

@@ -86,8 +86,8 @@ def edit(path: Path, change: object) -> Path:
 def set_coefficients(report: dict, gain: np.ndarray, offset_g: np.ndarray, model: str = "12") -> None:
     """Put a calibration without temperature into a report, by hand: numbers and integers alike."""
     gain, offset_g = np.rint(gain * ONE) / ONE, np.rint(offset_g * ONE) / ONE
-    places = {"kxx": (0, 0), "kyy": (1, 1), "kzz": (2, 2), "kxy": (1, 0), "kxz": (2, 0), "kyz": (2, 1)}
-    above = {"kyx": (0, 1), "kzx": (0, 2), "kzy": (1, 2)}
+    places = {"k_xx": (0, 0), "k_yy": (1, 1), "k_zz": (2, 2), "k_yx": (1, 0), "k_zx": (2, 0), "k_zy": (2, 1)}
+    above = {"k_xy": (0, 1), "k_xz": (0, 2), "k_yz": (1, 2)}
     named = {name: float(gain[place]) for name, place in places.items()}
     named |= {f"o{axis}": float(value) for axis, value in zip("xyz", offset_g, strict=True)}
     upper = {name: float(gain[place]) for name, place in above.items()}

@@ -44,5 +44,5 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         command=("accelcal", *sys.argv[1:]),
         coefficients=read_coefficients(values["coefficients"]),
         any_device=values["any_device"],
-    )
+    ).for_jobs(jobs)
     return run_jobs(jobs, lambda job, bars, source: apply(job, request, bars, source), values)

@@ -24,5 +24,5 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     improvement in percent, and the Parquet file.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
-    request = request_of(values)
+    request = request_of(values).for_jobs(jobs)
     return run_jobs(jobs, lambda job, bars, source: calibrate(job, request, bars, source), values)

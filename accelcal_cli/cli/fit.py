@@ -15,8 +15,8 @@ from accelcal_cli.cli.output import show_result
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
-from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
-from accelcal_cli.pipeline.outputs import refuse_foreign_report, save_report, with_provenance
+from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
+from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance
 
 
 @click.command("fit")
@@ -38,8 +38,9 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     if output is not None:
         refuse_nameless(output)
         refuse_overwriting((output,), (points,))
+        refuse_misnamed(output, JSON)
     if output is not None and not force:
-        refuse_foreign_report(output)
+        refuse_report_of_another(output, points)
     fitted = fit_points(points, fitting_settings(values))
     report = with_provenance(fitted, ("accelcal", *sys.argv[1:]))
     refused = report["outcome"] == Outcome.REFUSED

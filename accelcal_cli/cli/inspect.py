@@ -14,6 +14,7 @@ from accelcal_cli.cli.output import bytes_of
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.formats import refuse_unused
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 from accelcal_cli.pipeline.jobs import STDIN
 
@@ -38,12 +39,15 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="give - only once")
-    return exit_codes.of_all([_one(path, values) for path in recordings])
+    several = len(recordings) > 1
+    if several and STDIN not in recordings:
+        refuse_unused(recordings, options.read_options(values))
+    return exit_codes.of_all([_one(path, values, several=several) for path in recordings])
 
 
-def _one(path: Path, values: dict[str, Any]) -> int:
+def _one(path: Path, values: dict[str, Any], *, several: bool) -> int:
     try:
-        inspection = _look(path, values)
+        inspection = _look(path, values, several=several)
     except AccelcalError as error:
         exit_codes.say(str(error))
         return error.exit_code
@@ -52,9 +56,10 @@ def _one(path: Path, values: dict[str, Any]) -> int:
     return exit_codes.OK
 
 
-def _look(path: Path, values: dict[str, Any]) -> Inspection:
+def _look(path: Path, values: dict[str, Any], *, several: bool) -> Inspection:
+    given, settings = options.read_options(values), _settings(values)
     with bytes_of(path) as source:
-        inspection = inspect(source, options.read_options(values), _settings(values), full=values["full"])
+        inspection = inspect(source, given, settings, full=values["full"], several=several)
     return replace(inspection, recording=replace(inspection.recording, path=path))
 
 

@@ -6,6 +6,7 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.core.system import workers
+from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.study.discovery import Where
 from accelcal_cli.study.plan import overlooked
 from accelcal_cli.study.records import FAILED, Item
@@ -163,7 +165,8 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
-    request = request_of(values)
+    request = replace(request_of(values), several=True)
+    refuse_dash(values["out"])
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["pool"] and request.settings.profile != DEFAULT.profile:

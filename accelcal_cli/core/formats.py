@@ -10,13 +10,14 @@ import gzip
 import importlib
 import stat
 import zlib
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.recording import Chunk, Reader, Recording
-from accelcal_cli.core.settings import Option, setting
+from accelcal_cli.core.settings import Option, setting, setting_of
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
@@ -60,6 +61,35 @@ class ReadOptions:
     sensor: str | None = setting(
         None, option=Option("--sensor", "Sensor to read from a file with several.", "NAME")
     )
+
+
+UNUSED = ": means nothing for format {} and was not used"
+"""How a note ends that names options; what it begins with is separated by commas."""
+
+
+def option_name(name: str) -> str:
+    """The option of a field of `ReadOptions`, such as `--time-column`."""
+    option = setting_of(ReadOptions, name).option
+    assert option is not None
+    return option.name
+
+
+def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
+    """Options as if some had not been given."""
+    return replace(options, **dict.fromkeys(names))
+
+
+def unused_note(names: Iterable[str], format_name: str) -> str:
+    """The note of a recording for which some options mean nothing."""
+    return ", ".join(map(option_name, names)) + UNUSED.format(format_name)
+
+
+def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
+    """The options that the notes of a report's `recording` say were not used, as fields of `ReadOptions`."""
+    end, notes = UNUSED.format(recording.get("format")), recording.get("notes")
+    notes = notes if isinstance(notes, list) else []
+    words = [word for note in notes if str(note).endswith(end) for word in str(note)[: -len(end)].split(", ")]
+    return tuple(name for name in ReadOptions.__dataclass_fields__ if option_name(name) in words)
 
 
 def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:
@@ -114,7 +144,7 @@ class Format:
         suffixes: usual lower-case suffixes, with the dot; only a hint.
         sniff: confidence 0..100 that the probed file is of this format. 0: certainly not;
             100: a magic number or signature matches. Never raises.
-        ignores: reading options that mean nothing to it, such as `columns`.
+        ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
         reader: "module:function" that opens a file, imported by the first file that is opened.
     """
 
@@ -124,6 +154,10 @@ class Format:
     sniff: Callable[[Probe], int]
     reader: str
     ignores: tuple[str, ...] = ()
+
+    def unused(self, options: ReadOptions) -> tuple[str, ...]:
+        """Options that are given and mean nothing to it."""
+        return tuple(name for name in self.ignores if getattr(options, name) is not None)
 
     def open(self, path: Path, options: ReadOptions) -> Reader:
         """Open a recording for streaming.

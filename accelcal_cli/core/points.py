@@ -14,10 +14,17 @@ from accelcal_cli.core.fixed import ONE, Fixed, rounded_quotient, to_float
 from accelcal_cli.core.gravity import STANDARD, Gravity
 from accelcal_cli.core.recording import cut_columns, joined_columns
 
-PARAMETER_NAMES = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz", "sx", "sy", "sz")
-"""K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C]."""
+PARAMETER_NAMES = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz", "sx", "sy", "sz")
+"""K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C].
 
-UPPER_NAMES = ("kyx", "kzx", "kzy")
+k_RC is the entry of K in row R, column C: what multiplies C in the equation of R. F writes kxy for k_yx,
+kxz for k_zx, kyz for k_zy, and so did reports of schema version 1.
+"""
+
+FIRST_NAMES = {f"k{column}{row}": f"k_{row}{column}" for row in "xyz" for column in "xyz"}
+"""Names of the entries of K now, by F's, which reports of schema version 1 have."""
+
+UPPER_NAMES = ("k_xy", "k_xz", "k_yz")
 """Entries of K above its diagonal: only known orientations determine them."""
 
 WEIGHT_ONE = 1 << 15
@@ -243,8 +250,8 @@ class Calibration:
     def gain(self) -> NDArray[np.float64]:
         """K, (3, 3); lower triangular unless orientations were known."""
         k = [to_float(value) for value in self.parameters[:6]]
-        yx, zx, zy = (to_float(value) for value in self.upper)
-        return np.array([[k[0], yx, zx], [k[3], k[1], zy], [k[4], k[5], k[2]]])
+        xy, xz, yz = (to_float(value) for value in self.upper)
+        return np.array([[k[0], xy, xz], [k[3], k[1], yz], [k[4], k[5], k[2]]])
 
     def offset_g(self) -> NDArray[np.float64]:
         """o, (3,) in g."""

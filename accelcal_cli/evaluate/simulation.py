@@ -52,7 +52,7 @@ COLUMNS = (
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """Mean and standard deviation of the absolute errors, in the order kxx kyy kzz kxy kxz kyz ox oy oz."""
+    """Mean and standard deviation of the absolute errors, in the order of PARAMETER_NAMES."""
 
     mean: tuple[float, ...]
     sd: tuple[float, ...]

@@ -7,16 +7,26 @@ opened, what writes (`writer.py`) by `accelcal simulate`.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.util
 import pkgutil
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US
-from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.formats import Encoder, Format, ReadOptions, probe_file
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import (
+    Encoder,
+    Format,
+    ReadOptions,
+    option_name,
+    probe_file,
+    unused_note,
+    without,
+)
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
 
@@ -61,25 +71,63 @@ def named_format(name: str) -> Format:
     return found or named_plugin(name, all_formats(), "format")
 
 
-def open_recording(path: Path, options: ReadOptions, threads: int = 1) -> Reader:
+def unused_options(path: Path, options: ReadOptions) -> tuple[str, ...]:
+    """Options that mean nothing for a file's format; raises what `find_format` raises."""
+    return find_format(path, options).unused(options) if _may_be_unused(options) else ()
+
+
+def _may_be_unused(options: ReadOptions) -> set[str]:
+    return {name for item in all_formats() for name in item.unused(options)}
+
+
+def refuse_unused(paths: Iterable[Path], options: ReadOptions) -> None:
+    """Raise UsageError for an option that means nothing for the format of any of several recordings.
+
+    What cannot be read has no format.
+    """
+    pending, found = _may_be_unused(options), set()
+    for path in paths:
+        if not pending:
+            return
+        with contextlib.suppress(UnreadableError):
+            item = find_format(path, options)
+            found.add(item.name)
+            pending &= set(item.ignores)
+    if found:
+        _refuse_options([name for name in ReadOptions.__dataclass_fields__ if name in pending], sorted(found))
+
+
+def _refuse_options(names: Sequence[str], formats: Sequence[str], path: Path | None = None) -> None:
+    """Raise UsageError if there are names of options, which mean nothing for these formats."""
+    if names:
+        words, kinds = ", ".join(map(option_name, names)), "formats" if len(formats) > 1 else "format"
+        text = f"{words}: means nothing for {kinds} {', '.join(formats)}"
+        raise UsageError(text, path=path, hint="omit it, or name the format with --format if it is another")
+
+
+def open_recording(
+    path: Path, options: ReadOptions, threads: int = 1, unused: tuple[str, ...] = ()
+) -> Reader:
     """Open a recording of any format for streaming.
 
     Args:
         threads: how many may work at a time on reading it.
+        unused: options that were given for other recordings and mean nothing for this one; it is noted.
 
     Raises:
-        UnreadableError, UsageError: see `find_format` and the format's own `open`.
+        UnreadableError, UsageError: see `find_format` and the format's own `open`; or an option means
+            nothing for the format.
     """
+    options = without(options, unused)
     item = find_format(path, options)
+    _refuse_options(item.unused(options), [item.name], path)
     reader = item.open(path, options)
     reader.threads = threads
     if not FIRST_US <= (reader.recording.start_us or 0) <= LAST_US:
         hint = "copy it again from the device, or correct the start time that it is given"
         raise UnreadableError("begins outside the years 1 to 9999", path=path, hint=hint)
-    unused = [name for name in item.ignores if getattr(options, name) is not None]
     if unused:
-        words = ", ".join("--" + name.replace("_", "-") for name in unused)
-        note = f"{words}: means nothing for format {item.name} and was not used"
+        note = unused_note(unused, item.name)
         reader.recording = replace(reader.recording, notes=(*reader.recording.notes, note))
     return reader
 

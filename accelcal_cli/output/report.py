@@ -24,6 +24,7 @@ from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS, to_float
 from accelcal_cli.core.operations import predicted_seconds
 from accelcal_cli.core.points import (
+    FIRST_NAMES,
     PARAMETER_NAMES,
     UPPER_NAMES,
     WEIGHT_ONE,
@@ -39,7 +40,7 @@ from accelcal_cli.output.files import parsed
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 LARGEST_BYTES = 64 << 20
 """A report has some thousand entries at most; what is longer is none."""
 
@@ -524,6 +525,34 @@ def report_schema() -> dict[str, Any]:
     return schema
 
 
+def upgraded(report: dict[str, Any]) -> dict[str, Any]:
+    """A report of schema version 1 as this version would have written it; any other as it is."""
+    version = report.get("schema_version")
+    if version != 1 or isinstance(version, bool):
+        return report
+    held = {"calibration": with_new_names(report["calibration"])} if "calibration" in report else {}
+    return report | {"schema_version": SCHEMA_VERSION} | held
+
+
+def with_new_names(calibration: Any) -> Any:
+    """The `calibration` of schema version 1 with the parameters' names of this one."""
+    if not isinstance(calibration, dict):
+        return calibration
+    inner = {
+        name: _renamed(calibration[name]) for name in ("parameters", "standard_errors") if name in calibration
+    }
+    integers = section(calibration, "fixed_point")
+    if "parameters" in integers:
+        inner["fixed_point"] = {**integers, "parameters": _renamed(integers["parameters"])}
+    return calibration | inner
+
+
+def _renamed(named: Any) -> Any:
+    if not isinstance(named, dict):
+        return named
+    return {FIRST_NAMES.get(name, name): value for name, value in named.items()}
+
+
 def load(path: Path) -> dict[str, Any] | None:
     """A JSON file that accelcal wrote, or None if the file is anything else."""
     try:
@@ -533,6 +562,14 @@ def load(path: Path) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return report if isinstance(report, dict) and "accelcal_version" in report else None
+
+
+def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
+    """An object in a report, by the keys that lead to it; an empty one where there is none."""
+    found: Any = report
+    for name in names:
+        found = found.get(name) if isinstance(found, dict) else None
+    return found if isinstance(found, dict) else {}
 
 
 def load_report(path: Path) -> dict[str, Any] | None:

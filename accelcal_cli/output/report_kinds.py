@@ -84,6 +84,8 @@ class PoolInput(reports.JudgedInput):
         left_out: recordings that contradict the others, and how.
         example: one of the recordings; they agree in device, counts per g and range.
         bytes, samples: of all together.
+        copies: recordings with the content of a member.
+        notes: what the members' notes have in common.
     """
 
     members: Sequence[Member]
@@ -92,6 +94,8 @@ class PoolInput(reports.JudgedInput):
     bytes: int
     samples: int
     windows: reports.WindowUse
+    copies: Sequence[Member] = ()
+    notes: Sequence[str] = ()
 
 
 def build_pool(data: PoolInput) -> dict[str, Any]:
@@ -104,7 +108,8 @@ def build_pool(data: PoolInput) -> dict[str, Any]:
         "recordings": [member.as_json() for member in data.members],
         "left_out": [{**member.as_json(), "reason": printable(why)} for member, why in data.left_out],
     }
-    return {**report, "pool": section}
+    copies = {"copies": [copy.as_json() for copy in data.copies]} if data.copies else {}
+    return {**report, "pool": section | copies}
 
 
 def _pool_recording(data: PoolInput) -> reports.ReportRecording:
@@ -118,6 +123,7 @@ def _pool_recording(data: PoolInput) -> reports.ReportRecording:
         lsb_per_g=example.lsb_per_g,
         range_g=example.range_g,
         samples=data.samples,
+        notes=list(data.notes),
     )
 
 

@@ -18,7 +18,14 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import parsed
-from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, fault, report_schema
+from accelcal_cli.output.report import (
+    LARGEST_BYTES,
+    SCHEMA_VERSION,
+    coefficients_json,
+    fault,
+    report_schema,
+    upgraded,
+)
 
 NAME_ONE = "name a report, STEM.calibration.json"
 STRETCH = (0.5, 2.0)
@@ -39,21 +46,28 @@ COPIED = ("holdout", "fit", "coverage", "models_tried")
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A report as it lies in its file: `sha256` of the file, and what it says."""
+    """A report as it lies in its file: `sha256` of the file, and what it says.
+
+    Attributes:
+        report: with the names of this schema version.
+        first: what the file holds, if that is of schema version 1; else None.
+    """
 
     path: Path
     sha256: str
     report: dict[str, Any]
+    first: dict[str, Any] | None = None
 
     @property
     def content_sha256(self) -> str:
         """SHA-256 of what it says but for `provenance`, as JSON with sorted keys."""
-        content = {name: value for name, value in self.report.items() if name != "provenance"}
+        held = self.report if self.first is None else self.first
+        content = {name: value for name, value in held.items() if name != "provenance"}
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def read_document(path: Path) -> Document:
-    """A report of this schema version; its sections are not looked at.
+    """A report of this schema version or the one before; its sections are not looked at.
 
     Raises:
         UnreadableError: it cannot be read, is not JSON, or no report of ours that this version knows.
@@ -69,13 +83,14 @@ def read_document(path: Path) -> Document:
     if not isinstance(report, dict) or not {"accelcal_version", "schema_version"} <= report.keys():
         raise UnreadableError("is not a report of accelcal", path=path, hint=NAME_ONE)
     version, writer = report["schema_version"], report["accelcal_version"]
-    if version != SCHEMA_VERSION or isinstance(version, bool):
+    if version not in (1, SCHEMA_VERSION) or isinstance(version, bool):
         raise UnreadableError(
-            f"has schema version {version!r} (of accelcal {writer!r}), this version reads {SCHEMA_VERSION}",
+            f"has schema version {version!r} (of accelcal {writer!r}), this one reads 1 to {SCHEMA_VERSION}",
             path=path,
             hint="calibrate its recording again with this version, or use the version that wrote it",
         )
-    return Document(path, hashlib.sha256(data).hexdigest(), report)
+    now = upgraded(report)
+    return Document(path, hashlib.sha256(data).hexdigest(), now, None if now is report else report)
 
 
 def _bytes(path: Path) -> bytes:
@@ -204,8 +219,8 @@ def calibration_of(section: Mapping[str, Any]) -> points.Calibration:
     _check_integers({**integers, **upper})
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
-    yx, zx, zy = upper.values()
-    calibration = points.Calibration(model, tuple(integers.values()), scale, gravity, (yx, zx, zy))
+    xy, xz, yz = upper.values()
+    calibration = points.Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz))
     _check_model(calibration)
     return calibration
 

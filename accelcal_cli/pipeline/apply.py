@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.points import Calibration, PointSet
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
@@ -163,7 +164,8 @@ def _read_otherwise(report: dict[str, Any], recording: Recording, request: Reque
     if not isinstance(before, dict):
         return True
     now = jobs.input_settings(request.options, recording.companion)
-    return any(before.get(name) != now[name] for name in READING)
+    used = set(READING) - set(noted_unused(then))
+    return any(before.get(name) != now[name] for name in used)
 
 
 def _refuse_changes(donor: Coefficients, recording: Recording, wanted: Settings) -> None:

@@ -132,7 +132,8 @@ def open_run(
     """
     path = source or job.source
     before = before or jobs.file_stamp(path)
-    with survey.open_marked(path, request.options, request.threads) as reader:
+    request = request.for_recording(path)
+    with survey.open_marked(path, request.options, request.threads, request.unused) as reader:
         yield RecordingRun(job, request, progress, reader, path, before)
 
 

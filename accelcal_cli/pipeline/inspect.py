@@ -17,6 +17,7 @@ from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.formats import unused_options
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
@@ -43,13 +44,19 @@ class Inspection:
     whole: bool
 
 
-def inspect(path: Path, options: ReadOptions, settings: Settings, *, full: bool) -> Inspection:
+def inspect(
+    path: Path, options: ReadOptions, settings: Settings, *, full: bool, several: bool = False
+) -> Inspection:
     """Read a recording's description and pieces spread over it, or all of it with `full`.
+
+    Args:
+        several: see `Request`.
 
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_marked(path, options) as reader:
+    unused = unused_options(path, options) if several else ()
+    with open_marked(path, options, unused=unused) as reader:
         recording = reader.recording
         fitter, method = fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)

@@ -8,17 +8,17 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import ReadOptions, without
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
-from accelcal_cli.formats import all_formats
+from accelcal_cli.formats import all_formats, refuse_unused, unused_options
 
 if TYPE_CHECKING:
     from accelcal_cli.output.report_reading import Coefficients
@@ -27,6 +27,7 @@ STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
 INTEGERS_SUFFIX = ".integers.json"
+PARQUET, JSON = ".parquet", ".json"
 DEFAULT_CHUNK_SAMPLES = 1 << 18
 
 FileStamp = tuple[int, int]
@@ -84,8 +85,9 @@ def plan(sources: list[Path], output_dir: Path | None, output: Path | None) -> l
 
     Raises:
         UsageError: `output` with several recordings, a standard input named twice, or two
-            recordings with one output; `output` has no name.
+            recordings with one output; `output` has no name, or that of a file of another kind.
     """
+    refuse_dash(output_dir)
     if output is not None and len(sources) > 1:
         raise UsageError("-o/--output names one file, but there are several recordings", hint="use -d")
     jobs = [_job(source, output_dir, output) for source in sources]
@@ -101,11 +103,13 @@ def plan_report(source: Path, output_dir: Path | None, report: Path | None, *inp
         inputs: further files that must not be written to.
 
     Raises:
-        UsageError: an input would be overwritten.
+        UsageError: an input would be overwritten, or the report's name is that of another kind of file.
     """
+    refuse_dash(output_dir)
     job = _job(source, output_dir, None)
     if report is not None:
-        refuse_nameless(report)
+        refuse_overwriting((report,), (source, *inputs))
+        refuse_misnamed(report, JSON)
         base = report.name.removesuffix(".json").removesuffix(".calibration")
         job = Job(source, report.with_name(base + PARQUET_SUFFIX), report)
     _refuse_collisions([job])
@@ -117,6 +121,22 @@ def refuse_nameless(output: Path) -> None:
     """Raise UsageError for an output whose name can only be that of a folder."""
     if output.name in ("", ".."):
         raise UsageError(f"{printable(output)!r} does not name a file", hint="give the name of a new file")
+    refuse_dash(output)
+
+
+def refuse_dash(output: Path | None) -> None:
+    """Raise UsageError for `-`, which elsewhere means standard output: results are files."""
+    if output == STDIN:
+        raise UsageError("results are not written to standard output, but to files", hint="give a name")
+
+
+def refuse_misnamed(output: Path, suffix: str) -> None:
+    """Raise UsageError for an output without a name, or with one that promises another kind of file."""
+    refuse_nameless(output)
+    if output.suffix.lower() not in ("", suffix):
+        kind = suffix[1:].upper() if suffix == JSON else "Parquet"
+        hint = f"give a name that ends in {suffix}, such as {printable(output.with_suffix(suffix))}"
+        raise UsageError(f"{printable(output)} would be a {kind} file, not {output.suffix}", hint=hint)
 
 
 def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
@@ -129,7 +149,8 @@ def refuse_overwriting(outputs: Iterable[Path], inputs: Iterable[Path | None]) -
 
 def _job(source: Path, output_dir: Path | None, output: Path | None) -> Job:
     if output is not None:
-        refuse_nameless(output)
+        refuse_overwriting((output,), (source,))
+        refuse_misnamed(output, PARQUET)
         base = output.name.removesuffix(".parquet").removesuffix(".calibrated")
         return Job(source, output, output.with_name(base + REPORT_SUFFIX))
     if source == STDIN:
@@ -224,6 +245,8 @@ class Request:
         force: overwrite what accelcal did not write, and redo what is up to date.
         command: the command line, for the provenance.
         threads: how many may work at a time on one recording.
+        several: the options are for several recordings; those that mean nothing for one are left out there.
+        unused: of this recording's options those that mean nothing; its report has a note of them.
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
@@ -237,6 +260,25 @@ class Request:
     coefficients: Coefficients | None = None
     any_device: bool = False
     threads: int = field(default_factory=cpus)
+    several: bool = False
+    unused: tuple[str, ...] = ()
+
+    def for_recording(self, path: Path) -> Request:
+        """The request without options that are meant for others of several recordings.
+
+        Raises:
+            UnreadableError, UsageError: see `find_format`.
+        """
+        unused = unused_options(path, self.options) if self.several else ()
+        return replace(self, options=without(self.options, unused), unused=unused) if unused else self
+
+    def for_jobs(self, planned: Sequence[Job]) -> Request:
+        """The request for so many recordings; raises UsageError if an option means nothing for any."""
+        if len(planned) < 2:
+            return self
+        if all(job.source != STDIN for job in planned):
+            refuse_unused([job.source for job in planned], self.options)
+        return replace(self, several=True)
 
     @property
     def recording_settings(self) -> Settings:

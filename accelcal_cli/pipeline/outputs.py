@@ -16,13 +16,21 @@ from typing import Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, printable
+from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
-from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema
+from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema, section, upgraded
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
 """Packages whose versions the provenance names."""
+
+CALIBRATE, APPLY = "calibrate", "apply"
+"""With SIX_POSE, the commands whose results keep their place from each other; a study is like `calibrate`."""
+
+PARTS = ("sensor", "columns")
+"""Reading options that choose one of several recordings in a file."""
 
 
 def prepare(job: Job, *, force: bool) -> None:
@@ -52,32 +60,39 @@ def refuse_foreign_report(path: Path) -> None:
     refuse_foreign(path, known=load_report(path) is not None)
 
 
+def refuse_report_of_another(path: Path, source: Path) -> None:
+    """Raise OutputError if a file is in the way that is no report of ours, or that of another recording."""
+    refuse_foreign_report(path)
+    if (report := load_report(path)) is not None:
+        _refuse_other(Job(source, path, path), source, report)
+
+
 def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
     """The existing result if it stands for this input, these settings and this version.
 
     Raises:
-        OutputError: the outputs are those of another recording.
+        OutputError: the outputs are those of another recording, or a good result of another command.
     """
     report = load_report(job.report) if exists(job.report) else None
     if report is None:
         return None
     _refuse_other(job, source, report)
     if not _matches(report, recording, request):
+        _refuse_replacing(job, source, report, request)
         return None
-    existing, recorded = Result(job, report, up_to_date=True), report["recording"]
+    existing = Result(job, report, up_to_date=True)
     if existing.has_parquet and not _are_a_pair(report, metadata_of(job.parquet)):
         return None
     if request.integers and report["calibration"] is not None and not exists(job.integers):
         return None
-    unchanged = recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source)
-    return existing if unchanged else None
+    return existing if _is_of(report, source) else None
 
 
 def _matches(report: dict[str, Any], recording: Recording, request: Request) -> bool:
     """Whether a report is whole, of this version, these settings and these coefficients."""
     if report.get("accelcal_version") != __version__ or fault(report, report_schema()) is not None:
         return False
-    if "pool" in report:
+    if "pool" in report or _unused(report) != request.unused:
         return False
     used = report.get("coefficients", {}).get("sha256")
     settings = json_round_trip(request.effective_settings(recording.companion).as_json())
@@ -111,9 +126,92 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
         )
 
 
-def json_round_trip(value: dict[str, Any]) -> Any:
+def _is_of(report: dict[str, Any], source: Path) -> bool:
+    """Whether a report is of these very bytes."""
+    recorded = report["recording"]
+    return bool(recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source))
+
+
+def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: Request) -> None:
+    """Raise OutputError if a good result of the recording as it is would give way to one that is none such.
+
+    A result of the same command and the same part of the file gives way: it was asked for anew.
+    """
+    then, now = _made_by(report), _asked_by(request)
+    parts = [name for name in PARTS if _part(report, name) != json_round_trip(getattr(request.options, name))]
+    what = f"accelcal {then}" if then != now else " and ".join(_words(report, name) for name in parts)
+    if report.get("calibration") is not None and what and _is_of(report, source):
+        raise OutputError(
+            f"holds what {what} made of this recording",
+            path=job.report,
+            hint="choose another folder with -d, a name with -o, or use --force to replace it",
+        )
+
+
+def _part(report: dict[str, Any], name: str) -> Any:
+    return None if name in _unused(report) else section(report, "settings", "input").get(name)
+
+
+def _unused(report: dict[str, Any]) -> tuple[str, ...]:
+    return noted_unused(report["recording"])
+
+
+def _words(report: dict[str, Any], name: str) -> str:
+    given = _part(report, name)
+    text = ",".join(given) if isinstance(given, list) else str(given)
+    return f"a run without --{name}" if given is None else f"--{name} {printable(text)}"
+
+
+def _made_by(report: dict[str, Any]) -> str:
+    """The command whose result a report is."""
+    if section(report, "settings").get("profile") == SIX_POSE:
+        return SIX_POSE
+    used = section(report, "coefficients")
+    return APPLY if used and not used.get("without_provenance") else CALIBRATE
+
+
+def _asked_by(request: Request) -> str:
+    if isinstance(request.settings, PoseSettings):
+        return SIX_POSE
+    return CALIBRATE if request.coefficients is None else APPLY
+
+
+def applied_by_hand(job: Job, source: Path) -> Result | None:
+    """The whole result of `apply` that lies in a job's place, if it is of the recording as it is."""
+    held = load_report(job.report) if exists(job.report) else None
+    if (
+        held is None
+        or _made_by(held) != APPLY
+        or fault(report := upgraded(held), report_schema()) is not None
+    ):
+        return None
+    result = Result(job, report, up_to_date=True)
+    if report["calibration"] is None or not _is_of(report, source):
+        return None
+    whole = not result.has_parquet or _are_a_pair(held, metadata_of(job.parquet))
+    return result if whole else None
+
+
+def json_round_trip(value: Any) -> Any:
     """A value as it comes back from JSON."""
     return json.loads(json.dumps(value))
+
+
+def withdraw(job: Job) -> None:
+    """Remove the outputs of a job whose results now have another name, if they are its recording's own.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    report = load_report(job.report) if exists(job.report) else None
+    if report is None or _made_by(report) != CALIBRATE:
+        return
+    if real(Path(report["recording"]["path"])) == real(Path(printable(job.source))):
+        ours = (written_by_us(job.parquet), load(job.integers) is not None)
+        for path, known in zip((job.parquet, job.integers), ours, strict=True):
+            if known:
+                remove(path)
+        remove(job.report)
 
 
 def remove_stale_parquet(path: Path, metadata: dict[str, Any]) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.formats import unused_note, without
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
@@ -39,6 +40,7 @@ class _Part:
     samples: int
     collector: CellCollector
     counts: WindowCounts
+    unused: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +53,10 @@ class _Fitted:
 
 
 def pool(
-    members: Sequence[Member], request: Request, progress: ProgressMaker = no_progress
+    members: Sequence[Member],
+    request: Request,
+    progress: ProgressMaker = no_progress,
+    copies: Sequence[Member] = (),
 ) -> dict[str, Any]:
     """Fit and judge the points of several recordings as `calibrate` does those of one.
 
@@ -61,6 +66,7 @@ def pool(
 
     Args:
         members: recordings of one device with the same counts per g and range, at least one.
+        copies: recordings with the content of a member; they are named and not read.
 
     Returns:
         the pool's report without `provenance`.
@@ -82,7 +88,7 @@ def pool(
             fitted = replace(fitted, verdict=_contradictory(fitted.verdict, misfits))
             break
         fitted = _fitted(rest, settings)
-    return build_pool(_input(fitted, left_out, request))
+    return build_pool(replace(_input(fitted, left_out, request), copies=copies))
 
 
 def _fitted(parts: Sequence[_Part], settings: Settings) -> _Fitted:
@@ -119,6 +125,8 @@ def _contradictory(verdict: Judgement, misfits: Mapping[_Part, str]) -> Judgemen
 
 def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> PoolInput:
     parts, settings = fitted.parts, request.recording_settings
+    unused = [name for name in parts[0].unused if all(name in part.unused for part in parts)]
+    request = replace(request, options=without(request.options, unused))
     return PoolInput(
         members=tuple(part.member for part in parts),
         left_out=tuple((part.member, why) for part, why in left_out.items() if part not in parts),
@@ -128,6 +136,7 @@ def _input(fitted: _Fitted, left_out: Mapping[_Part, str], request: Request) -> 
         settings=request.effective_settings(request.options.layout),
         judgement=fitted.verdict,
         windows=fitted.windows,
+        notes=(unused_note(unused, parts[0].recording.format),) if unused else (),
         optimizer=survey.optimizer_json(settings),
     )
 
@@ -140,7 +149,8 @@ def _part(member: Member, request: Request, progress: ProgressMaker) -> _Part:
         if not isinstance(method.procedure, survey.CellProcedure):
             raise UsageError(f"profile {settings.profile} keeps no cells that could be pooled")
         facts = run.survey(method)
-        return _Part(member, recording, facts.samples, method.procedure.collector, method.segmenter.counts)
+        counts, unused = method.segmenter.counts, run.request.unused
+        return _Part(member, recording, facts.samples, method.procedure.collector, counts, unused)
 
 
 def _refuse_other(first: Recording, other: Recording) -> None:

@@ -253,13 +253,13 @@ def _batched(still: Iterable[Windows]) -> Iterator[Windows]:
         yield joined_windows(batch)
 
 
-def open_marked(path: Path, options: ReadOptions, threads: int = 1) -> Reader:
+def open_marked(path: Path, options: ReadOptions, threads: int = 1, unused: tuple[str, ...] = ()) -> Reader:
     """Open a recording; rows at the sensor's range are marked in their chunks' `validity`.
 
     Raises:
         UnreadableError, UsageError: see `formats.open_recording`.
     """
-    return MarkingReader(open_recording(path, options, threads))
+    return MarkingReader(open_recording(path, options, threads, unused))
 
 
 class MarkingReader(Reader):

@@ -136,7 +136,7 @@ class Uncertainty:
 
     Attributes:
         k, o: of K and O in z = K a + O.
-        parameters: of kxx .. oz, three slopes (0) and kyx, kzx, kzy.
+        parameters: of k_xx .. oz, three slopes (0) and k_xy, k_xz, k_yz.
         worst_direction_mg: of |a|, in the worst of 26 directions (faces, edges, corners of a cube).
     """
 

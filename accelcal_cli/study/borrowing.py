@@ -39,7 +39,8 @@ best recording, and so many mg more; otherwise a study of good recordings would 
 def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]:
     """Names of the recordings that are calibrated as one, by device and name; each pool has two at least.
 
-    They agree in serial, model, counts per g and range, and are not too damaged.
+    They agree in serial, model, counts per g and range, are not too damaged, and have a result of their own.
+    Of copies of one recording only the first is named.
 
     Args:
         rows: own results by name.
@@ -47,10 +48,22 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
     alike: dict[tuple[Any, ...], list[str]] = {}
     for serial, device in _devices(rows).items():
         for name, row in device.items():
-            if row["outcome"] in GOOD or not _damaged(row, max_damage_percent):
+            refused = row["outcome"] == Outcome.REFUSED
+            if row["outcome"] in GOOD or (refused and not _damaged(row, max_damage_percent)):
                 key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
                 alike.setdefault(key, []).append(name)
-    return [sorted(alike[key]) for key in sorted(alike) if len(alike[key]) > 1]
+    again = copies(rows)
+    once = [sorted(name for name in alike[key] if name not in again) for key in sorted(alike)]
+    return [names for names in once if len(names) > 1]
+
+
+def copies(rows: Mapping[str, Row]) -> dict[str, str]:
+    """Recordings of a device with the bytes of another one: name, and the first name of the same."""
+    first: dict[tuple[str, str], str] = {}
+    for name in sorted(rows):
+        first.setdefault((rows[name]["device_serial"], rows[name]["sha256"]), name)
+    firsts = {name: first[row["device_serial"], row["sha256"]] for name, row in rows.items()}
+    return {name: one for name, one in firsts.items() if name != one and rows[name]["device_serial"]}
 
 
 def _damaged(row: Row, max_percent: float) -> bool:

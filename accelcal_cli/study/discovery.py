@@ -100,7 +100,31 @@ def files(where: Where) -> list[Item]:
         UsageError: one of them is not a folder, or two would share one place under OUT.
     """
     found = [item for folder, place in places(where) for item in _folder(where, folder, place)]
-    return sorted(found, key=lambda item: item.name)
+    return sorted(_apart(found), key=lambda item: item.name)
+
+
+def _apart(items: list[Item]) -> Iterator[Item]:
+    """A table beside a device's file of the same STEM, such as its export, has its full name as STEM."""
+    devices = {item.job.report for item in items if not _is_table(item)}
+    for item in items:
+        report, source = item.job.report, item.source
+        beside = _is_table(item) and report in devices
+        yield replace(item, job=_job(source, report.with_name(source.name))) if beside else item
+
+
+def _is_table(item: Item) -> bool:
+    return _suffix(item) not in _suffixes(tuple(one for one in all_formats() if one.name != TABLES))
+
+
+def as_if_alone(item: Item) -> jobs.Job:
+    """The job that a recording has where no other one of its folder shares its STEM."""
+    return _job(item.source, item.job.report.parent / jobs.stem(item.source))
+
+
+def _job(source: Path, target: Path) -> jobs.Job:
+    """The job whose outputs have a path and the usual suffixes."""
+    parquet = target.with_name(target.name + jobs.PARQUET_SUFFIX)
+    return jobs.Job(source, parquet, target.with_name(target.name + jobs.REPORT_SUFFIX))
 
 
 def below_out(where: Where) -> list[Item]:
@@ -182,11 +206,8 @@ def _plain(path: Path) -> bool:
 
 
 def _item(where: Where, path: Path, name: str) -> Item:
-    target = (where.out / name).parent / jobs.stem(path)
-    parquet = target.with_name(target.name + jobs.PARQUET_SUFFIX)
-    report = target.with_name(target.name + jobs.REPORT_SUFFIX)
     stamps = tuple(map(jobs.file_stamp, (path, named_layout(path), folder_layout(path))))
-    return Item(name, jobs.Job(path, parquet, report), stamps)
+    return Item(name, _job(path, (where.out / name).parent / jobs.stem(path)), stamps)
 
 
 def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.formats import refuse_unused
 from accelcal_cli.study import summary
 from accelcal_cli.study.discovery import below_out, files, is_recording, without_collisions
 from accelcal_cli.study.ledger import Ledger
@@ -61,7 +62,8 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     """Look at all files; nothing is written.
 
     Raises:
-        UsageError: one of the folders is not a folder, or they hold no recording.
+        UsageError: one of the folders is not a folder, or they hold no recording, or none for which an option
+            means anything.
     """
     planning = _Planning(study, ledger, study.asked(), Plan())
     items = [planning.as_it_counts(item) for item in files(study.where)]
@@ -72,6 +74,7 @@ def plan(study: Study, ledger: Ledger) -> Plan:
             path=study.where.folders[0],
             hint="give --format, or name files with --include",
         )
+    refuse_unused([item.source for item in recordings], study.request.options)
     for item in recordings:
         if study.shard.owns(item.name):
             planning.place(item)
@@ -135,10 +138,15 @@ class _Planning:
         if item.refusal is None:
             own = self.ledger.known(item, self.asked)
             stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
-            return own if stands else None
+            return own if stands and own is not None and self._named(item, own) else None
         kind = UsageError if item.source.is_file() else UnreadableError
         row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
         return Entry(item.name, item.stamps, self.asked, row, again=True)
+
+    def _named(self, item: Item, entry: Entry) -> bool:
+        """Whether the outputs have the names that they would be given now."""
+        job, out = item.job, self.study.out
+        return {out / name for name, _ in entry.outputs} <= {job.parquet, job.report, job.integers}
 
     def _replaced(self, item: Item) -> bool:
         """Whether the outputs are those of a later round, which can be taken back if the file is the same."""

@@ -19,7 +19,7 @@ from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, ch
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
 from accelcal_cli.pipeline.pool import apply_pool, pool
 from accelcal_cli.study import summary
-from accelcal_cli.study.borrowing import GOOD, Row, identity, pools
+from accelcal_cli.study.borrowing import GOOD, Row, copies, identity, pools
 from accelcal_cli.study.records import FAILED, Entry, Item, ProgressCallback, RecordingState
 from accelcal_cli.study.rounds import Round, StudyState, common_of
 from accelcal_cli.study.study import POOL, POOLED, Study
@@ -36,7 +36,8 @@ class PoolTask:
         item: stands for all of them; its report is the pool's.
         names: of the members.
         stamps: of the members' files when their own results were found.
-        inputs: identities of the members' own results, by name.
+        inputs: identities of the members' own results, by name; then names of the copies.
+        copies: recordings that are members once more.
     """
 
     item: Item
@@ -46,6 +47,7 @@ class PoolTask:
     stamps: tuple[FileStamp | None, ...]
     serial: str
     inputs: tuple[str, ...]
+    copies: tuple[Member, ...] = ()
 
     def stands(self, entry: Entry) -> bool:
         """See `RoundTask`."""
@@ -71,9 +73,17 @@ def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
 
 
 def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[list[str]]:
-    """Names of the recordings of each pool."""
-    rows = {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
-    return pools(rows, study.request.settings.max_damage_percent)
+    """Names of the recordings of each pool, without copies."""
+    return pools(_own_rows(standing), study.request.settings.max_damage_percent)
+
+
+def copies_of(standing: Mapping[str, RecordingState]) -> dict[str, str]:
+    """Names of recordings that count once, since they are copies, each with the name that counts."""
+    return copies(_own_rows(standing))
+
+
+def _own_rows(standing: Mapping[str, RecordingState]) -> dict[str, Row]:
+    return {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
 
 
 def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
@@ -87,10 +97,23 @@ def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
         ((sum(one.item.size for one in states), 0),),
     )
     members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(states, rows, strict=True))
-    stamps, inputs = tuple(one.item.stamps[0] for one in states), tuple(identity(line) for line in rows)
+    more = sorted(name for name, first in copies_of(known.standing).items() if first in names)
+    again = tuple(Member(known.standing[name].item.source, _sha256(known, name)) for name in more)
     return PoolTask(
-        stands_for, common_of(study), tuple(names), members, stamps, rows[0]["device_serial"], inputs
+        stands_for,
+        common_of(study),
+        tuple(names),
+        members,
+        stamps=tuple(one.item.stamps[0] for one in states),
+        serial=rows[0]["device_serial"],
+        inputs=(*(identity(line) for line in rows), *more),
+        copies=again,
     )
+
+
+def _sha256(known: StudyState, name: str) -> str:
+    digest: str = (known.standing[name].own.row or {})["sha256"]
+    return digest
 
 
 def _name(line: Row) -> str:
@@ -106,7 +129,7 @@ def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
     request = task.common.request
     if not request.force:
         refuse_foreign_report(task.item.job.report)
-    report = pool(task.members, request, StageProgress(report_progress).stage)
+    report = pool(task.members, request, StageProgress(report_progress).stage, task.copies)
     for member, before in zip(task.members, task.stamps, strict=True):
         check_unchanged(member.path, before)
     save_report(task.item.job.report, with_provenance(report, request.command))
@@ -135,26 +158,31 @@ POOLING = Round(POOL, make_pool, pool_tasks, of_pools=True)
 
 @dataclass(frozen=True, slots=True)
 class PooledTask(ReplacementTask):
-    """One recording that gets the coefficients in its pool's report."""
+    """One recording that gets the coefficients in its pool's report.
+
+    Attributes:
+        copy_of: the name of the recording that counts in its place; None if it counts itself.
+    """
 
     report: Path
+    copy_of: str | None
     round: ClassVar[str] = POOLED
     refusal: ClassVar[str] = "not pooled"
 
 
 def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
     """See `Round`: a task for each member of a pool that has coefficients."""
-    tasks, common = [], common_of(study)
+    tasks, common, again = [], common_of(study), copies_of(known.standing)
     for members in members_of(study, known.standing):
         one = pool_of(study, known, members)
         entry = known.pools.get(one.item.name)
         if entry is None or entry.row is None or entry.row["outcome"] not in GOOD:
             continue
         together = hashlib.sha256("".join(one.inputs).encode()).hexdigest()[:16]
-        for name in members:
-            own = known.standing[name].own
-            inputs = (identity(own.row or {}), together)
-            tasks.append(PooledTask(known.standing[name].item, common, own, inputs, one.item.job.report))
+        for name in (*members, *(name for name, first in again.items() if first in members)):
+            state, first = known.standing[name], again.get(name)
+            inputs = (identity(state.own.row or {}), together)
+            tasks.append(PooledTask(state.item, common, state.own, inputs, one.item.job.report, first))
     return tasks
 
 
@@ -168,10 +196,17 @@ def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
     return task.result(result, row_of(item, task.common, result) | _instead(task, result))
 
 
+def said_of_copy(first: str) -> str:
+    """What is said of a recording that does not count in its pool."""
+    return f"a copy of {first}, which counts once in the pool"
+
+
 def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
     """Columns that say of which pool a row's coefficients are, and what they do to its own windows."""
     pool_section, windows = result.report["pool"], result.report["pool"]["own_windows"]
     columns = {"pool": task.report.name, "pool_recordings": len(pool_section["recordings"])}
+    if task.copy_of is not None:
+        columns["message"] = printable(f"{result.report['message']}; {said_of_copy(task.copy_of)}")
     if windows is not None:
         columns |= {f"windows_{when}_mg": windows[f"{when}_mg"]["mean"] for when in ("before", "after")}
     return columns | summary.own(task.own_row)

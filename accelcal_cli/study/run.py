@@ -9,13 +9,14 @@ from collections.abc import Sequence, Set
 from contextlib import closing
 from pathlib import Path
 
-from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.errors import OutputError, printable
+from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.study import lock, summary
 from accelcal_cli.study.borrowing import BORROWING
-from accelcal_cli.study.discovery import places, refuse_foreign
+from accelcal_cli.study.discovery import as_if_alone, places, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import Plan, RoundPlanner, ledger_of, plan
-from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, remove_pools
+from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
 from accelcal_cli.study.records import OWN, Entry, Item, RecordingState
 from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
 from accelcal_cli.study.study import REPLACING, Study
@@ -106,7 +107,12 @@ class StudyRun:
         self._planner.untouched |= planned.changing
         for item, entry in planned.done:
             self._own(item, TaskResult(entry, up_to_date=True))
+        for item in planned.todo:
+            if item.job != (alone := as_if_alone(item)):
+                withdraw(alone)
         self._calibrate(planned.todo)
+        for name, first in copies_of(self.known.standing).items() if self.study.pool else ():
+            self._observer.note(printable(f"{name}: {said_of_copy(first)}"))
         for one in self._rounds:
             tasks = list(one.tasks(self.study, self.known))
             if one is self._rounds[-1]:

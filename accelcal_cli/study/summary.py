@@ -32,10 +32,10 @@ WHOLE = (
     "clipped_samples_before", "clipped_samples_after", "problems", "pool_recordings",
 )  # fmt: skip
 PARAMETERS = (
-    "k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", *(f"offset_{axis}_g" for axis in AXES),
+    *PARAMETER_NAMES[:6], *(f"offset_{axis}_g" for axis in AXES),
     *(f"slope_{axis}_g_per_c" for axis in AXES),
 )  # fmt: skip
-"""Columns of the parameters, in the order of PARAMETER_NAMES (whose kxy is row y, column x of K)."""
+"""Columns of the parameters, in the order of PARAMETER_NAMES."""
 COLUMNS = (
     "path", "outcome", "exit_code", "message", "model",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",

@@ -15,6 +15,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import FileStamp, Job, Progress, Request, Result, file_stamp
+from accelcal_cli.pipeline.outputs import applied_by_hand
 from accelcal_cli.study import summary
 from accelcal_cli.study.records import Entry, Item, ProgressCallback
 
@@ -117,8 +118,10 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
 
 @guarded
 def calibrated(task: CalibrationTask, report_progress: ProgressCallback) -> TaskResult:
-    """Calibrate one recording."""
-    result = calibrate(task.job, task.common.request, StageProgress(report_progress).stage, task.item.source)
+    """Calibrate one recording; coefficients that were applied to it by hand stay."""
+    request, source = task.common.request, task.item.source
+    kept = None if request.force else applied_by_hand(task.job, source)
+    result = kept or calibrate(task.job, request, StageProgress(report_progress).stage, source)
     line, outputs = row_of(task.item, task.common, result), outputs_of(task.item, task.common, result)
     entry = Entry(task.item.name, task.item.stamps, task.common.asked, line, outputs)
     return TaskResult(entry, result.up_to_date, problems_of(result))

@@ -184,7 +184,7 @@ def test_a_rerun_does_nothing_until_something_changes(tmp_path: Path, capsys: Ca
 def test_calibrate_does_not_take_applied_results_for_its_own(tmp_path: Path, capsys: Capture) -> None:
     coefficients, path = donor(tmp_path), tmp_path / "donor.raw"
     apply(capsys, coefficients, path, "-d", tmp_path / "out")
-    ran = run(capsys, "calibrate", path, "-d", tmp_path / "out")
+    ran = run(capsys, "calibrate", path, "-d", tmp_path / "out", "--force")
     assert (ran.code, ran.err) == (0, "")
     assert "coefficients" not in json.loads((tmp_path / "out" / "donor.calibration.json").read_text())
 

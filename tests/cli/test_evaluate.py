@@ -19,7 +19,7 @@ from tests.cli.run import assert_one_line, run, run_process
 ROOT = Path(__file__).resolve().parent.parent.parent
 Capture = pytest.CaptureFixture[str]
 QUICK = ("evaluate", "simulation", "--cases", 3, "--points", "18", "--optimizer")
-NINE = ["kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz"]
+NINE = ["k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz"]
 
 
 def timeless(text: str) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def test_json_holds_all_of_it(capsys: Capture) -> None:
         "cases": 3, "seed": 1, "points": [18], "noise_mg": [1.0, 5.0], "selection": "subsets"
     }  # fmt: skip
     one, five = found["tables"]
-    assert one["published"]["mean_abs_error"]["kxy"] == 1.49e-3
+    assert one["published"]["mean_abs_error"]["k_yx"] == 1.49e-3
     assert five["published"]["sd_abs_error"]["oz"] == 7.76e-4
     assert list(one["bound"]) == NINE
     (method,) = one["methods"]

@@ -42,12 +42,12 @@ def test_a_simulated_recording_may_be_called_like_its_suffix(tmp_path: Path, cap
 def test_a_layout_is_never_overwritten(tmp_path: Path, capsys: Capture, option: tuple[str, ...]) -> None:
     path, layout = good_raw(tmp_path), tmp_path / "good.layout.toml"
     if option:
-        layout = layout.rename(tmp_path / "other.toml")
+        layout = layout.rename(tmp_path / "other")
     before = layout.read_bytes()
     given = (*option, layout) if option else ()
     ran = run(capsys, "calibrate", path, "-o", layout, "--force", *given)
     assert ran.code == 2
-    assert_one_line(ran, str(layout), "would be overwritten")
+    assert_one_line(ran, str(layout), "would be overwritten" if option else "would be a Parquet file")
     assert layout.read_bytes() == before
 
 

@@ -186,9 +186,9 @@ def test_a_second_run_is_up_to_date_and_another_recordings_report_is_kept(
     assert "is the report of another recording" in refused(capsys, 5, other, "-o", target)
 
 
-def test_parquet_of_an_earlier_calibration_does_not_outlive_it(tmp_path: Path, capsys: Capture) -> None:
+def test_parquet_of_a_replaced_calibration_does_not_outlive_it(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
     assert run(capsys, "calibrate", path, "--integers").code == 0
-    ran = run(capsys, "six-pose", path, "--face-degrees", 30)
+    ran = run(capsys, "six-pose", path, "--face-degrees", 30, "--force")
     assert ran.code == 4
     assert only(tmp_path, "good.csv", "good.calibration.json")

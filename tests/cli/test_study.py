@@ -14,7 +14,7 @@ from tests.recordings import directions, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
 SE_COLUMNS = {
-    "kxx": "k_xx", "kyy": "k_yy", "kzz": "k_zz", "kxy": "k_yx", "kxz": "k_zx", "kyz": "k_zy",
+    **{name: name for name in ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy")},
     "ox": "offset_x_g", "oy": "offset_y_g", "oz": "offset_z_g",
 }  # fmt: skip
 """Names in the report (first the column of K, then its row) and in the table (row, column)."""

@@ -70,7 +70,7 @@ def test_every_parameter_is_compared_to_the_last_bit(tmp_path: Path, capsys: Cap
     report, path = donor(tmp_path, warm=True), tmp_path / "donor.raw"
     (tmp_path / "donor.calibrated.parquet").unlink()
     whole = report.read_text()
-    for name in ("kxx", "kyz", "oz", "sx"):
+    for name in ("k_xx", "k_zy", "oz", "sx"):
         report.write_text(whole)
         key = f"calibration.fixed_point.parameters.{name}"
 

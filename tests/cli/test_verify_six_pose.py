@@ -60,7 +60,7 @@ def test_a_session_is_verified(tmp_path: Path, capsys: Capture, words: tuple[obj
     assert (ran.code, found["differs"]) == (0, [])
     assert found["settings_assumed"] == found["settings_unknown"] == []
     assert verify(capsys, report, path, "--values")[0].code == 2
-    key = "kyx"
+    key = "k_xy"
     edit(report, lambda held: held["calibration"]["fixed_point"]["parameters"].update({key: 12345}))
     edit(report, lambda held: held["poses"][0].update(face="-x"))
     found = verify(capsys, report, path)[1]

@@ -27,11 +27,11 @@ from accelcal_cli.core.settings import DEFAULT, PAPER, PROFILES
     [
         ("0", ""),
         ("3", "ox oy oz"),
-        ("6", "kxx kyy kzz ox oy oz"),
-        ("9", "kxx kyy kzz kxy kxz kyz ox oy oz"),
+        ("6", "k_xx k_yy k_zz ox oy oz"),
+        ("9", "k_xx k_yy k_zz k_yx k_zx k_zy ox oy oz"),
         ("3T", "ox oy oz sx sy sz"),
-        ("6T", "kxx kyy kzz ox oy oz sx sy sz"),
-        ("9T", "kxx kyy kzz kxy kxz kyz ox oy oz sx sy sz"),
+        ("6T", "k_xx k_yy k_zz ox oy oz sx sy sz"),
+        ("9T", "k_xx k_yy k_zz k_yx k_zx k_zy ox oy oz sx sy sz"),
     ],
 )
 def test_models_free_what_their_name_says(name: str, free: str) -> None:

@@ -18,7 +18,7 @@ PLAIN = (ONE, ONE, ONE) + (0,) * 9
 
 
 def parameters(**changed: float) -> tuple[int, ...]:
-    names = ("kxx", "kyy", "kzz", "kxy", "kxz", "kyz", "ox", "oy", "oz", "sx", "sy", "sz")
+    names = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz", "sx", "sy", "sz")
     held = dict(zip(names, PLAIN, strict=True)) | {name: round(v * ONE) for name, v in changed.items()}
     return tuple(held.values())
 
@@ -54,7 +54,7 @@ def test_a_full_gain_and_the_slope_as_calculated_by_hand() -> None:
     one = np.ones(1, np.int64)
     held = PointSet(xyz, WEIGHT_ONE * one, one, tau, TemperatureScale(20_000, 4.0))
     assert temperatures_c(held).tolist() == [22.0]
-    numbers = parameters(kxx=1.25, kzz=0.75, kxz=0.5, ox=0.25, oy=-0.5, oz=0.125, sx=1 / 64)
+    numbers = parameters(k_xx=1.25, k_zz=0.75, k_zx=0.5, ox=0.25, oy=-0.5, oz=0.125, sx=1 / 64)
     made = Calibration("12", numbers, TemperatureScale(25_000, 2.0), upper=(ONE // 4, 0, -ONE // 8))
     shift = -3 * (1 / 64) / 2
     expected = [1.25 * (0.75 + shift) + 0.125, 0.5 + 0.109375, 0.5 * (0.75 + shift) - 0.65625]

@@ -1,0 +1,246 @@
+"""Results that were good stay until someone asks for others in their place, and names say what a file is."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.pipeline.jobs import Request, file_stamp, plan
+from accelcal_cli.study.borrowing import copies, pools
+from accelcal_cli.study.records import Item
+from accelcal_cli.study.task import CalibrationTask, Common, calibrated
+from tests.cli.run import assert_one_line, run
+from tests.cli.studies import rows, study
+from tests.device_recordings import donor, rest, write_device
+from tests.formats import make_opal
+from tests.recordings import LSB_PER_G, directions, good_csv, good_raw, still_counts, write_csv, write_raw
+
+Capture = pytest.CaptureFixture[str]
+
+
+def held(folder: Path) -> dict[str, bytes]:
+    """All files by name."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def report(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text())
+
+
+def test_a_refused_six_pose_leaves_a_good_calibration(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    assert run(capsys, "calibrate", path, "--integers").code == 0
+    before = held(tmp_path)
+    ran = run(capsys, "six-pose", path, "--face-degrees", 30)
+    assert ran.code == 5
+    assert_one_line(ran, "good.calibration.json", "what accelcal calibrate made", "-o", "--force")
+    assert held(tmp_path) == before
+    assert run(capsys, "six-pose", path, "--face-degrees", 30, "-d", tmp_path / "other").code == 4
+    assert held(tmp_path) == before
+
+
+def test_calibrate_leaves_a_good_six_pose(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "six.calibration.json").write_text(json.dumps(_six_pose(tmp_path, capsys)))
+    before = held(tmp_path)
+    ran = run(capsys, "calibrate", tmp_path / "six.csv.gz")
+    assert ran.code == 5
+    assert_one_line(ran, "what accelcal six-pose made")
+    assert held(tmp_path) == before
+
+
+def _six_pose(folder: Path, capsys: Capture) -> dict[str, Any]:
+    sample = Path(__file__).resolve().parents[2] / "sample_data" / "six_faces.csv.gz"
+    path = Path(shutil.copy(sample, folder / "six.csv.gz"))
+    assert run(capsys, "six-pose", path).code == 0
+    return report(folder / "six.calibration.json")
+
+
+def test_one_sensor_of_a_file_does_not_replace_another(tmp_path: Path, capsys: Capture) -> None:
+    made = make_opal.make(tmp_path, still_counts(directions(60)), 25.0, LSB_PER_G)
+    first = run(capsys, "calibrate", made.path, "--sensor", "XI-000001", "--report-only")
+    assert first.code == 0
+    before = held(tmp_path)
+    ran = run(capsys, "calibrate", made.path, "--sensor", "XI-000002", "--report-only")
+    assert ran.code == 5
+    assert_one_line(ran, "made.calibration.json", "what --sensor XI-000001 made", "-d", "-o")
+    assert held(tmp_path) == before
+    words = ("--sensor", "XI-000002", "--report-only", "-o", tmp_path / "left.parquet")
+    assert run(capsys, "calibrate", made.path, *words).code == 0
+    assert report(tmp_path / "left.calibration.json")["recording"]["device"]["serial"] == "XI-000002"
+
+
+def test_columns_of_one_sensor_do_not_replace_those_of_another(tmp_path: Path, capsys: Capture) -> None:
+    path = good_csv(tmp_path)
+    assert run(capsys, "calibrate", path, "--report-only").code == 0
+    ran = run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z")
+    assert ran.code == 5
+    assert_one_line(ran, "what a run without --columns made")
+    assert run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z", "--force").code == 0
+
+
+def test_a_worker_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+    coefficients, path, out = donor(tmp_path), tmp_path / "donor.raw", tmp_path / "out"
+    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    before, (job,) = held(out), plan([path], out, None)
+    item = Item("donor.raw", job, (file_stamp(path), None, None))
+    result = calibrated(CalibrationTask(item, Common(out, Request(), "asked")), lambda _part: None)
+    assert (result.up_to_date, result.entry.row["parquet"]) == (True, "donor.calibrated.parquet")
+    assert held(out) == before
+    result = calibrated(CalibrationTask(item, Common(out, Request(force=True), "asked")), lambda _part: None)
+    assert not result.up_to_date
+    assert held(out) != before
+
+
+@pytest.mark.nightly
+def test_a_study_keeps_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "good").mkdir()
+    coefficients = donor(tmp_path / "good")
+    values, _ = rest(directions(12)[:4])
+    (tmp_path / "in").mkdir()
+    path = write_device(tmp_path / "in" / "few.raw", values)
+    out = tmp_path / "out"
+    assert study(capsys, tmp_path / "in").code == 4
+    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    before = {name: data for name, data in held(out).items() if name.startswith("few.")}
+    assert "few.calibrated.parquet" in before
+    for _ in range(2):
+        assert study(capsys, tmp_path / "in", "--borrow", "--pool", "device").code == 0
+        assert {name: data for name, data in held(out).items() if name.startswith("few.")} == before
+        (row,) = rows(out)
+        assert (row["outcome"], row["parquet"]) == ("borrowed", "few.calibrated.parquet")
+        (out / "study.ledger").unlink()
+    assert study(capsys, tmp_path / "in", "--force").code == 4
+    assert "few.calibrated.parquet" not in held(out)
+
+
+def test_calibrate_leaves_what_apply_made(tmp_path: Path, capsys: Capture) -> None:
+    coefficients, path, out = donor(tmp_path), tmp_path / "donor.raw", tmp_path / "out"
+    assert run(capsys, "apply", "--coefficients", coefficients, path, "-d", out).code == 0
+    before = held(out)
+    ran = run(capsys, "calibrate", path, "-d", out)
+    assert ran.code == 5
+    assert_one_line(ran, "what accelcal apply made")
+    assert held(out) == before
+
+
+def test_fit_leaves_the_report_of_a_recording(tmp_path: Path, capsys: Capture) -> None:
+    coefficients = donor(tmp_path)
+    before, points = held(tmp_path), tmp_path / "points.csv"
+    points.write_text("\n".join(["x,y,z", *(",".join(map(str, one)) for one in directions(60))]) + "\n")
+    ran = run(capsys, "fit", points, "-o", coefficients)
+    assert ran.code == 5
+    assert_one_line(ran, "is the report of another recording")
+    assert held(tmp_path) == {**before, "points.csv": points.read_bytes()}
+
+
+@pytest.mark.parametrize(
+    ("command", "name", "part"),
+    [
+        ("calibrate", "foo.csv", "ends in .parquet"),
+        ("calibrate", "foo.json", "ends in .parquet"),
+        ("six-pose", "foo.parquet", "ends in .json"),
+        ("fit", "foo.csv", "ends in .json"),
+        ("calibrate", "-", "standard output"),
+        ("six-pose", "-", "standard output"),
+        ("fit", "-", "standard output"),
+        ("simulate", "-", "standard output"),
+    ],
+)
+def test_a_name_is_that_of_what_is_written(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, command: str, name: str, part: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = write_raw(tmp_path / "a.raw", still_counts(directions(2)))
+    words = (name,) if command == "simulate" else (path, "-o", name)
+    before = held(tmp_path)
+    ran = run(capsys, command, *words)
+    assert ran.code == 2
+    assert_one_line(ran, part)
+    assert held(tmp_path) == before
+
+
+def test_a_folder_is_not_standard_output_either(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    for words in (("calibrate", path), ("six-pose", path), ("study", tmp_path)):
+        ran = run(capsys, *words, "-d", "-")
+        assert ran.code == 2
+        assert_one_line(ran, "standard output")
+
+
+def test_a_recording_and_its_own_export_are_both_calibrated(tmp_path: Path, capsys: Capture) -> None:
+    """Whether the table lay there first, as here, or came later."""
+    folder, out = tmp_path / "in", tmp_path / "out"
+    folder.mkdir()
+    write_csv(folder / "S01.csv", still_counts(directions(60)))
+    assert study(capsys, folder, "--integers").code == 0
+    write_raw(folder / "S01.raw", still_counts(directions(60)))
+    ran = study(capsys, folder, "--integers")
+    assert (ran.code, ran.err.count("\n")) == (0, 1), ran.err
+    kinds = (".calibrated.parquet", ".calibration.json", ".integers.json")
+    expected = {f"{stem}{kind}" for stem in ("S01", "S01.csv") for kind in kinds}
+    assert {name for name in held(out) if not name.startswith("study.")} == expected
+    assert report(out / "S01.calibration.json")["recording"]["format"] == "raw"
+    assert report(out / "S01.csv.calibration.json")["recording"]["format"] == "csv"
+    table = {row["path"]: row["report"] for row in rows(out)}
+    assert table == {"S01.csv": "S01.csv.calibration.json", "S01.raw": "S01.calibration.json"}
+    assert "2 unchanged" in study(capsys, folder, "--integers").err
+
+
+def test_a_foreign_ledger_stays(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "in").mkdir()
+    good_raw(tmp_path / "in")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "study.ledger").write_text("2024-03-04 rent 900\n")
+    ran = study(capsys, tmp_path / "in")
+    assert ran.code == 5
+    assert_one_line(ran, "study.ledger", "not written by accelcal")
+    assert held(tmp_path / "out") == {"study.ledger": b"2024-03-04 rent 900\n"}
+
+
+def test_a_copy_is_known_by_device_and_content() -> None:
+    def row(serial: str | None, sha256: str, outcome: str = "refused") -> dict[str, Any]:
+        same = {"device_model": None, "lsb_per_g": 256.0, "range_g": 8.0, "lost_percent": 0.0}
+        return {"device_serial": serial, "sha256": sha256, "outcome": outcome, **same}
+
+    table = {
+        "c": row("A", "1"),
+        "a": row("A", "2"),
+        "b": row("A", "1"),
+        "d": row("B", "1"),
+        "e": row("B", "1"),
+    }
+    table |= {"f": row(None, "3"), "g": row(None, "3"), "h": row("A", "4", "borrowed")}
+    assert copies(table) == {"c": "b", "e": "d"}
+    assert pools(table, 50.0) == [["a", "b"]]
+
+
+@pytest.mark.nightly
+def test_copies_of_one_file_count_once_in_a_pool(tmp_path: Path, capsys: Capture) -> None:
+    values, _ = rest(directions(24))
+    half = len(values) // 2
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name, part in (("one", values[:half]), ("two", values[half:])):
+        write_device(folder / f"{name}.raw", part)
+    assert study(capsys, folder, "--pool", "device", "--report-only").code == 0
+    (pool,) = (tmp_path / "out").glob("study.pool.*.json")
+    alone = report(pool)
+    write_device(folder / "two again.raw", values[half:])
+    ran = study(capsys, folder, "--pool", "device", "--report-only")
+    assert ran.code == 0
+    assert "two.raw: a copy of two again.raw, which counts once in the pool" in ran.err
+    (pool,) = (tmp_path / "out").glob("study.pool.*.json")
+    made = report(pool)
+    for section in ("calibration", "holdout", "fit", "coverage", "models_tried"):
+        assert made[section] == alone[section]
+    assert [len(made["pool"][name]) for name in ("recordings", "copies")] == [2, 1]
+    assert made["pool"]["copies"][0]["path"].endswith("two.raw")
+    table = {row["path"]: row for row in rows(tmp_path / "out")}
+    assert [row["pool_recordings"] for row in table.values()] == ["2"] * 3
+    assert "a copy of two again.raw" in table["two.raw"]["message"]
+    assert "copy" not in table["one.raw"]["message"]
+    assert "3 unchanged" in study(capsys, folder, "--pool", "device", "--report-only").err

@@ -1,0 +1,132 @@
+"""Reading options that a format does not understand: never taken in silence, never among the settings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.output.report_kinds import Member
+from accelcal_cli.pipeline.jobs import Request, sha256
+from accelcal_cli.pipeline.pool import pool
+from tests.cli.run import assert_one_line, run
+from tests.cli.studies import rows, study
+from tests.device_recordings import rest, write_device
+from tests.formats import make_cwa
+from tests.recordings import RATE_HZ, directions, good_csv, good_raw, still_counts
+
+Capture = pytest.CaptureFixture[str]
+NOTE = "--unit: means nothing for format raw and was not used"
+
+
+def mixed(folder: Path) -> Path:
+    """A dump, for which a unit means nothing, and a table, for which it does."""
+    folder.mkdir()
+    good_raw(folder, "a.raw")
+    good_csv(folder, "b.csv")
+    return folder
+
+
+def report(path: Path) -> dict[str, Any]:
+    return json.loads(path.read_text())
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "kind"),
+    [
+        (("--unit", "mg"), "--unit", "raw"),
+        (("--columns", "x,y,z"), "--columns", "raw"),
+        (("--time-column", "t", "--date-format", "dmy"), "--time-column, --date-format", "raw"),
+        (("--sensor", "imu"), "--sensor", "csv"),
+    ],
+)
+@pytest.mark.parametrize("command", ["calibrate", "inspect", "six-pose"])
+def test_for_one_recording_they_are_wrong_usage(
+    tmp_path: Path, capsys: Capture, command: str, words: tuple[str, ...], name: str, kind: str
+) -> None:
+    path = good_raw(tmp_path) if kind == "raw" else good_csv(tmp_path)
+    before = sorted(tmp_path.iterdir())
+    ran = run(capsys, command, path, *words)
+    assert ran.code == 2
+    assert_one_line(ran, f"{name}: means nothing for format {kind}")
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_columns_of_a_cwa_are_wrong_usage(tmp_path: Path, capsys: Capture) -> None:
+    made = make_cwa.make(tmp_path, still_counts(directions(2)), RATE_HZ, 256.0)
+    ran = run(capsys, "calibrate", made.path, "--columns", "x,y,z", "--unit", "mg")
+    assert ran.code == 2
+    assert_one_line(ran, "--unit, --columns: means nothing for format cwa")
+
+
+def test_of_several_those_that_they_are_not_meant_for_say_so(tmp_path: Path, capsys: Capture) -> None:
+    folder = mixed(tmp_path / "in")
+    words = ("--unit", "g", "--report-only", "-d", tmp_path)
+    assert run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), *words).code == 0
+    told, used = report(tmp_path / "a.calibration.json"), report(tmp_path / "b.calibration.json")
+    assert (told["settings"]["input"]["unit"], told["recording"]["notes"]) == (None, [NOTE])
+    assert used["settings"]["input"]["unit"] == "g"
+    assert not any("means nothing" in note for note in used["recording"]["notes"])
+
+
+def test_in_a_study_too_whatever_was_there_before(tmp_path: Path, capsys: Capture) -> None:
+    """The note is part of the result: one without it is made again, and verify finds it again."""
+    folder, out = mixed(tmp_path / "in"), tmp_path / "out"
+    assert study(capsys, folder, "--report-only").code == 0
+    assert study(capsys, folder, "--report-only", "--unit", "g").code == 0
+    told = report(out / "a.calibration.json")
+    assert (told["settings"]["input"]["unit"], told["recording"]["notes"]) == (None, [NOTE])
+    assert report(out / "b.calibration.json")["settings"]["input"]["unit"] == "g"
+    assert "2 unchanged" in study(capsys, folder, "--report-only", "--unit", "g").err
+    assert [row["outcome"] for row in rows(out)] == ["calibrated"] * 2
+    ran = run(capsys, "verify", out / "a.calibration.json", folder / "a.raw")
+    assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran
+
+
+def test_in_a_study_they_must_mean_something_for_one(tmp_path: Path, capsys: Capture) -> None:
+    folder = mixed(tmp_path / "in")
+    ran = study(capsys, folder, "--sensor", "imu")
+    assert ran.code == 2
+    assert_one_line(ran, "--sensor: means nothing for formats csv, raw")
+    assert not list((tmp_path / "out").glob("*.json"))
+    ran = run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), "--sensor", "imu")
+    assert ran.code == 2
+    assert_one_line(ran, "--sensor: means nothing for formats csv, raw")
+
+
+def test_reports_of_before_that_hold_such_an_option_are_still_verified(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    """They named it among the settings, and had the note."""
+    path = good_raw(tmp_path)
+    assert run(capsys, "calibrate", path, "--report-only").code == 0
+    old = report(tmp_path / "good.calibration.json")
+    old["settings"]["input"]["unit"] = "mg"
+    old["recording"]["notes"].append(NOTE)
+    (tmp_path / "old.calibration.json").write_text(json.dumps(old))
+    ran = run(capsys, "verify", tmp_path / "old.calibration.json", path)
+    assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran
+
+
+def test_what_means_nothing_for_all_members_is_left_out_of_a_pool(tmp_path: Path) -> None:
+    members = []
+    for name, seed in (("one", 1), ("two", 2)):
+        path = write_device(tmp_path / f"{name}.raw", rest(directions(12), seed)[0])
+        members.append(Member(path, sha256(path)))
+    made = pool(members, Request(options=ReadOptions(unit="g"), several=True))
+    assert (made["settings"]["input"]["unit"], made["recording"]["notes"]) == (None, [NOTE])
+
+
+@pytest.mark.nightly
+def test_a_pool_leaves_out_what_means_nothing_for_its_members(tmp_path: Path, capsys: Capture) -> None:
+    folder = mixed(tmp_path / "in")
+    values, _ = rest(directions(24))
+    for name, part in (("one", values[: len(values) // 2]), ("two", values[len(values) // 2 :])):
+        write_device(folder / f"{name}.raw", part)
+    assert study(capsys, folder, "--pool", "device", "--report-only", "--unit", "g").code == 0
+    (pool,) = (tmp_path / "out").glob("study.pool.*.json")
+    made = report(pool)
+    assert (made["settings"]["input"]["unit"], made["recording"]["notes"]) == (None, [NOTE])
