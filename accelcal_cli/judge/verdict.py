@@ -20,8 +20,8 @@ from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSe
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge import model_ladder
+from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
-from accelcal_cli.judge.errors import deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sample, postures
 
 FULL_MODELS = ("9", "9T")
@@ -60,11 +60,11 @@ def judge(
         why_none: the reason, where there are no points.
         label: (n,) posture numbers, where they are known; else found by direction.
     """
-    coverage = coverage_of(points)
+    label = postures(points, settings.posture_degrees) if label is None else label
+    coverage = coverage_of(points, label)
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, coverage, ())
-    label = postures(points, settings.posture_degrees) if label is None else label
-    number = len(set(label.tolist()))
+    number = coverage.distinct_orientations
     if number < settings.min_postures:
         text = f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
@@ -88,12 +88,13 @@ def judge_paper(
 ) -> Judgement:
     """F's procedure: nine parameters from the full first set, judged on the second (eq. 21).
 
-    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does.
+    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does. What
+    the points leave uncertain somewhere on the sphere is refused, however small the error is on the second set.
     """
-    coverage = coverage_of(fit_points)
+    coverage = coverage_of(fit_points, postures(fit_points, settings.posture_degrees))
     if missing:
-        text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
-        return Judgement(Outcome.REFUSED, f"{text}, profile default does not", coverage, ())
+        text = f"{_wanting(missing, settings)}; profile paper needs all nine, profile default does not"
+        return Judgement(Outcome.REFUSED, text, coverage, ())
     if len(control_points) < FEWEST_CONTROL_POINTS:
         left = counted(len(control_points), "control point")
         return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", coverage, ())
@@ -102,6 +103,11 @@ def judge_paper(
         (fitted,) = fit((fit_points,), MODELS[name])
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
+    known = uncertainty(fit_points, fitted.parameters, MODELS[name])
+    unsure = model_ladder.doubt(known, settings.max_error_mg)
+    if unsure is not None:
+        text = f"model {name} cannot be trusted: {unsure}; {LONGER}, or use profile default"
+        return Judgement(Outcome.REFUSED, text, _with(coverage, known), (Trial(name, None, unsure, fitted),))
     trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None, fitted)
     unfit = Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment")
     others = () if name == "9" else (unfit,)
@@ -111,6 +117,20 @@ def judge_paper(
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
     return _complete(verdict, name, fitted, fit_points, label, settings.gravity)
+
+
+def _wanting(missing: list[str], settings: Settings) -> str:
+    """What is said of subsets that are not full."""
+    apart = f" that are {settings.min_distance_g:g} g from all others" if settings.min_distance_g else ""
+    return f"subsets without two points{apart}: {' '.join(missing)}"
+
+
+def _with(coverage: Coverage, known: Uncertainty | None) -> Coverage:
+    """The coverage with what the fit says of it."""
+    if known is None:
+        return coverage
+    worst_mg = known.worst_direction_mg
+    return replace(coverage, condition_number=known.condition_number, worst_direction_mg=worst_mg)
 
 
 def _complete(
@@ -136,14 +156,9 @@ def _complete(
     precision = uncertainty(points, fit.parameters, MODELS[model])
     if precision is None:
         return completed
-    with_uncertainty = replace(
-        verdict.coverage,
-        condition_number=precision.condition_number,
-        worst_direction_mg=precision.worst_direction_mg,
-    )
     errors = precision.standard_errors
     scaled = (*errors[:6], *(value * float(local_g) for value in errors[6:]))
-    return replace(completed, coverage=with_uncertainty, standard_errors=scaled)
+    return replace(completed, coverage=_with(verdict.coverage, precision), standard_errors=scaled)
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:

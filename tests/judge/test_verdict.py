@@ -177,7 +177,9 @@ def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
     found = judge_paper(fitted, control, ["xn", "z0"], PAPER, fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
-    assert "subsets without two points: xn z0" in found.message
+    assert found.message.startswith("subsets without two points that are 0.2 g from all others: xn z0;")
+    as_before = judge_paper(fitted, control, ["xn", "z0"], replace(PAPER, min_distance_g=0.0), fast_fits)
+    assert as_before.message.startswith("subsets without two points: xn z0;")
 
 
 def test_the_paper_needs_control_points() -> None:
@@ -196,6 +198,27 @@ def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     assert found.holdout.after.mean == pytest.approx(float(deviations_mg(control, p).mean()))
     assert found.holdout.before.mean == pytest.approx(float(deviations_mg(control, IDENTITY).mean()))
     assert found.holdout.points == 18 and "on control points" in found.message
+
+
+def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_the_sphere() -> None:
+    """Control points beside the fitted ones agree with them, and say nothing of the rest of the sphere."""
+    held, _ = clusters(directions(6), NINE, each=6, width=0.02)
+    fitted, control = held.select(np.arange(0, 36, 2)), held.select(np.arange(1, 36, 2))
+    p = fast_fit(fitted, MODELS["9"]).parameters
+    known = uncertainty(fitted, p, MODELS["9"])
+    assert known is not None and deviations_mg(control, p).mean() < 2 < 10 < known.worst_direction_mg
+    found = judge_paper(fitted, control, [], PAPER, fast_fits)
+    assert found.outcome is Outcome.REFUSED
+    assert found.calibration is None and found.holdout is None
+    worst = f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
+    assert found.message.startswith(f"model 9 cannot be trusted: {worst}; record longer")
+    assert [trial.reason for trial in found.trials] == [worst]
+    assert found.coverage.worst_direction_mg == known.worst_direction_mg
+    assert (found.coverage.cells, found.coverage.distinct_orientations) == (18, 6)
+    limit = replace(PAPER, max_error_mg=known.worst_direction_mg)
+    assert judge_paper(fitted, control, [], limit, fast_fits).outcome is Outcome.REFUSED, "from the limit on"
+    limit = replace(PAPER, max_error_mg=known.worst_direction_mg * 1.001)
+    assert judge_paper(fitted, control, [], limit, fast_fits).outcome is Outcome.CALIBRATED
 
 
 def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
