@@ -130,7 +130,7 @@ class Settings:
     """What decides the result, besides the recording. All of it is in the report.
 
     Attributes:
-        profile: `default`, or `paper` for F's procedure to the letter.
+        profile: `default`, or `paper` for F's procedure (docs/evaluation.md says what is added to it).
         optimizer: as in `--optimizer`.
         model: `auto`, or the model (9, 6, 3) the user insists on.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
