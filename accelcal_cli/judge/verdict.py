@@ -26,6 +26,9 @@ from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sampl
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
+FEWEST_CONTROL_POINTS = 2
+"""Of profile `paper` where any distance will do; else all 18 are needed."""
+
 LONGER = "record longer, with more turns of the wrist"
 NO_STILLNESS = f"no still window was found; {LONGER}"
 
@@ -89,15 +92,18 @@ def judge_paper(
 
     An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does. What
     the points leave uncertain somewhere on the sphere is refused, however small the error is on the
-    second set, and so is a second set that is not full (measured with 3 to 15 control points: errors on the
-    sphere of up to 5.7 times the reported one; with 18, 1.24 times).
+    second set, and so, with a least distance, is a second set that is not full (measured with 3 to 15
+    control points: errors on the sphere of up to 5.7 times the reported one; with 18, 1.24 times).
 
     Args:
         missing: names of the subsets that are not full, of the first set and of the second.
     """
     coverage = coverage_of(fit_points, postures(fit_points, settings.posture_degrees))
-    if any(missing):
-        text = f"{_wanting(*missing, settings)}; profile paper needs all nine, profile default does not"
+    first, second = missing
+    if len(control_points) >= FEWEST_CONTROL_POINTS and not settings.min_distance_g:
+        second = []
+    if first or second:
+        text = f"{_wanting(first, second, settings)}; profile paper needs all nine, profile default does not"
         return Judgement(Outcome.REFUSED, text, coverage, ())
     name = "9" if "9" in models else "6"
     try:

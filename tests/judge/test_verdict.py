@@ -196,6 +196,10 @@ def test_point_1_the_paper_needs_every_subset_of_the_control_points_too() -> Non
     assert found.message.startswith(
         "control subsets without two points that are 0.2 g from all others: xp y0;"
     )
+    any_distance = replace(PAPER, min_distance_g=0.0)
+    for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.CALIBRATED)):
+        few = control.select(np.arange(number))
+        assert judge_paper(fitted, few, ([], ["xp"]), any_distance, fast_fits).outcome is outcome, "as before"
 
 
 def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
