@@ -45,7 +45,9 @@ NOT_COMPARED = ("provenance", "accelcal_version")
 LATER = {
     "settings.precision_mg": "0.1.0",
     "settings.max_damage_percent": "0.1.0",
+    "settings.min_distance_g": "0.2.0",
     "settings.input.date_format": "0.1.0",
+    "coverage.distinct_orientations": "0.2.0",
     "file_health.clock": "0.1.0",
     "file_health.lost_bytes": "0.1.0",
     "file_health.lost_percent": "0.1.0",

@@ -161,7 +161,9 @@ _READING = [
     setting_option(ReadOptions, name, **({"type": _READ_TYPES[name]} if name in _READ_TYPES else {}))
     for name in ReadOptions.__dataclass_fields__
 ]
-_METHOD = _settings_options("profile", "stillness", "segment_seconds", "stillness_threshold_g")
+_METHOD = _settings_options(
+    "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g"
+)
 _FITTING = _settings_options("optimizer", "model", "temperature")
 _GRAVITY = _settings_options("latitude", "altitude_m")
 
@@ -220,12 +222,16 @@ def settings(values: dict[str, Any]) -> Settings:
     """The profile's settings with what the user changed.
 
     Raises:
-        UsageError: the profile has no such model, or the stillness rule no such number.
+        UsageError: the profile has no such model or number, or the stillness rule no such number.
     """
     profile = PROFILES[values["profile"] or DEFAULT.profile]
     if profile.profile == "paper" and (values["model"] or "9") not in ("auto", "9"):
         raise UsageError(
             "--profile paper fits nine parameters", hint="omit --model, or use --profile default"
+        )
+    if profile.profile != "paper" and values["min_distance_g"] is not None:
+        raise UsageError(
+            "--min-distance-g is for --profile paper only", hint="omit it, or use --profile paper"
         )
     return fitting_settings(values, _stillness_settings(profile, values))
 

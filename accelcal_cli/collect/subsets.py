@@ -24,6 +24,9 @@ AXES = "xyz"
 LEVELS = "n0p"
 POINTS_PER_SUBSET = 2
 
+Mean = tuple[int, tuple[int, int, int]]
+"""A window's number of samples and the sums of its counts."""
+
 
 class SubsetCollector:
     """Collects 18 points; windows must come in the order of time."""
@@ -67,7 +70,11 @@ def _bounds(lsb_per_g: float, samples: int) -> list[tuple[int, int]]:
 
 
 class PaperCollector:
-    """F's two distinct sets: what the first does not take is offered to the second (control)."""
+    """F's two distinct sets: what the first does not take is offered to the second (control).
+
+    A mean is offered only if it "differs sufficiently from the already acquired" ones (F section
+    II.B.1): it is at least `min_distance_g` away from every point of both sets, in raw local g.
+    """
 
     def __init__(self, lsb_per_g: float, settings: Settings) -> None:
         self.lsb_per_g = lsb_per_g
@@ -75,12 +82,40 @@ class PaperCollector:
         self.implausible = 0
         self.fit = SubsetCollector(lsb_per_g)
         self.control = SubsetCollector(lsb_per_g)
+        self._distance = Fraction(str(settings.min_distance_g)) * Fraction(lsb_per_g)
+        self._taken: list[Mean] = []
+        self._most = 2 * 9 * POINTS_PER_SUBSET
 
     def add(self, windows: Windows) -> None:
         """Take still windows in, in the order of time."""
         usable = plausible(windows, self.lsb_per_g, self.settings)
         self.implausible += int(len(windows) - usable.sum())
         near_1_g = windows.select(usable)
+        if len(self._taken) == self._most:
+            return
         for samples, (x, y, z) in zip(near_1_g.samples.tolist(), near_1_g.sums.tolist(), strict=True):
-            if not self.fit.offer(samples, (x, y, z)):
-                self.control.offer(samples, (x, y, z))
+            mean = (samples, (x, y, z))
+            if self._differs(mean) and self._offer(mean):
+                self._taken.append(mean)
+
+    def _offer(self, mean: Mean) -> bool:
+        """Offer a mean to the first set, then to the second; says whether one took it."""
+        return self.fit.offer(*mean) or self.control.offer(*mean)
+
+    def _differs(self, mean: Mean) -> bool:
+        """Whether a mean is far enough from all points; the one that it is near is asked first next time.
+
+        A rest goes on for many windows, so that one comparison settles most of them.
+        """
+        for place, point in enumerate(self._taken):
+            if self._near(mean, point):
+                self._taken.insert(0, self._taken.pop(place))
+                return False
+        return True
+
+    def _near(self, one: Mean, other: Mean) -> bool:
+        """Whether two means are less than the distance apart, in exact integers."""
+        (samples, sums), (others, other_sums) = one, other
+        apart = sum((a * others - b * samples) ** 2 for a, b in zip(sums, other_sums, strict=True))
+        limit = self._distance.numerator * samples * others
+        return apart * self._distance.denominator**2 < limit * limit

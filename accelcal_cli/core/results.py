@@ -73,6 +73,7 @@ class Coverage:
             counts on every axis.
         axis_min_g, axis_max_g: extreme raw values of x, y, z.
         cells: number of orientation cells with points (split by temperature where it is used).
+        distinct_orientations: how many of the points lie in different postures.
         condition_number: of the fit's Jacobian with columns of unit length; None if not fitted.
         worst_direction_mg: standard error of |a| in the least certain of 162 directions.
     """
@@ -81,6 +82,7 @@ class Coverage:
     axis_min_g: tuple[float, float, float]
     axis_max_g: tuple[float, float, float]
     cells: int
+    distinct_orientations: int
     condition_number: float | None = None
     worst_direction_mg: float | None = None
 

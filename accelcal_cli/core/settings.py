@@ -130,7 +130,7 @@ class Settings:
     """What decides the result, besides the recording. All of it is in the report.
 
     Attributes:
-        profile: `default`, or `paper` for F's procedure to the letter.
+        profile: `default`, or `paper` for F's procedure (docs/evaluation.md says what is added to it).
         optimizer: as in `--optimizer`.
         model: `auto`, or the model (9, 6, 3) the user insists on.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
@@ -161,6 +161,8 @@ class Settings:
         altitude_m: metres above the sea there.
         max_damage_percent: a recording of which damage has taken a larger share is refused [%]; what
             is left of it may not be what was worn.
+        min_distance_g: every point of profile `paper` is at least so far from all others [g] (F II.B.1:
+            a mean "differs sufficiently from the already acquired"; measured: 0.2); 0: anything goes.
     """
 
     profile: str = setting(
@@ -232,6 +234,16 @@ class Settings:
     )
     max_damage_percent: float = setting(
         50.0, 0, 100, Option("--max-damage", "Refuse a recording with more damage than this.", "PERCENT")
+    )
+    min_distance_g: float = setting(
+        0.0,
+        0,
+        2,
+        Option(
+            "--min-distance-g",
+            "Least distance between two points of profile paper; 0: none.",
+            default="profile paper: 0.2",
+        ),
     )
 
     @property
@@ -360,5 +372,5 @@ def with_stillness(settings: Settings, name: str) -> Settings:
 
 
 DEFAULT = Settings()
-PAPER = replace(with_stillness(DEFAULT, "range"), profile="paper", temperature=False)
+PAPER = replace(with_stillness(DEFAULT, "range"), profile="paper", temperature=False, min_distance_g=0.2)
 PROFILES = {"default": DEFAULT, "paper": PAPER}

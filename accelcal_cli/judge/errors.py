@@ -44,17 +44,18 @@ class Uncertainty:
     worst_direction_mg: float
 
 
-def coverage(points: PointSet) -> Coverage:
-    """Where the points lie, before any fit."""
+def coverage(points: PointSet, label: NDArray[np.int64]) -> Coverage:
+    """Where the points lie, before any fit; `label` is the number of each one's posture, (n,)."""
     if not len(points):
-        return Coverage(((0, 0, 0),) * 3, (0.0,) * 3, (0.0,) * 3, 0)
+        return Coverage(((0, 0, 0),) * 3, (0.0,) * 3, (0.0,) * 3, 0, 0)
     g = points.xyz_g()
     subsets = tuple(
         (int(inside[0]), int(inside[1]), int(inside[2]))
         for inside in (((g >= low) & (g <= high)).sum(axis=0) for low, high in INTERVALS_G)
     )
+    distinct = len(set(label.tolist()))
     low, high = g.min(axis=0).tolist(), g.max(axis=0).tolist()
-    return Coverage(subsets, (low[0], low[1], low[2]), (high[0], high[1], high[2]), len(points))
+    return Coverage(subsets, (low[0], low[1], low[2]), (high[0], high[1], high[2]), len(points), distinct)
 
 
 def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:

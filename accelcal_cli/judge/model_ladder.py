@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import cos, radians
+from math import cos, inf, radians
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,18 +175,18 @@ def _trial(evidence: Evidence, settings: Settings, fit: FitFunction, model: Mode
         holdout, whole = blocked(evidence.sample, model, fit, settings.folds)
     except DivergedError:
         return Trial(model.name, None, "the fit diverges: the points do not determine it")
-    doubt = _doubt(evidence.sample.points, model, whole, settings)
-    return Trial(model.name, holdout if doubt is None else None, doubt, whole)
-
-
-def _doubt(points: PointSet, model: Model, fit: Fit, settings: Settings) -> str | None:
-    """Why a model that fits the held-out postures may still be wrong elsewhere on the sphere."""
     if not model.free:
-        return None
-    known = errors.uncertainty(points, fit.parameters, model)
+        return Trial(model.name, holdout, None, whole)
+    known = errors.uncertainty(evidence.sample.points, whole.parameters, model)
+    unsure = doubt(known, settings.max_error_mg if settings.model == "auto" else inf)
+    return Trial(model.name, holdout if unsure is None else None, unsure, whole)
+
+
+def doubt(known: errors.Uncertainty | None, limit_mg: float) -> str | None:
+    """Why a model that fits points which it did not see may still be wrong elsewhere on the sphere."""
     if known is None:
         return "the points do not determine it"
-    if settings.model == "auto" and known.worst_direction_mg >= settings.max_error_mg:
+    if known.worst_direction_mg >= limit_mg:
         return f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
     return None
 

@@ -19,16 +19,18 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet, in_standard_g
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import PAPER, Settings
 from accelcal_cli.judge import model_ladder
+from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
-from accelcal_cli.judge.errors import deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sample, postures
 from accelcal_cli.judge.rest import picture
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
 FEWEST_CONTROL_POINTS = 2
+"""Of profile `paper` where any distance will do; else all 18 are needed."""
+
 LONGER = "record longer, with more turns of the wrist"
 NO_STILLNESS = f"no still window was found; {LONGER}"
 FAR_FROM_1_G = "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
@@ -63,11 +65,11 @@ def judge(
         why_none: the reason, where there are no points.
         label: (n,) posture numbers, where they are known; else found by direction.
     """
-    coverage = coverage_of(points)
+    label = postures(points, settings.posture_degrees) if label is None else label
+    coverage = coverage_of(points, label)
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, coverage, ())
-    label = postures(points, settings.posture_degrees) if label is None else label
-    number = len(set(label.tolist()))
+    number = coverage.distinct_orientations
     if number < settings.min_postures:
         text = f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
@@ -84,36 +86,67 @@ def judge(
 def judge_paper(
     fit_points: PointSet,
     control_points: PointSet,
-    missing: list[str],
+    missing: tuple[list[str], list[str]],
     settings: Settings,
     fit: FitFunction,
     models: tuple[str, ...] = LADDER,
 ) -> Judgement:
     """F's procedure: nine parameters from the full first set, judged on the second (eq. 21).
 
-    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does.
+    An optimizer that cannot fit nine fits six, as the non-iterative method of F's Table 3 does. What
+    the points leave uncertain somewhere on the sphere is refused, however small the error is on the
+    second set, and so, with a least distance, is a second set that is not full (measured with 3 to 15
+    control points: errors on the sphere of up to 5.7 times the reported one; with 18, 1.24 times).
+
+    Args:
+        missing: names of the subsets that are not full, of the first set and of the second.
     """
-    coverage = coverage_of(fit_points)
-    if missing:
-        text = f"subsets without two points: {' '.join(missing)}; profile paper needs all nine"
-        return Judgement(Outcome.REFUSED, f"{text}, profile default does not", coverage, ())
-    if len(control_points) < FEWEST_CONTROL_POINTS:
-        left = counted(len(control_points), "control point")
-        return Judgement(Outcome.REFUSED, f"only {left} to judge by; {LONGER}", coverage, ())
+    coverage = coverage_of(fit_points, postures(fit_points, settings.posture_degrees))
+    first, second = missing
+    if len(control_points) >= FEWEST_CONTROL_POINTS and not settings.min_distance_g:
+        second = []
+    if first or second:
+        text = f"{_wanting(first, second, settings)}; profile paper needs all nine, profile default does not"
+        return Judgement(Outcome.REFUSED, text, coverage, ())
     name = "9" if "9" in models else "6"
     try:
         (fitted,) = fit((fit_points,), MODELS[name])
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
-    trial = Trial(name, model_ladder.control(control_points, fitted.parameters), None, fitted)
-    unfit = Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment")
-    others = () if name == "9" else (unfit,)
-    outcome, text = _outcome(trial, (trial, *others), coverage, settings)
-    verdict = Judgement(outcome, text, coverage, (trial, *others), holdout=trial.holdout)
-    if outcome is Outcome.REFUSED:
+    known = uncertainty(fit_points, fitted.parameters, MODELS[name])
+    unsure = model_ladder.doubt(known, settings.max_error_mg)
+    held = None if unsure else model_ladder.control(control_points, fitted.parameters)
+    trial = Trial(name, held, unsure, fitted)
+    verdict = _verdict_of_paper(trial, _with(coverage, known), settings)
+    if verdict.outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
     return _complete(verdict, name, fitted, fit_points, label, settings.gravity)
+
+
+def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> Judgement:
+    """The outcome of F's one fit, without a calibration."""
+    if trial.holdout is None:
+        text = f"model {trial.model} cannot be trusted: {trial.reason}; {_advice(coverage, settings)}"
+        return Judgement(Outcome.REFUSED, text, coverage, (trial,))
+    unfit = Trial("9", None, f"optimizer {settings.optimizer} fits no misalignment")
+    trials = (trial,) if trial.model == "9" else (trial, unfit)
+    outcome, text = _outcome(trial, trials, coverage, settings)
+    return Judgement(outcome, text, coverage, trials, holdout=trial.holdout)
+
+
+def _wanting(first: list[str], second: list[str], settings: Settings) -> str:
+    """What is said of subsets that are not full: those of the first set, or else of the second."""
+    apart = f" that are {settings.min_distance_g:g} g from all others" if settings.min_distance_g else ""
+    return f"{'' if first else 'control '}subsets without two points{apart}: {' '.join(first or second)}"
+
+
+def _with(coverage: Coverage, known: Uncertainty | None) -> Coverage:
+    """The coverage with what the fit says of it."""
+    if known is None:
+        return coverage
+    worst_mg = known.worst_direction_mg
+    return replace(coverage, condition_number=known.condition_number, worst_direction_mg=worst_mg)
 
 
 def _complete(
@@ -139,14 +172,9 @@ def _complete(
     precision = uncertainty(points, fit.parameters, MODELS[model])
     if precision is None:
         return completed
-    with_uncertainty = replace(
-        verdict.coverage,
-        condition_number=precision.condition_number,
-        worst_direction_mg=precision.worst_direction_mg,
-    )
     errors = precision.standard_errors
     scaled = (*errors[:6], *(value * float(local_g) for value in errors[6:]))
-    return replace(completed, coverage=with_uncertainty, standard_errors=scaled)
+    return replace(completed, coverage=_with(verdict.coverage, precision), standard_errors=scaled)
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
@@ -204,7 +232,12 @@ def _unseen(holdout: Holdout) -> str:
 
 def _advice(coverage: Coverage, settings: Settings) -> str:
     missing = model_ladder.one_sided_axes(coverage, settings.coverage_g)
-    return f"there is no stillness with {', '.join(missing)}" if missing else LONGER
+    if missing:
+        return f"there is no stillness with {', '.join(missing)}"
+    if settings.profile != PAPER.profile:
+        return LONGER
+    other = ", use --stillness both" if settings.stillness == PAPER.stillness else ""
+    return f"{LONGER}{other}, or use profile default"
 
 
 def _change(holdout: Holdout) -> str:

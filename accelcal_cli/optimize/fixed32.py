@@ -284,6 +284,9 @@ class _Descent:
         here, before: where it stands, and stood a step ago.
         best, lowest: where the cost was lowest so far, and that cost.
         age: steps since the momentum was dropped.
+        quiet: steps without momentum since the last one that had it, or found a lower cost.
+        mark: where one of these began (Brent 1980: the 1st, 2nd, 4th, 8th ...).
+        stop: why it ended.
         costs, gradients: how many it took.
     """
 
@@ -296,6 +299,9 @@ class _Descent:
     best: list[int] = field(default_factory=list)
     lowest: int | None = None
     age: int = 0
+    quiet: int = 0
+    mark: list[int] = field(default_factory=list)
+    stop: str = "iterations"
     costs: int = 0
     gradients: int = 0
     history: list[tuple[int, ...]] = field(default_factory=list)
@@ -307,24 +313,41 @@ class _Descent:
         age, pairs = self.age, zip(self.here, self.before, strict=True)
         return [here + (here - before) * age // (age + 3) for here, before in pairs]
 
-    def advance(self, ahead: list[int], cost: int, slope: list[int]) -> bool:
-        """Go a step on from `ahead`, or back to the best place; True if the step vanishes there."""
+    def advance(self, ahead: list[int], cost: int, slope: list[int]) -> list[int] | None:
+        """Go a step on from `ahead`, or back to the best place; where it ends, if it does.
+
+        It ends where the step vanishes; or at the best place if rounding leads it round in a circle, from
+        which nothing could take it: quiet steps depend on nothing but the place.
+        """
         self.costs += 1
         if self.lowest is not None and cost > self.lowest + (self.lowest >> RISE_TOLERANCE_BITS):
             self.rates = [rate >> 1 for rate in self.rates]
-            self.here, self.before, self.age = self.best, self.best, 0
-            return False
+            self.here, self.before, self.age, self.quiet = self.best, self.best, 0, 0
+            return None
         self.gradients += 1
+        self.quiet = 0 if self.age else self.quiet + 1
         if self.lowest is None or cost < self.lowest:
-            self.lowest, self.best = cost, ahead
+            self.lowest, self.best, self.quiet = cost, ahead, 0
         after = self._after(ahead, slope)
         if self.keep_history:
             self.history.append(tuple(after))
         if after == ahead and not self.age:
-            return True
+            self.stop = "step below one bit"
+            return ahead
         self.before, self.here = self.here, after
         self.age = self.age + 1 if self._strides(ahead) and self._downhill(slope) else 0
-        return False
+        return self._circling(ahead)
+
+    def _circling(self, ahead: list[int]) -> list[int] | None:
+        """The best place, if quiet steps have come back to where one of them began."""
+        if not self.quiet or self.age:
+            return None
+        if self.quiet & (self.quiet - 1) == 0:
+            self.mark = ahead
+        if self.here != self.mark:
+            return None
+        self.stop = "steps of one bit in a circle"
+        return self.best
 
     def _after(self, ahead: list[int], slope: list[int]) -> list[int]:
         after = list(ahead)
@@ -341,10 +364,10 @@ class _Descent:
         here, before = self.here, self.before
         return sum(slope[index] * (here[index] - before[index]) for index in self.free) < 0
 
-    def found(self, parameters: list[int], iterations: int, stop: str) -> Fit:
+    def found(self, parameters: list[int], iterations: int) -> Fit:
         """What came of it."""
         operations = _operations(self.points, self.costs, self.gradients)
-        return Fit(tuple(parameters), iterations, stop, operations, tuple(self.history))
+        return Fit(tuple(parameters), iterations, self.stop, operations, tuple(self.history))
 
 
 def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
@@ -359,16 +382,17 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> 
         aheads = [descents[row].ahead() for row in left]
         state = evaluate(stack, np.array(aheads, np.int64))
         of_each = zip(left, aheads, cost(stack, state), gradients(stack, state, aheads), strict=True)
-        ended = {row: ahead for row, ahead, c, slope in of_each if descents[row].advance(ahead, c, slope)}
-        for row, ahead in ended.items():
-            fits[row] = descents[row].found(ahead, iteration, "step below one bit")
+        places = {row: descents[row].advance(ahead, c, slope) for row, ahead, c, slope in of_each}
+        ended = {row: place for row, place in places.items() if place is not None}
+        for row, place in ended.items():
+            fits[row] = descents[row].found(place, iteration)
         if len(ended) == len(left):
             break
         if ended:
             stack = stack.select([place for place, row in enumerate(left) if row not in ended])
             left = [row for row in left if row not in ended]
     of_all = zip(fits, descents, strict=True)
-    return [fit or descent.found(descent.best, last, "iterations") for fit, descent in of_all]
+    return [fit or descent.found(descent.best, last) for fit, descent in of_all]
 
 
 OPTIMIZER = Optimizer(

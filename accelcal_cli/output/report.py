@@ -157,6 +157,7 @@ def coverage_json(coverage: results.Coverage) -> dict[str, Any]:
         "axis_min_g": [round(value, 4) for value in coverage.axis_min_g],
         "axis_max_g": [round(value, 4) for value in coverage.axis_max_g],
         "cells": coverage.cells,
+        "distinct_orientations": coverage.distinct_orientations,
         "condition_number": None if condition is None else significant(condition),
         "worst_direction_mg": None if worst is None else significant(worst),
     }

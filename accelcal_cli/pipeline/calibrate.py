@@ -20,6 +20,7 @@ from accelcal_cli.core.results import Coverage, Facts, Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import give_back_freed_memory
 from accelcal_cli.judge.errors import coverage
+from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
@@ -184,8 +185,9 @@ class RecordingRun:
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method)
             points = method.procedure.result()
-            covered = coverage(points)
-            damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
+            settings = self.request.settings
+            covered = coverage(points, postures(points, settings.posture_degrees))
+            damage = damage_verdict(facts, settings.max_damage_percent, covered)
             verdict = judge.verdict(self, Survey(recording, facts, method, points, covered, damage))
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)

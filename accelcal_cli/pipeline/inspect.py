@@ -19,6 +19,7 @@ from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import unused_options
 from accelcal_cli.judge.errors import coverage
+from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
@@ -64,7 +65,9 @@ def inspect(
         survey(pieces, method.segmenter, (observer, method.procedure))
     facts = observer.result()
     whole = full or facts.samples == recording.samples
-    damage = damage_verdict(facts, settings.max_damage_percent, coverage(method.procedure.result()))
+    points = method.procedure.result()
+    covered = coverage(points, postures(points, settings.posture_degrees))
+    damage = damage_verdict(facts, settings.max_damage_percent, covered)
     prediction = damage or advised(method.procedure.judge(fitter), facts, recording)
     return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, prediction, whole)
 

@@ -192,8 +192,9 @@ class PaperProcedure(Procedure):
 
     def judge(self, how: Fitting) -> Judgement:
         """Fit the first set, judge by the second."""
-        control, missing = self.collector.control, self.collector.fit.missing()
-        return judge_paper(self.result(), control.points(), missing, how.settings, how.fit, how.models)
+        first, second = self.collector.fit, self.collector.control
+        missing = first.missing(), second.missing()
+        return judge_paper(first.points(), second.points(), missing, how.settings, how.fit, how.models)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

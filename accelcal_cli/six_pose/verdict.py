@@ -168,7 +168,7 @@ def _coverage(session: Session, fit: SixPoseFit) -> Coverage:
         np.array([state.windows for state in states], np.int64),
     )
     return replace(
-        coverage(points),
+        coverage(points, np.array([pose.number for pose in session.poses], np.int64)),
         condition_number=fit.condition_number,
         worst_direction_mg=fit.precision.worst_direction_mg,
     )

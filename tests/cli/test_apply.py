@@ -38,7 +38,8 @@ def test_its_own_coefficients_give_the_values_of_calibrate(
     tmp_path: Path, capsys: Capture, samples: int, words: tuple[str, ...]
 ) -> None:
     faces = np.concatenate([np.eye(3), -np.eye(3)])
-    poses = np.concatenate([faces, faces, faces, faces, directions(30)])
+    usual = np.concatenate([faces, faces, faces, faces, directions(30)])
+    poses = directions(120) if "paper" in words else usual
     path = write_device(tmp_path / "a.raw", *rest(poses, warm=True))
     assert run(capsys, "calibrate", path, *words).code == 0
     report = tmp_path / "a.calibration.json"

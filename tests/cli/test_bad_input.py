@@ -136,6 +136,8 @@ def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
         ("--timezone", "+25:00"),
         ("--timezone", "posixrules"),
         ("--profile", "paper", "--model", "3"),
+        ("--min-distance-g", "0.2"),
+        ("--profile", "default", "--min-distance-g", "0"),
     ],
 )
 def test_impossible_numbers_and_zones(tmp_path: Path, capsys: Capture, words: tuple[str, ...]) -> None:

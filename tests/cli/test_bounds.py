@@ -16,6 +16,7 @@ TINY = 5e-324
 """The least number above zero."""
 
 BOUNDS: list[tuple[set[str], str, float, float]] = [
+    (WINDOWS, "--min-distance-g", 0, 2),
     (RATE, "--rate", TINY, 100_000),
     (RATE, "--lsb-per-g", TINY, 1e9),
     (WINDOWS, "--segment-seconds", TINY, 3600),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from fractions import Fraction
 from math import floor
 
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from accelcal_cli.collect.subsets import PaperCollector, SubsetCollector
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE
-from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.settings import DEFAULT, PAPER
 from tests.collect.made import windows
 
 LENGTH, LSB = 4, 256.0
@@ -113,11 +114,17 @@ def test_eighteen_points_fill_all_and_come_subset_by_subset() -> None:
 INTERVALS = tuple((Fraction(low, 4), Fraction(high, 4)) for low, high in ((-5, -3), (-1, 1), (3, 5)))
 
 
-def by_the_paper(stream: list[tuple[int, int, int]], count: Fraction) -> tuple[list[int], list[int]]:
+def by_the_paper(
+    stream: list[tuple[int, int, int]], count: Fraction, distance: Fraction = Fraction(0)
+) -> tuple[list[int], list[int]]:
     """Numbers of the windows that the first and the second set take."""
     sets: list[dict[tuple[int, int], list[int]]] = [{}, {}]
     for number, window in enumerate(stream):
         if not Fraction(1, 4) < sum(value * value for value in window) / count**2 < Fraction(9, 4):
+            continue
+        taken = [stream[n] for held in sets for numbers in held.values() for n in numbers]
+        apart = (sum((a - b) ** 2 for a, b in zip(window, point, strict=True)) for point in taken)
+        if any(square < (distance * count) ** 2 for square in apart):
             continue
         for held in sets:
             places = [
@@ -138,16 +145,22 @@ STREAM = st.lists(
 )
 
 
-@given(STREAM, st.sampled_from([(4, 256.0), (3, 341.0), (7, 150.5)]), st.integers(1, 7))
+@given(
+    STREAM,
+    st.sampled_from([(4, 256.0), (3, 341.0), (7, 150.5)]),
+    st.integers(1, 7),
+    st.sampled_from([0.0, 0.05, 0.2, 0.7]),
+)
 def test_both_sets_are_those_of_the_paper(
-    stream: list[tuple[int, int, int]], kind: tuple[int, float], batch: int
+    stream: list[tuple[int, int, int]], kind: tuple[int, float], batch: int, distance_g: float
 ) -> None:
     length, lsb_per_g = kind
-    paper = PaperCollector(lsb_per_g, DEFAULT)
+    paper = PaperCollector(lsb_per_g, replace(DEFAULT, min_distance_g=distance_g))
     for start in range(0, len(stream), batch):
         paper.add(windows(length, stream[start : start + batch]))
     count = Fraction(lsb_per_g) * length
-    for held, numbers in zip((paper.fit, paper.control), by_the_paper(stream, count), strict=True):
+    sets = by_the_paper(stream, count, Fraction(str(distance_g)))
+    for held, numbers in zip((paper.fit, paper.control), sets, strict=True):
         expected = [[floor(Fraction(v) / count * ONE + Fraction(1, 2)) for v in stream[n]] for n in numbers]
         assert held.points().xyz.tolist() == expected
 
@@ -165,3 +178,41 @@ def test_windows_that_gravity_cannot_give_enter_neither_set_and_are_counted() ->
     paper.add(windows(LENGTH, [(0, 0, 0)] * 5 + [(G, 8 * G, 0), (G, 0, 0)]))
     assert paper.implausible == 6
     assert (len(paper.fit.points()), len(paper.control.points())) == (1, 0)
+
+
+def taken(distance_g: float, stream: list[tuple[int, int, int]], length: int | list[int] = LENGTH) -> int:
+    """Number of windows that go into either set."""
+    paper = PaperCollector(LSB, replace(PAPER, min_distance_g=distance_g))
+    paper.add(windows(length, stream))
+    return len(paper.fit.points()) + len(paper.control.points())
+
+
+@pytest.mark.parametrize(
+    ("distance_g", "apart", "number"),
+    [
+        (0.25, (0, 0, 256), 2),
+        (0.25, (0, 0, 255), 1),
+        (0.25, (0, 0, -255), 1),
+        (0.2, (0, 0, 205), 2),  # 204.8
+        (0.2, (0, 0, 204), 1),
+        (5 / 1024, (3, 4, 0), 2),  # 3, 4, 5
+        (5 / 1024, (0, 4, 2), 1),
+        (0.0, (0, 0, 0), 2),
+    ],
+)
+def test_a_mean_is_taken_from_the_very_distance_on(
+    distance_g: float, apart: tuple[int, int, int], number: int
+) -> None:
+    assert taken(distance_g, [(G, 0, 0), (G + apart[0], apart[1], apart[2])]) == number
+
+
+def test_windows_of_different_lengths_are_compared_by_their_means() -> None:
+    assert taken(0.25, [(G, 0, 0), (2 * G, 0, 0)], [LENGTH, 2 * LENGTH]) == 1
+    assert taken(0.25, [(G, 0, 0), (2 * G, 0, 511)], [LENGTH, 2 * LENGTH]) == 1
+    assert taken(0.25, [(G, 0, 0), (2 * G, 0, 512)], [LENGTH, 2 * LENGTH]) == 2
+
+
+def test_point_1_one_rest_fills_no_subset_and_no_control_set() -> None:
+    """F II.B.1: a new mean "differs sufficiently from the already acquired", of both sets."""
+    rest = [(G, number % 7, -(number % 5)) for number in range(100)]
+    assert (taken(0.0, rest), taken(PAPER.min_distance_g, rest)) == (12, 1)

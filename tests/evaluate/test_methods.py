@@ -11,7 +11,7 @@ import pytest
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, PointSet
-from accelcal_cli.core.settings import DEFAULT, PAPER
+from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.evaluate.methods import Row, collected, compare
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -68,14 +68,6 @@ def test_all_are_judged_by_the_same_hold_out(tmp_path: Path) -> None:
     assert [row.model for row in rows] == ["6", "9", "6"]
     assert rows[1].after_mg < min(rows[0].after_mg, rows[2].after_mg)
     assert all(row.additions is None for row in rows), "not counted is not zero"
-
-
-def test_the_paper_s_protocol_has_18_points_and_control_points() -> None:
-    rows = rows_of(SAMPLES / "recording.bin", "fixed32", "ellipsoid", settings=PAPER)
-    assert [row.points for row in rows] == [18, 18]
-    assert [row.model for row in rows] == ["9", "6"]
-    # M (100 N + 3) with M = 50 and N = 18, of each kind
-    assert (rows[0].additions, rows[0].multiplications) == (90_150, 90_150)
 
 
 def test_what_cannot_be_read_is_said(tmp_path: Path) -> None:

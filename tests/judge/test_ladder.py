@@ -34,7 +34,7 @@ from tests.optimize.oracle import IDEAL, directions, fast_fit, fast_fits, measur
 def evidence(held: PointSet) -> Evidence:
     label = postures(held, DEFAULT.posture_degrees)
     sample = Sample(held, label, temperature_blocks(held, label, DEFAULT.temperature_block_c))
-    return Evidence(sample, coverage(held))
+    return Evidence(sample, coverage(held, label))
 
 
 def chosen(held: PointSet) -> str:
@@ -105,7 +105,11 @@ def test_a_model_the_user_insists_on_need_not_be_covered() -> None:
 
 
 def test_sides_without_points_are_named() -> None:
-    seen = replace(coverage(spread()), axis_min_g=(-0.3, -0.29, -1.0), axis_max_g=(0.2, 0.3, 1.0))
+    seen = replace(
+        coverage(spread(), np.zeros(150, np.int64)),
+        axis_min_g=(-0.3, -0.29, -1.0),
+        axis_max_g=(0.2, 0.3, 1.0),
+    )
     assert one_sided_axes(seen, 0.3) == ["x above 0.3 g", "y below -0.3 g"]
 
 

@@ -134,14 +134,15 @@ def test_162_directions_cover_the_sphere() -> None:
 
 
 def test_coverage_by_hand() -> None:
-    found = coverage(oracle.points(np.array([[-1.25, 0.25, 0.5], [0.75, -0.25, -1.0], [0.3, 1.25, -1.251]])))
+    held = oracle.points(np.array([[-1.25, 0.25, 0.5], [0.75, -0.25, -1.0], [0.3, 1.25, -1.251]]))
+    found = coverage(held, np.array([1, 0, 1]))
     assert found.subsets == ((1, 0, 1), (0, 2, 0), (1, 1, 0)), "rows n, 0, p; columns x, y, z"
     assert found.axis_min_g == pytest.approx((-1.25, -0.25, -1.251))
     assert found.axis_max_g == pytest.approx((0.75, 1.25, 0.5))
-    assert found.cells == 3
+    assert (found.cells, found.distinct_orientations) == (3, 2)
     assert found.condition_number is None and found.worst_direction_mg is None
 
 
 def test_no_points_cover_nothing() -> None:
-    found = coverage(oracle.points(np.empty((0, 3))))
-    assert (found.subsets, found.cells) == (((0, 0, 0),) * 3, 0)
+    found = coverage(oracle.points(np.empty((0, 3))), np.empty(0, np.int64))
+    assert (found.subsets, found.cells, found.distinct_orientations) == (((0, 0, 0),) * 3, 0, 0)

@@ -167,6 +167,10 @@ def test_a_verdict_can_be_repeated() -> None:
     assert judge(spread(NINE), DEFAULT, fixed32.fit_each) == judge(spread(NINE), DEFAULT, fixed32.fit_each)
 
 
+FULL: tuple[list[str], list[str]] = ([], [])
+"""Subsets that are missing in two sets of which none is."""
+
+
 def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
     random = np.random.default_rng(4)
     v = measured(p, random_directions(random, 36)) + 0.001 * random.standard_normal((36, 3))
@@ -175,20 +179,32 @@ def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
 
 def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, ["xn", "z0"], PAPER, fast_fits)
+    found = judge_paper(fitted, control, (["xn", "z0"], ["xp"]), PAPER, fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
-    assert "subsets without two points: xn z0" in found.message
+    assert found.message.startswith("subsets without two points that are 0.2 g from all others: xn z0;")
+    as_before = judge_paper(
+        fitted, control, (["xn", "z0"], ["xp"]), replace(PAPER, min_distance_g=0.0), fast_fits
+    )
+    assert as_before.message.startswith("subsets without two points: xn z0;")
 
 
-def test_the_paper_needs_control_points() -> None:
+def test_point_1_the_paper_needs_every_subset_of_the_control_points_too() -> None:
+    """A few control points see a few directions only: 3 of them claimed 0.4 mg where 2.2 mg were true."""
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control.select(np.zeros(18, bool)), [], PAPER, fast_fits)
-    assert found.outcome is Outcome.REFUSED and "0 control points" in found.message
+    found = judge_paper(fitted, control, ([], ["xp", "y0"]), PAPER, fast_fits)
+    assert found.outcome is Outcome.REFUSED and found.calibration is None
+    assert found.message.startswith(
+        "control subsets without two points that are 0.2 g from all others: xp y0;"
+    )
+    any_distance = replace(PAPER, min_distance_g=0.0)
+    for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.CALIBRATED)):
+        few = control.select(np.arange(number))
+        assert judge_paper(fitted, few, ([], ["xp"]), any_distance, fast_fits).outcome is outcome, "as before"
 
 
 def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, [], PAPER, fast_fits)
+    found = judge_paper(fitted, control, FULL, PAPER, fast_fits)
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.holdout is not None
     p = fast_fit(fitted, MODELS["9"]).parameters
@@ -196,6 +212,29 @@ def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     assert found.holdout.after.mean == pytest.approx(float(deviations_mg(control, p).mean()))
     assert found.holdout.before.mean == pytest.approx(float(deviations_mg(control, IDENTITY).mean()))
     assert found.holdout.points == 18 and "on control points" in found.message
+
+
+def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_the_sphere() -> None:
+    """Control points beside the fitted ones agree with them, and say nothing of the rest of the sphere."""
+    held, _ = clusters(directions(6), NINE, each=6, width=0.02)
+    fitted, control = held.select(np.arange(0, 36, 2)), held.select(np.arange(1, 36, 2))
+    p = fast_fit(fitted, MODELS["9"]).parameters
+    known = uncertainty(fitted, p, MODELS["9"])
+    assert known is not None and known.worst_direction_mg > 10 > 10 * deviations_mg(control, p).mean()
+    found = judge_paper(fitted, control, FULL, PAPER, fast_fits)
+    assert found.outcome is Outcome.REFUSED
+    assert found.calibration is None and found.holdout is None
+    worst = f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
+    assert found.message.startswith(f"model 9 cannot be trusted: {worst}; record longer")
+    assert [trial.reason for trial in found.trials] == [worst]
+    assert found.coverage.worst_direction_mg == known.worst_direction_mg
+    assert (found.coverage.cells, found.coverage.distinct_orientations) == (18, 6)
+    limit = replace(PAPER, max_error_mg=known.worst_direction_mg)
+    assert judge_paper(fitted, control, FULL, limit, fast_fits).outcome is Outcome.REFUSED, (
+        "from the limit on"
+    )
+    limit = replace(PAPER, max_error_mg=known.worst_direction_mg * 1.001)
+    assert judge_paper(fitted, control, FULL, limit, fast_fits).outcome is Outcome.CALIBRATED
 
 
 def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
@@ -211,7 +250,7 @@ def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() 
 def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
     fitted, control = two_sets(NINE)
     settings = replace(PAPER, optimizer="ellipsoid", max_error_mg=50.0)
-    found = judge_paper(fitted, control, [], settings, one_by_one(ellipsoid.fit), ellipsoid.MODELS)
+    found = judge_paper(fitted, control, FULL, settings, one_by_one(ellipsoid.fit), ellipsoid.MODELS)
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == "6"
     assert "optimizer ellipsoid fits no misalignment" in found.message

@@ -16,6 +16,7 @@ from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, PointSet
 from accelcal_cli.optimize import fixed32
+from tests.judge.made import NINE, spread
 from tests.optimize.oracle import (
     directions,
     drawn_errors,
@@ -171,3 +172,16 @@ def test_a_collapsed_axis_is_refused() -> None:
     ring = np.stack([noise, np.cos(turn), np.sin(turn)], axis=1)
     with pytest.raises(DivergedError, match="an axis collapsed"):
         fixed32.fit(points(ring), MODELS["9"], replace(fixed32.DEFAULT, max_iterations=2000))
+
+
+AFTER_20000 = (
+    *(546921697, 528554493, 542592182, 12224405, -6843547, 9735686),
+    *(21760781, -16959056, 11119573, 0, 0, 0),
+)
+"""What 20 000 iterations made of the points below, before a circle was noticed."""
+
+
+def test_defect_5_a_descent_that_rounding_leads_in_a_circle_ends_with_the_same_bits() -> None:
+    found = fixed32.fit(spread(NINE, number=30, seed=51), MODELS["9"])
+    assert found.parameters == AFTER_20000
+    assert (found.stop, found.iterations) == ("steps of one bit in a circle", 26)

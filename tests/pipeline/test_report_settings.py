@@ -57,6 +57,7 @@ LIMITS = {
     "latitude": (-90, 90),
     "altitude_m": (-500, 9000),
     "max_damage_percent": (0, 100),
+    "min_distance_g": (0, 2),
     "rate_hz": (1e-3, 1e5),
     "lsb_per_g": (1e-9, 1e9),
 }
