@@ -49,7 +49,7 @@ def run_safely(command: Callable[[], Any]) -> int:
     The command returns its exit code, or None for 0.
     """
     try:
-        _watch_signals()
+        watch_signals()
         code = _code_of(command)
         _leave_signals()
     except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
@@ -200,7 +200,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise InterruptedBySignalError
 
 
-def _watch_signals() -> None:
+def watch_signals() -> None:
     for number in _signals():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)

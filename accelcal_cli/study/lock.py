@@ -39,7 +39,7 @@ def held(path: Path, others: Callable[[], Iterable[Path]] = tuple) -> Iterator[N
         LockedError: a living process holds one of them, or one on another host that cannot be asked.
         OutputError: the lock cannot be written, or another one not be read.
     """
-    me = _me()
+    me = this_run()
     try:
         _take(path, me)
     except OSError as error:
@@ -65,7 +65,7 @@ def _check_free(path: Path) -> None:
         raise _refusal(path, owner)
 
 
-def _me() -> dict[str, Any]:
+def this_run() -> dict[str, Any]:
     return {"host": host(), "pid": os.getpid(), "started": _started(os.getpid())}
 
 
@@ -73,7 +73,7 @@ def _take(path: Path, me: dict[str, Any]) -> None:
     while not _create(path, me):
         if (owner := _read(path)) is None:
             continue
-        if not _stale(path, owner) or not _take_over(path, owner, me):
+        if not _stale(path, owner) or not take_over(path, owner, me):
             raise _refusal(path, _read(path) or owner)
         return
 
@@ -108,7 +108,7 @@ def _create_exclusively(path: Path, me: dict[str, Any]) -> bool:
     return True
 
 
-def _take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
+def take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
     """Write our name into a stale lock; False if another was faster.
 
     The file stays in place, so that of two that find it stale one cannot remove the other's.

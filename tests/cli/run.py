@@ -42,7 +42,7 @@ def exit_code(*words: object) -> int:
     """Run in this process; provenance names this command, as in a process of its own."""
     arguments = [str(word) for word in words]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(exit_codes, "_watch_signals", lambda: None)
+        patch.setattr(exit_codes, "watch_signals", lambda: None)
         patch.setattr(sys, "argv", ["accelcal", *arguments])
         return exit_codes.run_safely(lambda: cli.main(arguments, "accelcal", standalone_mode=False))
 

@@ -78,7 +78,7 @@ def test_signals_are_left_as_they_were_for_what_comes_after() -> None:
 
 
 def test_a_bug_without_room_for_its_trace(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exit_codes, "_watch_signals", lambda: None)
+    monkeypatch.setattr(exit_codes, "watch_signals", lambda: None)
     monkeypatch.setattr("tempfile.tempdir", None)
     with little_room(0):
         assert exit_codes.run_safely(lambda: 1 / 0) == 70

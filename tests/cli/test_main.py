@@ -54,7 +54,7 @@ def test_a_bug_is_one_line_and_the_traceback_is_kept(
     def broken() -> None:
         raise ZeroDivisionError("a\nb")
 
-    monkeypatch.setattr(exit_codes, "_watch_signals", lambda: None)
+    monkeypatch.setattr(exit_codes, "watch_signals", lambda: None)
     assert exit_codes.run_safely(broken) == 70
     err = capsys.readouterr().err
     assert err.count("\n") == 1
@@ -75,7 +75,7 @@ def test_a_lock_that_a_signal_left_open_is_an_interruption_and_no_bug(
         finally:
             threading.Lock().release()
 
-    monkeypatch.setattr(exit_codes, "_watch_signals", lambda: None)
+    monkeypatch.setattr(exit_codes, "watch_signals", lambda: None)
     assert exit_codes.run_safely(interrupted) == 130
     assert capsys.readouterr().err == "accelcal: interrupted; no incomplete output was left behind\n"
 

@@ -113,7 +113,7 @@ def test_what_is_copied_again_keeps_its_result_until_it_has_settled(tmp_path: Pa
 def test_a_living_run_is_not_disturbed(tmp_path: Path, capsys: Capture) -> None:
     folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
     out.mkdir()
-    (out / "study.lock").write_text(json.dumps(lock._me()))
+    (out / "study.lock").write_text(json.dumps(lock.this_run()))
     ran = study(capsys, folder, "-q")
     assert (ran.code, ran.out, ran.err.count("\n")) == (75, "", 1)
     assert f"process {os.getpid()} on " in ran.err

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ def machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(system, "CGROUPS", tmp_path / "groups")
     monkeypatch.setattr(system, "PROCESS", tmp_path / "cgroup")
     monkeypatch.setattr(system, "MEMORY", tmp_path / "meminfo")
-    monkeypatch.setattr(system, "_affinity", lambda: 16)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _process: set(range(16)), raising=False)
     monkeypatch.delenv("SLURM_CPUS_PER_TASK", raising=False)
     return own
 

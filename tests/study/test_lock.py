@@ -16,7 +16,7 @@ from accelcal_cli.study.lock import held
 
 
 def write(path: Path, **changed: object) -> Path:
-    path.write_text(json.dumps({**lock._me(), **changed}))
+    path.write_text(json.dumps({**lock.this_run(), **changed}))
     return path
 
 
@@ -108,8 +108,8 @@ def test_what_is_not_a_plain_file_is_neither_followed_nor_waited_for(tmp_path: P
 def test_of_two_that_find_it_stale_one_wins(tmp_path: Path, dead: int) -> None:
     path = write(tmp_path / "study.lock", pid=dead)
     stale = json.loads(path.read_text())
-    assert lock._take_over(path, stale, lock._me())
-    assert not lock._take_over(path, stale, lock._me())
+    assert lock.take_over(path, stale, lock.this_run())
+    assert not lock.take_over(path, stale, lock.this_run())
 
 
 def test_others_locks_count(tmp_path: Path, dead: int) -> None:
