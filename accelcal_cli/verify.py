@@ -45,6 +45,8 @@ LATER = {
     "settings.precision_mg": "0.1.0",
     "settings.max_damage_percent": "0.1.0",
     "settings.input.date_format": "0.1.0",
+    "settings.input.force_timezone": "0.1.0",
+    "recording.time_zone": "0.1.0",
     "file_health.clock": "0.1.0",
     "file_health.lost_bytes": "0.1.0",
     "file_health.lost_percent": "0.1.0",
