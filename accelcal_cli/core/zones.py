@@ -49,7 +49,7 @@ def _zone(recording: Recording, wanted: str | None, force: bool) -> str | None:
     if utc_offset_s(stated, start_us) == utc_offset_s(wanted, start_us):
         return wanted if force else stated
     if not force:
-        what = f"it states its time zone, {stated}, and that is not {wanted}"
+        what = f"states its time zone, {stated}, which is not {wanted}"
         raise UsageError(
             what, path=recording.path, hint=f"{OMIT}; or add --force-timezone if the file is wrong"
         )

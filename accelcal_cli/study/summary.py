@@ -145,7 +145,7 @@ def _standard_errors(section: dict[str, Any]) -> dict[str, float]:
     return {name: value for name, value in named.items() if value is not None}
 
 
-WAY_OUT = "name the zone of the latter with --timezone, and the files with --include if others state theirs"
+WAY_OUT = "give the zone of the latter with --timezone, in a study of their own if other files state theirs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,8 +184,8 @@ class Summary:
         if len(zones) < 2:
             return None
         return (
-            f"`time` is in UTC in {counted(zones[UTC], 'Parquet file')} and in local time of an unknown zone in "
-            f"{zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
+            f"`time` is in UTC in {counted(zones[UTC], 'Parquet file')} and in local time of an unknown zone "
+            f"in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
         )
 
     def counts(self) -> dict[str, Any]:

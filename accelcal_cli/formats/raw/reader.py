@@ -334,7 +334,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         raise nothing_usable(file, layout)
     timed = layout.start is not None or layout.stamp is not None
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
-    described = replace(recording(scheme, layout, opening, options), companion=find_layout(path, options))
+    described = replace(recording(scheme, layout, opening), companion=find_layout(path, options))
     return PagedReader(described, scheme, opening, problems)
 
 
@@ -393,7 +393,7 @@ def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
     return timelines.CoarseTimeline(spacing, round(unit))
 
 
-def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: ReadOptions) -> Recording:
+def recording(scheme: PageScheme, layout: Layout, opening: Opening) -> Recording:
     """The file's description."""
     values, (samples, duration_s) = FrameValues(layout), extent(scheme, opening)
     start, stamped = layout.start, layout.stamp is not None

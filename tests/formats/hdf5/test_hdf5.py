@@ -387,10 +387,10 @@ def test_neighbouring_rows_without_a_value_are_one_record_whichever_sensor_lacks
         (b"2024-03-04 00:00:00.250", START_US + 250_000, None),
         ("2024-03-04T02:00:00+02:00", START_US, "UTC"),
         ("2024-03-04T00:00:00Z", START_US, "UTC"),
-        (1_709_510_400, START_US, None),
-        (1_709_510_400.5, START_US + 500_000, None),
-        ("1709510400", START_US, None),
-        (np.int64(START_US), START_US, None),
+        (1_709_510_400, START_US, "UTC"),
+        (1_709_510_400.5, START_US + 500_000, "UTC"),
+        ("1709510400", START_US, "UTC"),
+        (np.int64(START_US), START_US, "UTC"),
     ],
 )
 def test_starts_are_understood(path: Path, start: Any, start_us: int, zone: str | None) -> None:
