@@ -115,7 +115,15 @@ def _recording(
         duration_s=rows / rate if timeline.duration_s is None else timeline.duration_s,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=dps_per_lsb(channels),
-        notes=timeline.notes + notes + zone_notes,
+        notes=timeline.notes + notes + zone_notes + _shared(timeline),
+    )
+
+
+def _shared(timeline: Timeline) -> tuple[str, ...]:
+    """Whether `time` does not tell the rows apart: nothing is made of such stamps."""
+    coarse_us = timeline.stamps.coarse_us if timeline.stamps else 0
+    return (
+        (f"several rows share a time stamp, {coarse_us / 1e6:g} s apart, and keep it",) if coarse_us else ()
     )
 
 

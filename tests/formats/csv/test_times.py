@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.formats.csv import rows as csv_rows
 from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.make_csv import START_US, Read, read, stamp, written
@@ -241,3 +241,12 @@ def test_problems_come_in_the_order_of_their_ends(
         ("missing_value", 1),
         ("clock_back", 1),
     ]
+
+
+def test_a_z_can_be_overruled_by_force_and_an_offset_cannot(tmp_path: Path) -> None:
+    cells = [stamp(row * 10_000) for row in range(9)]
+    zone = {"timezone": "Europe/Berlin", "force_timezone": True}
+    forced = with_times(tmp_path, [cell + "Z" for cell in cells], **zone).recording
+    assert (forced.timezone, forced.start_us) == ("Europe/Berlin", START_US)
+    with pytest.raises(UsageError, match="--force-timezone cannot replace"):
+        with_times(tmp_path, [cell + "+05:00" for cell in cells], **zone)
