@@ -1,6 +1,6 @@
 """Times of real recordings, to the second, against what their bytes say to a decoder of its own.
 
-The package is asked in the end for the Parquet's `time`; nothing here but that imports it.
+The decoders do not use the package.
 """
 
 from __future__ import annotations

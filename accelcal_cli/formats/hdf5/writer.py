@@ -25,7 +25,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
     """Write all chunks as datasets of gzip-packed HDF5 chunks.
 
     `/accel` (n, 3) holds the raw counts; `/temperature` (n,) degrees Celsius; `/gyro` (n, 3) raw
-    counts; `/time` (n,) microseconds since 1970, only where times are not evenly spaced. The
+    counts; `/time` (n,) microseconds on the device's clock, only where times are not evenly spaced. The
     same recording gives the same bytes.
 
     Raises:
