@@ -48,6 +48,8 @@ LATER = {
     "settings.min_distance_g": "0.2.0",
     "settings.input.date_format": "0.1.0",
     "coverage.distinct_orientations": "0.2.0",
+    "settings.input.force_timezone": "0.2.0",
+    "recording.time_zone": "0.2.0",
     "file_health.clock": "0.1.0",
     "file_health.lost_bytes": "0.1.0",
     "file_health.lost_percent": "0.1.0",

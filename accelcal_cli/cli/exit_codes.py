@@ -201,6 +201,7 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 
 def watch_signals() -> None:
+    """From now on signals that end the command raise InterruptedBySignalError."""
     for number in _signals():
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)

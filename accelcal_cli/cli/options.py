@@ -204,6 +204,8 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         UsageError: a zone does not exist, or a name is not UTF-8 and could not stand in a report.
     """
     utc_offset_s(values["timezone"], 0)
+    if values["force_timezone"] and values["timezone"] is None:
+        raise UsageError("--force-timezone has no zone to use", hint="give it with --timezone")
     for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
         if text is not None and not _utf8(text):
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")

@@ -218,6 +218,8 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
     if summary.ahead and study.settle_s > 0:
         what = f"{counted(summary.ahead, 'recording')} that wait: modified in the future by this clock"
         exit_codes.say(f"{what}; check the clocks of the machines")
+    if mixed := summary.mixed_times():
+        exit_codes.say(mixed)
     unfinished = study.collect and summary.waiting > 0
     if not values["quiet"] or unfinished:
         counts = [f"{number} {name.replace('_', ' ')}" for name, number in summary.outcomes().items()]

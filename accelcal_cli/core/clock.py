@@ -35,13 +35,14 @@ _CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
 
 
-def utc_offset_s(zone: str | None, start_us: int) -> int | None:
+def utc_offset_s(zone: str | None, start_us: int, *, fold: int = 0) -> int | None:
     """Seconds that a clock of this zone was ahead of UTC at `start_us`; None for no zone.
 
     Args:
         zone: an IANA name of a region and place, such as Europe/Berlin; `UTC`; or a fixed offset
             such as +01:00.
         start_us: local time of the first sample, microseconds since 1970.
+        fold: of a local time that occurs twice, as in `datetime`: 0 for the first.
 
     Raises:
         UsageError: the zone does not exist.
@@ -59,7 +60,7 @@ def utc_offset_s(zone: str | None, start_us: int) -> int | None:
     try:
         if "/" not in zone:
             raise ZoneInfoNotFoundError(zone)
-        local = (_EPOCH + timedelta(microseconds=start_us)).replace(tzinfo=ZoneInfo(zone))
+        local = (_EPOCH + timedelta(microseconds=start_us)).replace(tzinfo=ZoneInfo(zone), fold=fold)
     except (ZoneInfoNotFoundError, ValueError, OSError) as error:
         raise UsageError(
             f"unknown time zone {zone!r}",

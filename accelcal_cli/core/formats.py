@@ -18,6 +18,7 @@ from typing import Any
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
+from accelcal_cli.core.zones import in_its_zone
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
@@ -55,7 +56,11 @@ class ReadOptions:
         choices=("dmy", "mdy", "ymd"),
     )
     timezone: str | None = setting(
-        None, option=Option("--timezone", "Time zone of the device's clock, such as Europe/Berlin.", "ZONE")
+        None,
+        option=Option("--timezone", "Time zone of files that state none, such as Europe/Berlin.", "ZONE"),
+    )
+    force_timezone: bool = setting(
+        False, option=Option("--force-timezone", "Use --timezone even if a file states another zone.")
     )
     layout: Path | None = setting(None, option=Option("--layout", "Layout file (TOML) of a raw dump."))
     sensor: str | None = setting(
@@ -76,7 +81,8 @@ def option_name(name: str) -> str:
 
 def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
     """Options as if some had not been given."""
-    return replace(options, **dict.fromkeys(names))
+    default = ReadOptions()
+    return replace(options, **{name: getattr(default, name) for name in names})
 
 
 def unused_note(names: Iterable[str], format_name: str) -> str:
@@ -168,6 +174,8 @@ class Format:
         """
         module, _, function = self.reader.partition(":")
         reader: Reader = getattr(importlib.import_module(module), function)(path, options)
+        zone, force = options.timezone, options.force_timezone
+        reader.recording = in_its_zone(reader.recording, zone, force=force)
         return reader
 
 

@@ -66,7 +66,9 @@ class Recording:
         range_g: the sensor clips at +- this; None if unknown.
         start_us: time of the first sample, microseconds since 1970 on the device's clock; None
             if the file has none (times then count from 1970-01-01).
-        timezone: zone of the times, None if they are local times of an unknown zone.
+        timezone: zone of the times, None if they are local times of an unknown zone. A reader states what
+            the file says; `core/zones.py` decides.
+        has_offsets: its times had offsets from UTC, and were converted to UTC.
         samples: number of samples, None if only reading everything would show it.
         duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
@@ -83,6 +85,7 @@ class Recording:
     range_g: float | None = None
     start_us: int | None = None
     timezone: str | None = None
+    has_offsets: bool = False
     samples: int | None = None
     duration_s: float | None = None
     has_temperature: bool = False

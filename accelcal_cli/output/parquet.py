@@ -25,12 +25,16 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import BackgroundCalls, BackgroundWriter
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts
+from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output.files import METADATA_KEY, output_error
 
 ROW_GROUP_ROWS = 1 << 20
 WRITE_BATCH_ROWS = 1 << 16
 PORTION_BYTES = 1 << 20
 """What is encoded gathers until it is written."""
+TIME_ZONE_KEY = b"time_zone"
+"""Of the schema's metadata: what `time` is in, UTC or unknown."""
+
 SOURCE_ROWS = 1 << 17
 """Rows that are read back at a time."""
 
@@ -73,7 +77,7 @@ def columns_of(recording: Recording, facts: Facts, fine_axes: str) -> list[Colum
             of one place compress better side by side.
     """
     single, offset_s = pa.float32(), facts.utc_offset_s
-    time = pa.timestamp("us", None if offset_s is None else "UTC")
+    time = pa.timestamp("us", None if offset_s is None else UTC)
     columns = [Column("time", "us since 1970", time, partial(_times, offset_s or 0), "DELTA_BINARY_PACKED")]
     for axis, name in enumerate("xyz"):
         encoding = "BYTE_STREAM_SPLIT" if name in fine_axes else "PLAIN"
@@ -121,7 +125,9 @@ def _validity(chunk: Chunk, _xyz: Axes) -> NDArray[np.uint8]:
 def schema_of(columns: Sequence[Column], metadata: dict[str, Any]) -> pa.Schema:
     """The Arrow schema of a file with these columns and this metadata of ours."""
     text = json.dumps(metadata, sort_keys=True, allow_nan=False)
-    return pa.schema([column.field for column in columns], metadata={METADATA_KEY: text.encode()})
+    times = next(column.type for column in columns if pa.types.is_timestamp(column.type))
+    about = {METADATA_KEY: text, TIME_ZONE_KEY: times.tz or UNKNOWN}
+    return pa.schema([column.field for column in columns], metadata=about)
 
 
 def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArray[Any]]:

@@ -36,6 +36,7 @@ from accelcal_cli.core.points import (
 from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
+from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.files import parsed
 
 EQUATION = "a = K (v + o + s (T - Tref))"
@@ -371,6 +372,7 @@ class ReportRecording:
     range_g: float | None = None
     start_time: str | None = None
     timezone: str | None = None
+    time_zone: str | None = None
     samples: int = 0
     duration_s: float | None = None
     gaps: list[dict[str, Any]] = field(default_factory=list)
@@ -475,6 +477,7 @@ def _recording(data: ReportInput) -> ReportRecording:
         range_g=recording.range_g,
         start_time=iso_time(start, facts.utc_offset_s) if dated else None,
         timezone=recording.timezone,
+        time_zone=zone_of_times(facts.utc_offset_s),
         samples=facts.samples,
         duration_s=duration_s(recording, facts),
         gaps=[_gap(gap, facts.utc_offset_s) for gap in facts.gaps],

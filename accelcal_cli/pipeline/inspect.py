@@ -17,6 +17,7 @@ from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.formats import unused_options
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
@@ -104,6 +105,7 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "range_g": recording.range_g,
             "start_time": iso_time(recording.start_us, facts.utc_offset_s),
             "timezone": recording.timezone,
+            "time_zone": zone_of_times(facts.utc_offset_s),
             "samples": facts.samples if inspection.whole else recording.samples,
             "duration_s": duration_s(inspection),
             "temperature": recording.has_temperature,

@@ -66,6 +66,7 @@ def _check_free(path: Path) -> None:
 
 
 def this_run() -> dict[str, Any]:
+    """What a lock of this process holds."""
     return {"host": host(), "pid": os.getpid(), "started": _started(os.getpid())}
 
 

@@ -15,8 +15,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli import __version__
-from accelcal_cli.core.errors import printable
+from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
+from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output.files import csv_text, replacing, write_text
 from accelcal_cli.study.records import FAILED, Item
 
@@ -24,7 +25,7 @@ DEVICE = ("model", "serial", "firmware")
 AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
-    "start_time", "sha256", "accelcal_version", "parquet", "report",
+    "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message",
 )  # fmt: skip
 WHOLE = (
@@ -41,7 +42,7 @@ COLUMNS = (
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
-    "format", "device_model", "device_serial", "device_firmware", "start_time", "duration_s",
+    "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
     *(f"{end}_{axis}_g" for axis in AXES for end in ("min", "max")),
@@ -86,6 +87,7 @@ def _recording(report: dict[str, Any]) -> dict[str, Any]:
     figures = ("rate_hz_measured", "lost_percent")
     return {
         **{name: recording[name] for name in same},
+        "time_zone": recording.get("time_zone"),
         **{name: health[name] for name in counts + figures},
         **{f"device_{name}": recording["device"][name] for name in DEVICE},
         "rate_hz": recording["sample_rate_hz"],
@@ -143,6 +145,9 @@ def _standard_errors(section: dict[str, Any]) -> dict[str, float]:
     return {name: value for name, value in named.items() if value is not None}
 
 
+WAY_OUT = "give the zone of the latter with --timezone, in a study of their own if other files state theirs"
+
+
 @dataclass(frozen=True, slots=True)
 class Summary:
     """A study's result.
@@ -168,6 +173,21 @@ class Summary:
         """How many recordings had which outcome."""
         return dict(sorted(Counter(row["outcome"] for row in self.rows).items()))
 
+    def time_zones(self) -> dict[str, int]:
+        """How many Parquet files have times in UTC, and how many in a zone that is unknown."""
+        zones = (row.get("time_zone") for row in self.rows if row["parquet"])
+        return dict(sorted(Counter(zone for zone in zones if zone).items()))
+
+    def mixed_times(self) -> str | None:
+        """What to know before the files are united, where `time` is not of one type in all of them."""
+        zones = self.time_zones()
+        if len(zones) < 2:
+            return None
+        return (
+            f"`time` is in UTC in {counted(zones[UTC], 'Parquet file')} and in local time of an unknown zone "
+            f"in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
+        )
+
     def counts(self) -> dict[str, Any]:
         """The content of `study.json`."""
         return {
@@ -175,6 +195,8 @@ class Summary:
             "recordings": len(self.rows),
             "outcomes": self.outcomes(),
             "models": dict(sorted(Counter(row["model"] for row in self.rows if row["model"]).items())),
+            "time_zones": self.time_zones(),
+            "mixed_times": self.mixed_times(),
             "waiting": self.waiting,
             "left_out": self.left_out,
             "pools": self.pools,
@@ -189,9 +211,9 @@ def write(summary: Summary, out: Path, name: str) -> None:
         OutputError: one cannot be written.
     """
     with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
-        columns = [pa.array([row[column] for row in summary.rows], _kind(column)) for column in COLUMNS]
+        columns = [pa.array([row.get(column) for row in summary.rows], _kind(column)) for column in COLUMNS]
         pq.write_table(pa.Table.from_arrays(columns, COLUMNS), file, compression="zstd")
-    rows = [[row[column] for column in COLUMNS] for row in summary.rows]
+    rows = [[row.get(column) for column in COLUMNS] for row in summary.rows]
     write_text(out / f"{name}.csv", csv_text(COLUMNS, rows))
     write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
 

@@ -11,6 +11,7 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -342,3 +343,23 @@ def test_a_known_zone_gives_utc_times(tmp_path: Path, capsys: Capture, zone: str
     assert report_of(tmp_path / "good.calibration.json")["recording"]["start_time"].startswith(
         "2024-03-04T00:00"
     )
+
+
+def test_time_has_one_type_where_the_zone_is_known_and_else_says_unknown(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    path, parquet = good_csv(tmp_path), tmp_path / "good.calibrated.parquet"
+    for words, zone, kind in (((), "unknown", None), (("--timezone", "Europe/Berlin"), "UTC", "UTC")):
+        run(capsys, "calibrate", path, *words)
+        schema = pq.read_schema(parquet)
+        assert (schema.field("time").type, schema.metadata[b"time_zone"]) == (
+            pa.timestamp("us", kind),
+            zone.encode(),
+        )
+        assert report_of(tmp_path / "good.calibration.json")["recording"]["time_zone"] == zone
+
+
+def test_force_timezone_without_a_zone_is_a_usage_error(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "calibrate", good_csv(tmp_path), "--force-timezone")
+    assert ran.code == 2
+    assert "give it with --timezone" in ran.err

@@ -50,8 +50,8 @@ class Detected:
     @property
     def timezone(self) -> str | None:
         """Zone of its clock, as the file says it."""
-        zoned = self.parser.time is not None and self.parser.time.zoned
-        return "UTC" if zoned else self.export.timezone
+        written = self.parser.time
+        return "UTC" if written is not None and written.is_utc else self.export.timezone
 
     def notes(self) -> tuple[str, ...]:
         """How the file was understood, for people."""

@@ -49,18 +49,16 @@ def open_recording(path: Path, options: ReadOptions) -> CsvReader:
             hint says which option settles it.
         UsageError: an option names no column, or counts come without their scale.
     """
-    return CsvReader(path, detect(path, options), options.timezone)
+    return CsvReader(path, detect(path, options))
 
 
 class CsvReader(Reader):
     """Streams a text file. See `docs/csv-files.md` for what is recognised."""
 
-    def __init__(self, path: Path, detected: Detected, timezone: str | None) -> None:
+    def __init__(self, path: Path, detected: Detected) -> None:
         self._path = path
         self._detected = detected
-        self.recording = _recording(
-            path, detected, timezone, self._first_time(), last_timestamp(detected.parser)
-        )
+        self.recording = _recording(path, detected, self._first_time(), last_timestamp(detected.parser))
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all usable rows, at most `chunk_samples` at a time.
@@ -113,10 +111,8 @@ class CsvReader(Reader):
         return UnreadableError(what, path=self._path, line=line, hint="check --columns and --unit")
 
 
-def _recording(
-    path: Path, detected: Detected, timezone: str | None, first_us: int | None, last_us: int | None
-) -> Recording:
-    export, zone = detected.export, detected.timezone
+def _recording(path: Path, detected: Detected, first_us: int | None, last_us: int | None) -> Recording:
+    export, written = detected.export, detected.parser.time
     length = None if first_us is None or last_us is None else (last_us - first_us) / 1e6
     return Recording(
         path=path,
@@ -127,7 +123,8 @@ def _recording(
         device=export.device,
         range_g=export.range_g,
         start_us=first_us,
-        timezone=zone if zone == "UTC" else timezone or zone,
+        timezone=detected.timezone,
+        has_offsets=written is not None and written.has_offsets,
         duration_s=length if length is not None and length > 0 else None,
         has_temperature="temperature_mc" in detected.first_values,
         notes=detected.notes(),

@@ -88,12 +88,22 @@ class TimeFormat:
         zoned: every ISO time ends in Z or an offset, so that the times are UTC.
         since_1970: False if the numbers count from the start of the recording.
         epoch_day: the number of 1970-01-01 where days are counted from another date.
+        has_offsets: the ISO times end in an offset such as +01:00, not in Z.
     """
 
     unit_us: float | None
     zoned: bool = False
     since_1970: bool = True
     epoch_day: float = 0.0
+    has_offsets: bool = False
+
+    @property
+    def is_utc(self) -> bool:
+        """Whether its times are moments: ISO times with a zone, or a count of seconds since 1970.
+
+        Days are what spreadsheets count, and those show a clock.
+        """
+        return self.zoned or (self.unit_us is not None and self.since_1970 and self.unit_us != DAY_US)
 
     @property
     def arrow_type(self) -> Any:
@@ -165,7 +175,8 @@ def find_time_format(
             line=line,
             hint="write all of them with Z or an offset, or none",
         )
-    return TimeFormat(None, zoned=zones == {True})
+    offsets = any(stamp and stamp["zone"] not in (None, "Z") for stamp in stamps)
+    return TimeFormat(None, zoned=zones == {True}, has_offsets=offsets)
 
 
 def _number_format(

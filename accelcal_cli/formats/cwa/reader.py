@@ -316,7 +316,6 @@ def describe(
         device=device,
         range_g=settings.range_g,
         start_us=start_us if clock_set else None,
-        timezone=options.timezone,
         duration_s=lasted if clock_set else None,
         has_temperature=settings.thermometer is not None,
         gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),

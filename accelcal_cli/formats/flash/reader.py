@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
+from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
@@ -47,7 +47,7 @@ VERSION = 1
 FLAG_TEMPERATURE = 1
 FLAG_CLOCK_NEVER_SET = 2
 ZONE_UNKNOWN = -32768
-LONGEST_ZONE_MINUTES = 18 * 60
+LONGEST_ZONE_MINUTES = 60 * WIDEST_OFFSET_H
 RATES_HZ = (Fraction(1, 1000), Fraction(100_000))
 
 LAYOUT = struct.Struct("<8sHHIIIIIIIhH32s32s32s")
@@ -272,7 +272,7 @@ def overridden(header: FlashHeader, options: ReadOptions, path: Path) -> FlashHe
         header = replace(header, rate=rate_fraction(agreed_rate(options, float(header.rate), path)))
     if options.lsb_per_g is not None:
         header = replace(header, lsb_per_g=Fraction(options.lsb_per_g))
-    return replace(header, timezone=options.timezone or header.timezone)
+    return header
 
 
 def page_scheme(file: PagedFile, header: FlashHeader) -> PageScheme:

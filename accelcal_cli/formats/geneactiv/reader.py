@@ -338,7 +338,7 @@ def describe(scheme: Scheme, header: Header, options: ReadOptions, start_us: int
         device=replace(header.device, serial=serial or header.device.serial),
         range_g=header.range_g,
         start_us=start_us,
-        timezone=options.timezone or header.timezone,
+        timezone=header.timezone,
         duration_s=duration_s(scheme, start_us),
         has_temperature=first.first_values["temperature_mc"] is not None,
         notes=notes(scheme, header, options),

@@ -8,6 +8,7 @@ year 1, on the device's clock.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from math import isfinite
@@ -15,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from accelcal_cli.core.clock import WIDEST_OFFSET_H
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G, Device, Problem
@@ -29,6 +31,7 @@ YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
 LATEST_US = (1 << 32) * 1_000_000
 HIGHEST_RATE_HZ = 1000
 
+ZONE = re.compile(r"([+-])?(\d\d):([0-5]\d):\d\d")
 INFO_BYTES = 1 << 20
 DAY_S = 86_400
 LONGEST_S = 366 * DAY_S
@@ -107,11 +110,11 @@ def _time_us(text: str | None) -> int | None:
 
 
 def _zone(text: str | None) -> str | None:
-    """-05:00:00 as -05:00, 02:00:00 as +02:00."""
-    parts = (text or "").lstrip("+-").split(":")
-    if len(parts) != 3 or not all(part.isdigit() and len(part) == 2 for part in parts):
+    """-05:00:00 as -05:00, 02:00:00 as +02:00, 00:00:00 as UTC; None if it is no zone."""
+    match = ZONE.fullmatch(text or "")
+    if match is None or int(match[2]) > WIDEST_OFFSET_H:
         return None
-    return f"{'-' if text and text.startswith('-') else '+'}{parts[0]}:{parts[1]}"
+    return f"{match[1] or '+'}{match[2]}:{match[3]}" if match[2] + match[3] != "0000" else "UTC"
 
 
 def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:

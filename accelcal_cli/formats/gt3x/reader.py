@@ -101,11 +101,11 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         device=info.device,
         range_g=description.scale.range_g,
         start_us=start_us,
-        timezone=options.timezone or ("UTC" if beginning.utc else None),
+        timezone="UTC" if beginning.utc else info.zone,
         duration_s=lasted_s(info, start_us),
         has_temperature=description.has_temperature,
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
-        notes=description.notes + (() if beginning.utc else zone_note(info, options)),
+        notes=description.notes,
     )
     return Gt3xReader(recording, file)
 
@@ -139,10 +139,9 @@ def open_activity_bin(
         device=info.device,
         range_g=scale.range_g,
         start_us=info.start_us,
-        timezone=options.timezone,
+        timezone=info.zone,
         samples=file.samples,
         duration_s=None if file.samples is None else file.samples / rate,
-        notes=zone_note(info, options),
     )
     return Gt3xReader(recording, file)
 
@@ -175,13 +174,6 @@ def lasted_s(info: Info, start_us: int) -> float | None:
     if info.last_us is None or info.last_us <= start_us:
         return None
     return (info.last_us - start_us) / MICROSECONDS
-
-
-def zone_note(info: Info, options: ReadOptions) -> tuple[str, ...]:
-    """How to make the local times those of a zone."""
-    if info.zone is None or options.timezone is not None:
-        return ()
-    return (f"the clock shows local time, {info.zone} from UTC at the start (--timezone {info.zone})",)
 
 
 @dataclass(frozen=True, slots=True)

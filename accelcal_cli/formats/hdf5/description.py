@@ -8,12 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
@@ -22,7 +21,7 @@ from accelcal_cli.formats.hdf5.channels import Axes, Channel
 from accelcal_cli.formats.hdf5.datasets import Group, Track
 from accelcal_cli.formats.hdf5.file import Attributes, h5py_guard, readable
 from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.units import StampScale, parse_moment
+from accelcal_cli.formats.hdf5.units import Moment, StampScale, parse_moment
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
@@ -140,13 +139,14 @@ def checked_rate(rate_hz: float | None, path: Path) -> float:
 
 
 def known_zone(name: str | None) -> str | None:
-    """The name of a time zone if it is one, else None."""
+    """The name or offset of a time zone if it is one, else None."""
     if name is None or name.upper() in ("UTC", "Z"):
         return name and "UTC"
     try:
-        return ZoneInfo(name).key
-    except (ZoneInfoNotFoundError, ValueError, OSError):
+        utc_offset_s(name, 0)
+    except UsageError:
         return None
+    return name
 
 
 def header_problems(attributes: Attributes, damaged: int = 0) -> tuple[Problem, ...]:
@@ -165,6 +165,7 @@ class Timeline:
     rate_hz: float | None
     start_us: int | None = None
     is_utc: bool = False
+    has_offsets: bool = False
     stamps: Stamps | None = None
     duration_s: float | None = None
     problems: tuple[Problem, ...] = ()
@@ -187,7 +188,7 @@ def find_timeline(source: Source) -> Timeline:
         with h5py_guard(source.path, f"dataset of times {track.path}"):
             return _stamped(source.file, track, rate, start, source.path)
     if start is not None:
-        return Timeline(rate, start[0], start[1])
+        return Timeline(rate, *start)
     what = "the file does not tell when the recording began"
     if stated is not None:
         what = f"the start time {stated!r} is not a date and time"
@@ -220,11 +221,9 @@ def _named(source: Source, name: str) -> Track:
     return track
 
 
-def _stamped(
-    file: Any, track: Track, rate: float | None, start: tuple[int, bool] | None, path: Path
-) -> Timeline:
+def _stamped(file: Any, track: Track, rate: float | None, start: Moment | None, path: Path) -> Timeline:
     """The timeline of a time dataset, absolute or counting from the start."""
-    scale, is_utc, known = _stamp_scale(file, track, rate, start, path)
+    scale, since = _stamp_scale(file, track, rate, start, path)
     stamps, first, last, step = measured_stamps(file, track, scale, path)
     if rate is None and step is not None:
         rate = units.nominal_rate(step)
@@ -237,18 +236,19 @@ def _stamped(
     )
     return Timeline(
         rate,
-        first if known else None,
-        is_utc,
+        first if since else None,
+        bool(since and since.is_utc),
+        bool(since and since.had_offset),
         stamps,
         (last - first) / MICROSECONDS + period,
-        () if known else (problem,),
+        () if since else (problem,),
     )
 
 
 def _stamp_scale(
-    file: Any, track: Track, rate: float | None, start: tuple[int, bool] | None, path: Path
-) -> tuple[StampScale, bool, bool]:
-    """Unit and base of a time dataset, whether it is UTC for certain, whether its start is known."""
+    file: Any, track: Track, rate: float | None, start: Moment | None, path: Path
+) -> tuple[StampScale, Moment | None]:
+    """Unit and base of a time dataset, and the moment from which it counts, None if that is not known."""
     stated = Attributes([file[track.path]]).text("units", "unit")
     unit = _stated_unit(track, stated, path)
     head = good_rows(TrackRows(file, track, path), 0, min(track.rows, BLOCK_ROWS))[:, 0]
@@ -262,12 +262,12 @@ def _stamp_scale(
             f"or ignore it with `--time-column {NO_COLUMN}`",
         )
     since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
-    if since is not None and since[0]:
-        return StampScale(unit, since[0]), since[1], True
+    if since is not None and since.us:
+        return StampScale(unit, since.us), since
     first = float(head[0]) / units.PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
     if first >= units.EARLIEST_ABSOLUTE_US:
-        return StampScale(unit), False, True
-    return StampScale(unit, start[0] if start else 0), bool(start and start[1]), start is not None
+        return StampScale(unit), Moment(0, is_utc=True)
+    return StampScale(unit, start.us if start else 0), start
 
 
 def _stated_unit(track: Track, stated: str | None, path: Path) -> str | None:

@@ -170,7 +170,7 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         ),
         range_g=_range_g(file, accel_track),
         start_us=start,
-        timezone=options.timezone or "UTC",
+        timezone="UTC",
         duration_s=(last - start + (step or 0)) / MICROSECONDS,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=dps_per_lsb(channels),

@@ -110,11 +110,20 @@ def _recording(
         range_g=_range(attributes),
         start_us=timeline.start_us,
         timezone=zone,
+        has_offsets=timeline.has_offsets,
         samples=rows if known else None,
         duration_s=rows / rate if timeline.duration_s is None else timeline.duration_s,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=dps_per_lsb(channels),
-        notes=timeline.notes + notes + zone_notes,
+        notes=timeline.notes + notes + zone_notes + _shared(timeline),
+    )
+
+
+def _shared(timeline: Timeline) -> tuple[str, ...]:
+    """Whether `time` does not tell the rows apart: nothing is made of such stamps."""
+    coarse_us = timeline.stamps.coarse_us if timeline.stamps else 0
+    return (
+        (f"several rows share a time stamp, {coarse_us / 1e6:g} s apart, and keep it",) if coarse_us else ()
     )
 
 
@@ -124,16 +133,15 @@ def _range(attributes: h5.Attributes) -> float | None:
 
 
 def _zone(source: Source, timeline: Timeline) -> tuple[str | None, tuple[str, ...]]:
-    """The zone of the times; a start with an offset from UTC outweighs any name."""
-    if timeline.is_utc:
-        return "UTC", ()
-    if source.options.timezone is not None:
-        return source.options.timezone, ()
+    """The zone that the file states; times that are UTC for certain outweigh any name."""
     name = source.attributes.text(*ZONE_NAMES)
     zone = description.known_zone(name)
-    if name is not None and zone is None:
-        return None, (f"the time zone {name!r} is not known: times are taken as local times",)
-    return zone, ()
+    if timeline.is_utc:
+        place = name if zone is None else zone
+        return "UTC", () if place in (None, "UTC") else (
+            f"its times are UTC; it names the time zone {place}",
+        )
+    return zone, () if name is None or zone else (f"its time zone {name!r} is not known and was not used",)
 
 
 def _scale(source: Source) -> Scale:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -136,15 +136,23 @@ def unit_by_size(value: float) -> str | None:
     return next((unit for unit, us in moments_us.items() if EARLIEST_ABSOLUTE_US <= us < LATEST_US), None)
 
 
-def parse_moment(value: str | float) -> tuple[int, bool] | None:
-    """Microseconds since 1970 of a start attribute, and whether it is UTC for certain.
+class Moment(NamedTuple):
+    """A time in microseconds since 1970; whether it is UTC for certain, and was written with an offset."""
 
-    A number counts s, ms, us or ns since 1970, by its size. A text is an ISO date and time;
-    only one with `Z` or an offset is UTC for certain. None if it is neither.
+    us: int
+    is_utc: bool = False
+    had_offset: bool = False
+
+
+def parse_moment(value: str | float) -> Moment | None:
+    """The moment of a start attribute; None if it is none.
+
+    A number counts s, ms, us or ns since 1970, by its size, and is UTC. A text is an ISO date and time;
+    only one with `Z` or an offset is UTC for certain.
     """
     if isinstance(value, float):
         unit = unit_by_size(value)
-        return None if unit is None else (round(value / PER_SECOND[unit] * MICROSECONDS), False)
+        return None if unit is None else Moment(round(value / PER_SECOND[unit] * MICROSECONDS), is_utc=True)
     if re.fullmatch(r"\d+(\.\d*)?", value):
         return parse_moment(float(value))
     try:
@@ -154,7 +162,9 @@ def parse_moment(value: str | float) -> tuple[int, bool] | None:
     except (ValueError, OverflowError):
         return None
     microseconds = (since - datetime(1970, 1, 1, tzinfo=UTC)) // datetime.resolution
-    return (microseconds, known) if 0 <= microseconds < LATEST_US else None
+    if not 0 <= microseconds < LATEST_US:
+        return None
+    return Moment(microseconds, known, bool(moment.utcoffset()))
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
     """Write all chunks as datasets of gzip-packed HDF5 chunks.
 
     `/accel` (n, 3) holds the raw counts; `/temperature` (n,) degrees Celsius; `/gyro` (n, 3) raw
-    counts; `/time` (n,) microseconds since 1970, only where times are not evenly spaced. The
+    counts; `/time` (n,) microseconds on the device's clock, only where times are not evenly spaced. The
     same recording gives the same bytes.
 
     Raises:
@@ -97,6 +97,8 @@ class _Writer:
         self._recording = recording
         self._rate = rate_fraction(recording.rate_hz)
         self._rows = 0
+        self._since = _year_before(recording.start_us or 0)
+        self._since_us = (self._since - EPOCH) // timedelta(microseconds=1)
 
     def append(self, chunk: Chunk) -> None:
         """Add one chunk to every dataset that it has values for."""
@@ -141,13 +143,19 @@ class _Writer:
         if "time" not in self._file:
             if np.array_equal(times, self._even(self._rows, self._rows + len(chunk))):
                 return
-            dataset = self._dataset("time", times, units="us")
+            dataset = self._dataset("time", times, units=f"us since {self._since.isoformat()}")
             for start in range(0, self._rows, CHUNK_ROWS):
-                self._add(dataset, self._even(start, min(start + CHUNK_ROWS, self._rows)))
-        self._add(self._file["time"], times)
+                self._add(dataset, self._even(start, min(start + CHUNK_ROWS, self._rows)) - self._since_us)
+        self._add(self._file["time"], times - self._since_us)
 
     def _even(self, start: int, stop: int) -> Any:
         return UniformClock(self._recording.start_us or 0, 0, self._rate).times(start, stop)
+
+
+def _year_before(start_us: int) -> datetime:
+    """From when times count: on the device's clock, since numbers that count from 1970 are UTC."""
+    start = EPOCH + timedelta(microseconds=start_us)
+    return start if start == EPOCH else datetime(max(start.year - 1, 1971), 1, 1)
 
 
 def _describe(accel: Any, recording: Recording) -> None:

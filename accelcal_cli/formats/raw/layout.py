@@ -113,10 +113,11 @@ class Checksum:
 
 @dataclass(frozen=True, slots=True)
 class StartTime:
-    """Time of the first sample [us since 1970]; `timezone` is UTC if the layout gave an offset."""
+    """Time of the first sample [us since 1970]; `timezone` is UTC if the layout gave Z or an offset."""
 
     start_us: int
     timezone: str | None
+    had_offset: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -369,7 +370,7 @@ def parse_start(dump: Keys) -> StartTime | None:
     start_us = (moment - EPOCH) // timedelta(microseconds=1)
     if not FIRST_US <= start_us <= LAST_US:
         raise dump.error("start_time", f"is {value}, which in UTC lies outside the years 1 to 9999", HINT)
-    return StartTime(start_us, "UTC" if known else None)
+    return StartTime(start_us, "UTC" if known else None, bool(moment.utcoffset()))
 
 
 def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:

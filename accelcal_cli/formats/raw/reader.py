@@ -334,7 +334,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         raise nothing_usable(file, layout)
     timed = layout.start is not None or layout.stamp is not None
     problems = () if timed else (Problem("no_start_time", NO_START, None, 0),)
-    described = replace(recording(scheme, layout, opening, options), companion=find_layout(path, options))
+    described = replace(recording(scheme, layout, opening), companion=find_layout(path, options))
     return PagedReader(described, scheme, opening, problems)
 
 
@@ -393,11 +393,11 @@ def timeline(layout: Layout, spacing: timelines.Spacing) -> timelines.Timeline:
     return timelines.CoarseTimeline(spacing, round(unit))
 
 
-def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: ReadOptions) -> Recording:
+def recording(scheme: PageScheme, layout: Layout, opening: Opening) -> Recording:
     """The file's description."""
     values, (samples, duration_s) = FrameValues(layout), extent(scheme, opening)
     start, stamped = layout.start, layout.stamp is not None
-    zone = None if stamped or start is None else start.timezone
+    zone = "UTC" if stamped else None if start is None else start.timezone
     ignored = ("start_time of the layout is not used: the pages carry their own times",)
     return Recording(
         path=scheme.file.path,
@@ -408,7 +408,8 @@ def recording(scheme: PageScheme, layout: Layout, opening: Opening, options: Rea
         device=Device(layout.model, layout.serial, layout.firmware),
         range_g=layout.range_g,
         start_us=opening.start_us if stamped or start else None,
-        timezone=options.timezone or zone,
+        timezone=zone,
+        has_offsets=not stamped and start is not None and start.had_offset,
         samples=samples,
         duration_s=duration_s,
         has_temperature=opening.first_values.get("temperature_mc") is not None,

@@ -30,9 +30,11 @@ def test_two_lines_tell_start_and_rate(tmp_path: Path, end: str) -> None:
     assert found.problems == []
 
 
-def test_epoch_seconds_are_utc_whatever_the_users_zone(tmp_path: Path) -> None:
-    found = read(written(tmp_path, HEADER + ROWS), timezone="Europe/Berlin")
-    assert found.recording.timezone == "UTC"
+def test_epoch_seconds_are_utc_and_contradict_another_zone(tmp_path: Path) -> None:
+    path = written(tmp_path, HEADER + ROWS)
+    assert read(path).recording.timezone == "UTC"
+    with pytest.raises(UsageError, match="states its time zone, UTC, which is not Europe/Berlin"):
+        read(path, timezone="Europe/Berlin")
 
 
 def test_what_the_user_says_counts_more_than_the_layout(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, UsageError
 from tests.formats.make_csv import GRID, START_US, read, written
 
 TOLD = {
@@ -56,9 +56,12 @@ def test_header_and_rows(tmp_path: Path, end: str) -> None:
     assert found.problems == []
 
 
-def test_the_users_zone_counts_more_than_the_headers(tmp_path: Path) -> None:
-    found = read(written(tmp_path, SAMPLE), timezone="Europe/Berlin")
-    assert found.recording.timezone == "Europe/Berlin"
+def test_the_headers_zone_counts_more_than_the_users(tmp_path: Path) -> None:
+    path = written(tmp_path, SAMPLE)
+    assert read(path, timezone="Europe/Berlin").recording.timezone == "+01:00"
+    assert read(path, timezone="Asia/Tokyo", force_timezone=True).recording.timezone == "Asia/Tokyo"
+    with pytest.raises(UsageError, match=r"\+01:00, which is not Asia/Tokyo"):
+        read(path, timezone="Asia/Tokyo")
 
 
 @pytest.mark.parametrize(

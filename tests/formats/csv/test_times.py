@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.formats.csv import rows as csv_rows
 from accelcal_cli.formats.csv import table as csv_table
 from tests.formats.make_csv import START_US, Read, read, stamp, written
@@ -37,10 +37,10 @@ def after_start(found: Read) -> list[int]:
         ("2024-03-04T00:00:00.{:02d}Z", "UTC"),
         ("2024-03-04T01:00:00.{:02d}+01:00", "UTC"),
         ("2024-03-03T19:00:00.{:02d}-0500", "UTC"),
-        ("1709510400.{:02d}", None),
-        ("1709510400{:02d}0", None),
-        ("1709510400{:02d}0.0", None),
-        ("1709510400{:02d}0000", None),
+        ("1709510400.{:02d}", "UTC"),
+        ("1709510400{:02d}0", "UTC"),
+        ("1709510400{:02d}0.0", "UTC"),
+        ("1709510400{:02d}0000", "UTC"),
     ],
 )
 def test_ways_to_write_a_time(tmp_path: Path, form: str, zone: str | None) -> None:
@@ -54,8 +54,6 @@ def test_ways_to_write_a_time(tmp_path: Path, form: str, zone: str | None) -> No
 def test_the_users_zone_is_kept_for_local_times(tmp_path: Path) -> None:
     cells = [stamp(row * 10_000) for row in range(9)]
     assert with_times(tmp_path, cells, timezone="Europe/Berlin").recording.timezone == "Europe/Berlin"
-    zoned = [cell + "Z" for cell in cells]
-    assert with_times(tmp_path, zoned, timezone="Europe/Berlin").recording.timezone == "UTC"
 
 
 def test_fractions_may_be_left_out_where_they_are_zero(tmp_path: Path) -> None:
@@ -243,3 +241,12 @@ def test_problems_come_in_the_order_of_their_ends(
         ("missing_value", 1),
         ("clock_back", 1),
     ]
+
+
+def test_a_z_can_be_overruled_by_force_and_an_offset_cannot(tmp_path: Path) -> None:
+    cells = [stamp(row * 10_000) for row in range(9)]
+    zone = {"timezone": "Europe/Berlin", "force_timezone": True}
+    forced = with_times(tmp_path, [cell + "Z" for cell in cells], **zone).recording
+    assert (forced.timezone, forced.start_us) == ("Europe/Berlin", START_US)
+    with pytest.raises(UsageError, match="--force-timezone cannot replace"):
+        with_times(tmp_path, [cell + "+05:00" for cell in cells], **zone)

@@ -118,7 +118,8 @@ def test_notes_of_several_lines(tmp_path: Path) -> None:
 def test_the_zone_of_the_header(tmp_path: Path, text: str, zone: str | None) -> None:
     path = written(tmp_path / "a.bin", pages(random_counts(300)), header(zone=text))
     assert opened(path).recording.timezone == zone
-    assert opened(path, timezone="Europe/Paris").recording.timezone == "Europe/Paris"
+    forced = opened(path, timezone="Europe/Paris", force_timezone=True)
+    assert forced.recording.timezone == "Europe/Paris"
 
 
 def test_the_rate_of_the_pages_wins_and_must_agree_with_the_user(tmp_path: Path) -> None:

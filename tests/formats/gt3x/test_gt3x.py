@@ -144,7 +144,7 @@ def test_settings_come_from_info_txt(tmp_path: Path) -> None:
     recording = opened(written(tmp_path / "a.gt3x", seconds(VALUES, 50), text)).recording
     assert (recording.rate_hz, recording.lsb_per_g, recording.range_g) == (50, 341.5, 6)
     assert recording.device == Device("wGT3XBT", "TAS1D48140206", "1.9.2")
-    assert (recording.start_us, recording.duration_s, recording.timezone) == (START_US, 24, None)
+    assert (recording.start_us, recording.duration_s, recording.timezone) == (START_US, 24, "UTC")
 
 
 def test_without_info_txt_the_parameters_tell_the_scale(tmp_path: Path) -> None:
@@ -189,13 +189,12 @@ def test_rates_must_agree(tmp_path: Path) -> None:
 def test_the_clock_is_local_time_unless_the_file_says_utc(tmp_path: Path) -> None:
     log, text = seconds(VALUES, 50), info(TimeZone="-05:00:00")
     local = opened(written(tmp_path / "a.gt3x", log, text)).recording
-    assert (local.timezone, local.start_us) == (None, START_US)
-    assert "--timezone -05:00" in local.notes[0]
+    assert (local.timezone, local.start_us, local.notes) == ("-05:00", START_US, ())
     said = record(METADATA, START_S, b'{"UsedUtc":true,"UtcOffset":"-05:00","MetadataType":"LocalTimeLog"}')
     utc = opened(written(tmp_path / "b.gt3x", [said, *log], text)).recording
     assert (utc.timezone, utc.start_us, utc.notes) == ("UTC", START_US, ())
     deep = record(METADATA, START_S, b"[" * 60_000)
-    assert opened(written(tmp_path / "c.gt3x", [deep, *log], text)).recording.timezone is None
+    assert opened(written(tmp_path / "c.gt3x", [deep, *log], text)).recording.timezone == "-05:00"
 
 
 def test_the_axes_that_firmware_1_6_0_exchanged_are_put_back(tmp_path: Path) -> None:

@@ -121,7 +121,7 @@ def test_headers(real_data: Path) -> None:
     )
     assert (night.timezone, night.rate_hz, night.lsb_per_g, night.range_g) == ("UTC", 30, 256, 8)
     old = opened(real_data / "vendor" / "gt3x_old_neo_30hz_10min.gt3x").recording
-    assert (old.device.model, old.timezone, old.lsb_per_g, old.range_g) == ("GT3XPlus", None, 341, 6)
+    assert (old.device.model, old.timezone, old.lsb_per_g, old.range_g) == ("GT3XPlus", "-06:00", 341, 6)
     assert old.start_us == 1_640_001_300_000_000
 
 

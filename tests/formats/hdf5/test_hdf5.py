@@ -387,10 +387,10 @@ def test_neighbouring_rows_without_a_value_are_one_record_whichever_sensor_lacks
         (b"2024-03-04 00:00:00.250", START_US + 250_000, None),
         ("2024-03-04T02:00:00+02:00", START_US, "UTC"),
         ("2024-03-04T00:00:00Z", START_US, "UTC"),
-        (1_709_510_400, START_US, None),
-        (1_709_510_400.5, START_US + 500_000, None),
-        ("1709510400", START_US, None),
-        (np.int64(START_US), START_US, None),
+        (1_709_510_400, START_US, "UTC"),
+        (1_709_510_400.5, START_US + 500_000, "UTC"),
+        ("1709510400", START_US, "UTC"),
+        (np.int64(START_US), START_US, "UTC"),
     ],
 )
 def test_starts_are_understood(path: Path, start: Any, start_us: int, zone: str | None) -> None:
@@ -779,3 +779,19 @@ def test_text_that_is_not_utf_8_is_read_with_marks_in_its_place(path: Path, caps
 def test_readable_text_can_always_be_written() -> None:
     texts = ["plain", "\xfcber", "a\udcff", "\udced\udca0\udc80"]
     assert [readable(text) for text in texts] == ["plain", "\xfcber", "a\ufffd", "\ufffd" * 3]
+
+
+def test_times_since_1970_are_utc_whatever_the_attribute_names(path: Path) -> None:
+    seconds = START_US / 1e6 + np.arange(len(counts())) / 100
+    write(path, {"accel": counts(), "time": seconds}, about(timezone="Europe/Berlin", start_time=None))
+    found = read(path).recording
+    assert (found.timezone, found.start_us) == ("UTC", START_US)
+    assert "it names the time zone Europe/Berlin" in found.notes[-1]
+
+
+def test_rows_that_share_a_stamp_are_told(path: Path) -> None:
+    rows = len(counts())
+    write(
+        path, {"accel": counts(), "time": START_US // 10**6 + np.arange(rows) // 100}, about(start_time=None)
+    )
+    assert "several rows share a time stamp, 1 s apart, and keep it" in read(path).recording.notes

@@ -89,7 +89,7 @@ def test_all_but_rate_scale_and_fields_is_optional(tmp_path: Path) -> None:
 )
 def test_start_time_forms(tmp_path: Path, value: str, start_us: int, zone: str | None) -> None:
     text = FULL.replace('"2024-03-04T00:00:00"', value)
-    assert load_layout(written(tmp_path, text)).start == StartTime(start_us, zone)
+    assert load_layout(written(tmp_path, text)).start == StartTime(start_us, zone, "+01:00" in value)
 
 
 FIELD_X = 'x = { offset = 0, type = "int16" }'

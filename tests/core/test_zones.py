@@ -1,0 +1,75 @@
+"""Whose time zone counts, and what daylight saving makes of a start."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.zones import in_its_zone
+
+WINTER, SUMMER = "2024-01-15T12:00", "2024-07-15T12:00"
+
+
+def recording(zone: str | None, start: str | None = WINTER, *, has_offsets: bool = False) -> Recording:
+    start_us = (
+        None if start is None else round(datetime.fromisoformat(start).replace(tzinfo=UTC).timestamp() * 1e6)
+    )
+    return Recording(
+        Path("a.bin"), "flash", 100.0, 256.0, 0, start_us=start_us, timezone=zone, has_offsets=has_offsets
+    )
+
+
+@pytest.mark.parametrize(
+    ("stated", "wanted", "force", "counts"),
+    [
+        (None, None, False, None),
+        (None, "Europe/Berlin", False, "Europe/Berlin"),
+        ("-05:00", None, False, "-05:00"),
+        ("+01:00", "Europe/Berlin", False, "+01:00"),
+        ("UTC", "+00:00", False, "UTC"),
+        ("+01:00", "Europe/Berlin", True, "Europe/Berlin"),
+        ("UTC", "Asia/Tokyo", True, "Asia/Tokyo"),
+        (None, "Asia/Tokyo", True, "Asia/Tokyo"),
+    ],
+)
+def test_the_files_own_zone_counts_unless_the_users_is_forced(
+    stated: str | None, wanted: str | None, force: bool, counts: str | None
+) -> None:
+    assert in_its_zone(recording(stated), wanted, force=force).timezone == counts
+
+
+@pytest.mark.parametrize(("stated", "start"), [("+01:00", SUMMER), ("UTC", WINTER), ("-05:00", None)])
+def test_a_contradiction_names_both_zones_and_the_way_out(stated: str, start: str | None) -> None:
+    with pytest.raises(UsageError) as failure:
+        in_its_zone(recording(stated, start), "Europe/Berlin", force=False)
+    text = str(failure.value)
+    assert all(
+        word in text for word in (stated, "Europe/Berlin", "a.bin", "omit --timezone", "--force-timezone")
+    )
+
+
+def test_offsets_written_with_the_times_cannot_be_replaced() -> None:
+    with pytest.raises(UsageError, match="offsets from UTC, which --force-timezone cannot replace"):
+        in_its_zone(recording("UTC", has_offsets=True), "Europe/Berlin", force=True)
+
+
+@pytest.mark.parametrize(
+    ("start", "offset_h", "note"),
+    [
+        ("2024-10-27T02:30", 2, "occurs twice in Europe/Berlin on that day: it is taken for the first"),
+        ("2024-03-31T02:30", 1, "does not occur in Europe/Berlin on that day"),
+        ("2024-10-27T03:00", 1, None),
+        ("2024-03-31T03:00", 2, None),
+    ],
+)
+def test_a_start_that_daylight_saving_made_ambiguous_is_told(
+    start: str, offset_h: int, note: str | None
+) -> None:
+    found = in_its_zone(recording(None, start), "Europe/Berlin", force=False)
+    assert [note in text for text in found.notes] == ([] if note is None else [True])  # type: ignore[operator]
+    assert utc_offset_s(found.timezone, found.start_us or 0) == 3600 * offset_h
