@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from accelcal_cli.output.report import report_schema
+from accelcal_cli.output.report_schema import report_schema
 from tests.cli.run import assert_one_line, run
 from tests.six_pose.known import stacked
 from tests.six_pose.made import UP, write_list

@@ -18,14 +18,8 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import parsed
-from accelcal_cli.output.report import (
-    LARGEST_BYTES,
-    SCHEMA_VERSION,
-    coefficients_json,
-    fault,
-    report_schema,
-    upgraded,
-)
+from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, upgraded
+from accelcal_cli.output.report_schema import fault, report_schema
 
 NAME_ONE = "name a report, STEM.calibration.json"
 STRETCH = (0.5, 2.0)

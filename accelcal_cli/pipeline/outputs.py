@@ -20,7 +20,8 @@ from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
-from accelcal_cli.output.report import dumps, fault, load, load_report, report_schema, section, upgraded
+from accelcal_cli.output.report import dumps, load, load_report, section, upgraded
+from accelcal_cli.output.report_schema import fault, report_schema
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")

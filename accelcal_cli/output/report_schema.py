@@ -1,0 +1,130 @@
+"""The schema of the report, and what is wrong with a document by it.
+
+`fault` knows the part of JSON Schema that report.schema.json uses; keys that the schema does not know are
+passed over, since a later version may add some.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from functools import cache
+from math import isfinite
+from typing import Any
+
+
+@cache
+def report_schema() -> dict[str, Any]:
+    """The JSON Schema of the report."""
+    from importlib import resources  # only what is there already is held against it
+
+    text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
+
+
+_NAMES = {
+    "object": "an object",
+    "array": "a list",
+    "string": "a text",
+    "number": "a number",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "null": "null",
+}
+
+
+def fault(value: Any, schema: dict[str, Any], where: str = "") -> str | None:
+    """The first thing wrong with a value, such as `calibration.gain[0][2] is not a number`, or None."""
+    kind = schema.get("type")
+    if kind is not None and not _is(value, kind):
+        return f"{where or 'it'} is not {_NAMES[kind]}"
+    for check in _CHECKS:
+        wrong = check(value, schema, where)
+        if wrong is not None:
+            return wrong
+    return None
+
+
+def _is(value: Any, kind: str) -> bool:
+    if kind == "number":
+        return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+    if kind == "integer":
+        return isinstance(value, int) and not isinstance(value, bool)
+    types = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None)}
+    return isinstance(value, types[kind])
+
+
+def _choice(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if "enum" in schema and value not in schema["enum"]:
+        return f"{where} is {value!r}, not one of {', '.join(map(str, schema['enum']))}"
+    if "const" in schema and (value != schema["const"] or isinstance(value, bool)):
+        return f"{where} is {value!r}, not {schema['const']!r}"
+    return None
+
+
+def _size(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    too_small = value < schema.get("minimum", value)
+    if too_small or ("exclusiveMinimum" in schema and value <= schema["exclusiveMinimum"]):
+        return f"{where} is {value}, which is too small"
+    return None
+
+
+def _text(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if len(value) < schema.get("minLength", 0) or not re.search(schema.get("pattern", ""), value):
+        return f"{where} is {value[:80]!r}, which is not valid"
+    return None
+
+
+def _scalar(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if schema.get("type") in ("number", "integer"):
+        return _size(value, schema, where)
+    return _text(value, schema, where) if schema.get("type") == "string" else None
+
+
+def _keys(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if not isinstance(value, dict):
+        return None
+    start = f"{where}." if where else ""
+    for name in schema.get("required", ()):
+        if name not in value:
+            return f"{start}{name} is missing"
+    parts = ((name, part) for name, part in schema.get("properties", {}).items() if name in value)
+    return _first((value[name], part, f"{start}{name}") for name, part in parts)
+
+
+def _items(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if not isinstance(value, list):
+        return None
+    if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
+        return f"{where} has {len(value)} entries"
+    part = schema.get("items", {})
+    return _first((item, part, f"{where}[{index}]") for index, item in enumerate(value))
+
+
+def _first(parts: Any) -> str | None:
+    return next((wrong for part in parts if (wrong := fault(*part)) is not None), None)
+
+
+def _branches(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    """`anyOf`: the fault of the branch that the value is of the kind of, else of the first."""
+    faults = [(branch, fault(value, branch, where)) for branch in schema.get("anyOf", ())]
+    if any(wrong is None for _, wrong in faults) or not faults:
+        return None
+    alike = (wrong for branch, wrong in faults if _is(value, branch.get("type", "null")))
+    return next(alike, faults[0][1])
+
+
+def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    for part in schema.get("allOf", ()):
+        chosen = "then" if fault(value, part.get("if", {}), where) is None else "else"
+        wrong = fault(value, part.get(chosen, {}), where)
+        if wrong is not None:
+            return wrong
+    return None
+
+
+_CHECKS: tuple[Callable[[Any, dict[str, Any], str], str | None], ...] = (
+    _choice, _scalar, _keys, _items, _branches, _conditions,
+)  # fmt: skip
