@@ -111,9 +111,12 @@ def test_a_pool_agrees_in_device_counts_per_g_and_range() -> None:
         "damaged": row("refused", lost_percent=60.0),
         "less": row("already_good", lost_percent=40.0),
     }
+    rows = {name: {**held, "sha256": name} for name, held in rows.items()}
     assert pools(rows, 50.0) == [["a", "b", "less"]]
-    assert pools({**rows, "finer": rows["fine"]}, 50.0) == [["a", "b", "less"], ["fine", "finer"]]
-    assert pools({"a": row()}, 50.0) == []
+    finer = rows["fine"] | {"sha256": "finer"}
+    assert pools({**rows, "finer": finer}, 50.0) == [["a", "b", "less"], ["fine", "finer"]]
+    assert pools({**rows, "copy": rows["fine"], "again": rows["a"]}, 50.0) == [["a", "b", "less"]]
+    assert pools({"a": rows["a"]}, 50.0) == []
 
 
 def test_any_change_of_a_result_is_another_identity() -> None:
