@@ -28,7 +28,9 @@ Capture = pytest.CaptureFixture[str]
         ("--profile", "paper", "--min-distance-g", 0.15),
         pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),
         pytest.param(("--stillness", "adaptive"), marks=pytest.mark.nightly),
-        ("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"),
+        pytest.param(
+            ("--latitude", 52.5, "--altitude", 34, "--timezone", "Europe/Berlin"), marks=pytest.mark.nightly
+        ),
         pytest.param(("--report-only", "--lsb-per-g", 250.0, "--no-temperature"), marks=pytest.mark.nightly),
     ],
 )

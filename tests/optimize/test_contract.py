@@ -59,6 +59,13 @@ def is_slow(optimizer: Optimizer, model: str) -> bool:
 
 
 EVERY = pytest.mark.parametrize("optimizer", all_optimizers(), ids=lambda item: item.name)
+EACH_FAST = pytest.mark.parametrize(
+    "optimizer",
+    [
+        pytest.param(item, id=item.name, marks=[pytest.mark.nightly] * is_slow(item, "9"))
+        for item in all_optimizers()
+    ],
+)
 EACH_MODEL = pytest.mark.parametrize(
     ("optimizer", "model"),
     [
@@ -143,7 +150,7 @@ def test_a_model_that_it_does_not_fit_is_refused(optimizer: Optimizer) -> None:
             fit(optimizer, made(model, 60), model)
 
 
-@EVERY
+@EACH_FAST
 def test_a_point_of_half_the_weight_counts_half(optimizer: Optimizer) -> None:
     model = richest(optimizer)
     held = made(model, 45, noise=0.004)
@@ -189,7 +196,7 @@ def test_parameters_are_plain_integers_with_a_reason_to_stop(optimizer: Optimize
     assert found.stop and found.iterations >= 1
 
 
-@EVERY
+@EACH_FAST
 def test_a_fit_can_be_repeated(optimizer: Optimizer) -> None:
     held, model = made("9", 40), richest(optimizer)
     assert fit(optimizer, held, model) == fit(optimizer, held, model)

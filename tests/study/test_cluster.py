@@ -88,8 +88,7 @@ def test_a_worker_that_is_killed_is_made_good_elsewhere(
     assert not list(out.rglob("*.tmp"))
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.nightly)])
 def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
     scheduler: Path, folder: Path, tmp_path: Path, number: int
 ) -> None:

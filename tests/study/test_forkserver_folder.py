@@ -48,7 +48,6 @@ def short(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield Path(folder)
 
 
-@pytest.mark.nightly
 def test_a_long_path_of_temporary_files_is_no_hindrance(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,7 +77,6 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path
     assert list(short.iterdir()) == []
 
 
-@pytest.mark.nightly
 def test_another_server_is_started_where_it_was_killed(tmp_path: Path) -> None:
     script = tmp_path / "pool.py"
     script.write_text(SERVER_KILLED)

@@ -22,6 +22,9 @@ from tests.formats.make_csv import read, written
 
 HERE = Path(__file__).parent
 FOLDER = Path(vendors.__file__).parent
+LONG_HEADS = ("geneactiv", "axivity")
+"""Vendors whose samples are long, so that cutting them everywhere takes a second; nightly alone."""
+
 each_vendor = pytest.mark.parametrize("vendor", all_vendors(), ids=lambda item: item.name)
 
 
@@ -67,7 +70,13 @@ def test_chunks_do_not_depend_on_their_size(vendor: Vendor, tmp_path: Path) -> N
 
 
 @every_byte
-@each_vendor
+@pytest.mark.parametrize(
+    "vendor",
+    [
+        pytest.param(item, id=item.name, marks=[pytest.mark.nightly] * (item.name in LONG_HEADS))
+        for item in all_vendors()
+    ],
+)
 def test_truncation_at_every_byte_gives_a_prefix_or_one_clear_error(
     vendor: Vendor, tmp_path: Path, step: int
 ) -> None:
