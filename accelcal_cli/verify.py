@@ -51,6 +51,7 @@ LATER = {
     "settings.input.force_timezone": "0.2.0",
     "recording.time_zone": "0.2.0",
     "file_health.clock": "0.1.0",
+    "file_health.clock.dst_change.followed": "0.2.0",
     "file_health.lost_bytes": "0.1.0",
     "file_health.lost_percent": "0.1.0",
     "file_health.rest": "0.2.0",

@@ -1,4 +1,5 @@
-"""Times of real recordings, to the second, against what their bytes say to a decoder of its own.
+"""Times of real recordings, to the second, against what their bytes say to a decoder of its own; times over
+a change of clocks, against `zoneinfo`.
 
 The decoders do not use the package.
 """
@@ -12,13 +13,18 @@ import zipfile
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from zoneinfo import ZoneInfo
 
 import h5py
+import numpy as np
 import pytest
 
 from accelcal_cli.core.clock import iso_time, utc_offset_s
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import open_recording
+from accelcal_cli.pipeline.inspect import as_json, inspect
+from tests.formats import make_csv, make_hdf5
 
 FIRST: dict[str, tuple[str, str | None]] = {
     "actigraph_30hz_12h.csv.gz": ("2017-10-30T15:00:00", "UTC"),
@@ -137,3 +143,153 @@ def test_a_recording_and_its_export_begin_at_the_same_moment_once_the_zone_is_na
                 (about.start_us or 0) // 10**6 - (utc_offset_s(about.timezone, about.start_us or 0) or 0)
             )
     assert starts == [datetime(2019, 9, 17, 22, 40, tzinfo=UTC).timestamp()] * 2
+
+
+CHANGES = [
+    ("Europe/Berlin", datetime(2023, 3, 26, 1, tzinfo=UTC), 1),
+    ("Europe/Berlin", datetime(2023, 10, 29, 1, tzinfo=UTC), -1),
+    ("America/New_York", datetime(2024, 11, 3, 6, tzinfo=UTC), -1),
+    ("Australia/Lord_Howe", datetime(2024, 10, 5, 15, 30, tzinfo=UTC), 0.5),
+]
+"""A zone, when its clocks were changed, and by how many hours."""
+
+
+def moments(change: datetime, seconds: int = 8, apart_ms: int = 50) -> list[datetime]:
+    """As many seconds before a change as after it."""
+    steps = range(-1000 * seconds // apart_ms, 1000 * seconds // apart_ms)
+    return [change + timedelta(milliseconds=apart_ms * step) for step in steps]
+
+
+def local(moment: datetime, zone: str) -> str:
+    """What a computer there wrote."""
+    return moment.astimezone(ZoneInfo(zone)).strftime("%Y-%m-%d %H:%M:%S.%f")
+
+
+def table(path: Path, stamps: list[str], bad: int | None = None) -> Path:
+    rows = [
+        f"{stamp},{0.001 * (row % 7):g},0.02,{'' if row == bad else 1}" for row, stamp in enumerate(stamps)
+    ]
+    path.write_text("\n".join(["time,x [g],y [g],z [g]", *rows, ""]))
+    return path
+
+
+def utc_us(found: make_csv.Read | make_hdf5.Read) -> list[int]:
+    """Its times as the Parquet file has them."""
+    about = found.recording
+    offset_s = utc_offset_s(about.timezone, about.start_us or 0)
+    assert offset_s is not None
+    return (found.times - offset_s * 10**6).tolist()
+
+
+def exact_us(times: list[datetime]) -> list[int]:
+    return [(moment - datetime(1970, 1, 1, tzinfo=UTC)) // timedelta(microseconds=1) for moment in times]
+
+
+@pytest.mark.parametrize("chunk_samples", [7, 1000])
+@pytest.mark.parametrize(("zone", "change", "hours"), CHANGES)
+def test_stamps_of_a_computer_follow_its_clock_over_a_change(
+    tmp_path: Path, zone: str, change: datetime, hours: float, chunk_samples: int
+) -> None:
+    times = moments(change)
+    path = table(tmp_path / "a.csv", [local(moment, zone) for moment in times])
+    found = make_csv.read(path, chunk_samples, timezone=zone)
+    assert utc_us(found) == exact_us(times)
+    assert (found.breaks, found.codes) == ([], ["clock_followed"])
+    line = 2 + len(times) // 2
+    assert (
+        found.problems[0].message == f"the times follow a change of the clocks in {zone} before line {line}"
+    )
+    assert found.problems[0].sample == len(times) // 2
+    unknown = make_csv.read(path, chunk_samples)
+    assert (unknown.breaks, unknown.codes) == (
+        [len(times) // 2],
+        ["clock_gap" if hours > 0 else "clock_back"],
+    )
+
+
+def test_stamps_that_rows_share_follow_a_change_too(tmp_path: Path) -> None:
+    zone, change, _ = CHANGES[1]
+    times = moments(change)
+    path = table(tmp_path / "a.csv", [local(moment, zone)[:19] for moment in times])
+    found = make_csv.read(path, timezone=zone)
+    assert (utc_us(found), found.codes) == (exact_us(times), ["clock_followed"])
+
+
+@pytest.mark.parametrize("beside", [-1, 0])
+def test_a_row_that_is_left_out_at_the_change_hides_nothing(tmp_path: Path, beside: int) -> None:
+    zone, change, _ = CHANGES[0]
+    times = moments(change)
+    bad = len(times) // 2 + beside
+    path = table(tmp_path / "a.csv", [local(moment, zone) for moment in times], bad)
+    found = make_csv.read(path, timezone=zone)
+    del times[bad]
+    assert utc_us(found) == exact_us(times)
+    assert sorted(found.codes) == ["clock_followed", "missing_value"]
+
+
+def test_times_over_two_changes_follow_both(tmp_path: Path) -> None:
+    zone = "Europe/Berlin"
+    times = [moment for _, change, _ in CHANGES[:2] for moment in moments(change)]
+    found = make_csv.read(
+        table(tmp_path / "a.csv", [local(moment, zone) for moment in times]), timezone=zone, rate_hz=20.0
+    )
+    assert utc_us(found) == exact_us(times)
+    assert found.codes.count("clock_followed") == 2
+
+
+@pytest.mark.parametrize(("zone", "change", "hours"), CHANGES)
+def test_the_clock_of_a_device_runs_on_over_a_change(
+    tmp_path: Path, zone: str, change: datetime, hours: float
+) -> None:
+    times = moments(change)
+    offset = times[0].astimezone(ZoneInfo(zone)).utcoffset()
+    assert offset is not None
+    stamps = [(moment + offset).strftime("%Y-%m-%d %H:%M:%S.%f") for moment in times]
+    found = make_csv.read(table(tmp_path / "a.csv", stamps), timezone=zone)
+    assert (utc_us(found), found.codes, found.breaks) == (exact_us(times), [], [])
+
+
+def test_an_hour_that_is_missing_elsewhere_is_no_change_of_the_clocks(tmp_path: Path) -> None:
+    zone, change, _ = CHANGES[0]
+    times = moments(change - timedelta(minutes=10))
+    half = len(times) // 2
+    times = [moment + timedelta(hours=row >= half) for row, moment in enumerate(times)]
+    stamps = [(moment + timedelta(hours=1)).strftime("%Y-%m-%d %H:%M:%S.%f") for moment in times]
+    found = make_csv.read(table(tmp_path / "a.csv", stamps), timezone=zone)
+    assert (utc_us(found), found.codes) == (exact_us(times), ["clock_gap"])
+
+
+def test_local_times_that_an_hdf5_file_counts_from_1970_follow_a_change_where_the_zone_is_forced(
+    tmp_path: Path,
+) -> None:
+    zone, change, _ = CHANGES[1]
+    times = moments(change)
+    walls = [moment.astimezone(ZoneInfo(zone)).replace(tzinfo=UTC) for moment in times]
+    counts = np.tile(np.array([1, 2, 256], np.int16), (len(times), 1))
+    datasets = {"accel": counts, "time": np.array(exact_us(walls), np.int64)}
+    path = make_hdf5.write(tmp_path / "a.h5", datasets, make_hdf5.about(sample_rate=20.0, start_time=None))
+    found = make_hdf5.read(path, 30, timezone=zone, force_timezone=True)
+    assert (utc_us(found), found.codes, found.breaks) == (exact_us(times), ["clock_followed"], [])
+    assert found.problems[0].message == f"the times follow a change of the clocks in {zone}"
+
+
+@pytest.mark.parametrize(
+    ("kept", "followed", "words"),
+    [
+        (lambda _: True, True, "the times of this file follow that, and were read so"),
+        (lambda minutes: abs(minutes) > 0.05, True, "the times of this file follow that"),
+        (lambda minutes: abs(minutes) > 1, None, "if it was, later times are 1 h too early"),
+    ],
+    ids=["rows at the change", "a pause of seconds", "none for minutes"],
+)
+def test_the_report_says_whether_times_follow_a_change(
+    tmp_path: Path, kept: Callable[[float], bool], followed: bool | None, words: str
+) -> None:
+    zone, change, _ = CHANGES[1]
+    times = [moment for moment in moments(change, 90) if kept((moment - change) / timedelta(minutes=1))]
+    path = table(tmp_path / "a.csv", [local(moment, zone) for moment in times])
+    found = inspect(path, ReadOptions(timezone=zone, rate_hz=20.0), Settings(), full=True)
+    told = as_json(found)["file_health"]["clock"]["dst_change"]
+    assert (told["time"], told["followed"]) == ("2023-10-29T03:00:00.000000+02:00", followed)
+    assert told["note"].endswith(words) or words in told["note"]
+    assert told["note"] in as_json(found)["recording"]["notes"]

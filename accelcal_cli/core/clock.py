@@ -1,7 +1,7 @@
 """Clocks of devices: their offsets from UTC, and the times of samples in whole microseconds.
 
 A device's clock is set once and then runs on: it keeps the offset from UTC that its zone had when
-the recording began, whatever daylight saving does in the meantime.
+the recording began, whatever daylight saving does in the meantime (`core/daylight.py`).
 
 Sample times are computed only where they are wanted: a `Clock` answers `times(start, stop)` for rows
 of one chunk. All arithmetic is integer, so that the time of a sample does not depend on where the
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta, tzinfo
+from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -67,70 +67,6 @@ def utc_offset_s(zone: str | None, start_us: int, *, fold: int = 0) -> int | Non
             hint="give a name such as Europe/Berlin, or an offset such as +01:00",
         ) from error
     offset = local.utcoffset()
-    return 0 if offset is None else round(offset.total_seconds())
-
-
-@dataclass(frozen=True, slots=True)
-class ZoneChange:
-    """A zone changes its offset from UTC while a device's clock keeps the one it had.
-
-    Attributes:
-        at_us: when, on the device's clock [us since 1970].
-        before_s, after_s: seconds ahead of UTC.
-    """
-
-    zone: str
-    at_us: int
-    before_s: int
-    after_s: int
-
-    def note(self) -> str:
-        """For the report."""
-        shift_s = self.after_s - self.before_s
-        hours = f"{abs(shift_s) / 3600:g} h"
-        put, off = ("forward", "behind") if shift_s > 0 else ("back", "ahead of")
-        return (
-            f"clocks in {self.zone} were put {put} by {hours} at {iso_time(self.at_us, self.before_s)}; the "
-            f"device's clock was not, and is {hours} {off} local time from then on"
-        )
-
-
-def zone_change(zone: str | None, start_us: int, end_us: int) -> ZoneChange | None:
-    """The first change of a zone's offset during a recording; None for a fixed or unknown zone.
-
-    Args:
-        start_us, end_us: local times of the first and last sample, on a clock that keeps its offset.
-    """
-    if zone is None or "/" not in zone:
-        return None
-    from zoneinfo import ZoneInfo
-
-    try:
-        before_s = utc_offset_s(zone, start_us) or 0
-        low_s = start_us // MICROSECONDS - before_s
-        end_s = end_us // MICROSECONDS - before_s
-        place = ZoneInfo(zone)
-        while low_s < end_s:
-            high_s = min(low_s + _DAY_S, end_s)
-            if (after_s := _offset_at(place, high_s)) != before_s:
-                at_s = _first_other(place, low_s, high_s, before_s)
-                return ZoneChange(zone, (at_s + before_s) * MICROSECONDS, before_s, after_s)
-            low_s = high_s
-    except (OverflowError, ValueError, OSError):
-        return None
-    return None
-
-
-def _first_other(place: tzinfo, low_s: int, high_s: int, offset_s: int) -> int:
-    """The first second with another offset, between one that has it and one that has not."""
-    while high_s - low_s > 1:
-        middle = (low_s + high_s) // 2
-        low_s, high_s = (middle, high_s) if _offset_at(place, middle) == offset_s else (low_s, middle)
-    return high_s
-
-
-def _offset_at(place: tzinfo, utc_s: int) -> int:
-    offset = datetime.fromtimestamp(utc_s, place).utcoffset()
     return 0 if offset is None else round(offset.total_seconds())
 
 

@@ -69,6 +69,8 @@ class Recording:
         timezone: zone of the times, None if they are local times of an unknown zone. A reader states what
             the file says; `core/zones.py` decides.
         has_offsets: its times had offsets from UTC, and were converted to UTC.
+        stamped: its rows have times of their own, such as a computer writes, whose clock may follow daylight
+            saving; the clock of a device runs on.
         samples: number of samples, None if only reading everything would show it.
         duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
@@ -86,6 +88,7 @@ class Recording:
     start_us: int | None = None
     timezone: str | None = None
     has_offsets: bool = False
+    stamped: bool = False
     samples: int | None = None
     duration_s: float | None = None
     has_temperature: bool = False

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import fsum
 
-from accelcal_cli.core.clock import ZoneChange
+from accelcal_cli.core.daylight import ZoneChange
 from accelcal_cli.core.points import Calibration, Fit
 from accelcal_cli.core.recording import Problem
 

@@ -15,7 +15,8 @@ from typing import Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core import results
-from accelcal_cli.core.clock import ZoneChange, iso_time
+from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.daylight import ZoneChange
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS, to_float
 from accelcal_cli.core.operations import predicted_seconds
@@ -210,6 +211,7 @@ def _zone_change(change: ZoneChange) -> dict[str, Any]:
         "time": iso_time(change.at_us, change.before_s),
         "utc_offset_s_before": change.before_s,
         "utc_offset_s_after": change.after_s,
+        "followed": change.followed,
         "note": change.note(),
     }
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli import __version__
-from accelcal_cli.core.clock import iso_time, zone_change
+from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.daylight import zone_change
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import WindowCounts
@@ -70,17 +71,18 @@ def inspect(
     covered = coverage(points, postures(points, settings.posture_degrees))
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
     prediction = damage or advised(method.procedure.judge(fitter), facts, recording)
-    return Inspection(recording, _to_its_end(facts, recording), method.segmenter.counts, prediction, whole)
+    facts = facts if whole else _to_its_end(facts, recording)
+    return Inspection(recording, facts, method.segmenter.counts, prediction, whole)
 
 
 def _to_its_end(facts: Facts, recording: Recording) -> Facts:
-    """The facts with a change of the zone that the pieces end before."""
-    start_us, lasts_s = recording.start_us, recording.duration_s
-    if facts.zone_change is not None or start_us is None or lasts_s is None:
-        return facts
-    return replace(
-        facts, zone_change=zone_change(recording.timezone, start_us, start_us + round(1e6 * lasts_s))
-    )
+    """The facts with a change of the zone that the pieces end before, or lie on both sides of."""
+    start_us, lasts_s, change = recording.start_us, recording.duration_s, facts.zone_change
+    if change is None and start_us is not None and lasts_s is not None:
+        change = zone_change(recording.timezone, start_us, start_us + round(1e6 * lasts_s))
+    if change is None or change.followed:
+        return replace(facts, zone_change=change)
+    return replace(facts, zone_change=replace(change, followed=None if recording.stamped else False))
 
 
 def _pieces(reader: Reader) -> Iterator[Chunk]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,8 @@ import numpy as np
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.rest import RestSums
-from accelcal_cli.core.clock import ZoneChange, utc_offset_s, zone_change
+from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
+from accelcal_cli.core.daylight import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import Optimizer, PointSet, WindowCounts, Windows, joined_windows
@@ -313,7 +315,7 @@ class FactsObserver(Observer):
         self.gaps: list[Gap] = []
         self.gaps_omitted = self._gap_us = self._back = 0
         self.problems: list[Problem] = []
-        self._problems_omitted = 0
+        self._problems_omitted = self._followed = 0
         self._lost_bytes = self._used_bytes = 0
         self._run_start_us = self._run_first = 0
         self._run_steps = self._run_us = 0
@@ -367,9 +369,30 @@ class FactsObserver(Observer):
         return all(problem.code != "no_start_time" for problem in self.problems)
 
     def _zone_change(self) -> ZoneChange | None:
+        """The first change that the times do not follow; else the first one."""
         zone = self.recording.timezone
-        known = self._dated and self.first_us is not None and self.last_us is not None
-        return zone_change(zone, self.first_us or 0, self.last_us or 0) if known else None
+        if not self._dated or self.first_us is None or self.last_us is None:
+            return None
+        end_us = max((self.last_us, *(end for _, end in self._jumps_of_stamps())))
+        changes = [*islice(zone_changes(zone, self.first_us, end_us), self._followed + 1)]
+        if len(changes) > self._followed:
+            return replace(changes[-1], followed=None if self._unseen(changes[-1]) else False)
+        return replace(changes[0], followed=True) if changes else None
+
+    def _unseen(self, change: ZoneChange) -> bool:
+        """Whether no rows show if the times follow a change."""
+        start_s = utc_offset_s(self.recording.timezone, self.first_us or 0) or 0
+        at_us = change.at_us + (start_s - change.before_s) * MICROSECONDS
+        omitted = self.recording.stamped and self.gaps_omitted > 0
+        return omitted or any(start < at_us <= end for start, end in self._jumps_of_stamps())
+
+    def _jumps_of_stamps(self) -> list[tuple[int, int]]:
+        """From when to when a change may hide behind a jump of a clock that may have followed it [us].
+
+        One that goes back by less than an hour may be put back after a pause.
+        """
+        gaps = self.gaps if self.recording.stamped else []
+        return [(gap.start_us, gap.start_us + round(abs(gap.seconds) * 1e6)) for gap in gaps]
 
     def _rate_hz(self) -> float | None:
         """Steps over time within unbroken runs, the last of which is still open."""
@@ -384,6 +407,7 @@ class FactsObserver(Observer):
         self.problems += problems[:left]
         self._problems_omitted += len(problems[left:])
         self._lost_bytes += sum(problem.lost_bytes for problem in problems)
+        self._followed += sum(problem.count for problem in problems if problem.code == FOLLOWED)
 
     def _note_times(self, chunk: Chunk) -> None:
         if self.first_us is None:

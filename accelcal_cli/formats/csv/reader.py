@@ -5,7 +5,7 @@ Bad rows are left out; breaks, jumps of the clock and what else is wrong become 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -16,12 +16,22 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core import recording
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.daylight import FOLLOWED
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
-from accelcal_cli.formats.csv.rows import Fault, IdleFill, RowParser, Rows, SharedStamps, block_bytes, joined
+from accelcal_cli.formats.csv.rows import (
+    Fault,
+    FollowedChanges,
+    IdleFill,
+    RowParser,
+    Rows,
+    SharedStamps,
+    block_bytes,
+    joined,
+)
 from accelcal_cli.formats.csv.table import Block, LineFile
 from accelcal_cli.formats.csv.times import GAP_PERIODS
 
@@ -34,8 +44,9 @@ IMPOSSIBLE = ("impossible_time", "{rows} from line {line} on left out: an imposs
 ASLEEP = ("idle_sleep", "{rows} from line {line} on not measured: the device slept, and repeated a value")
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
+WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone} before line {{line}}")
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
-CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE, ASLEEP, AHEAD, BACK)]
+CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)]
 """The order of those problems that only the end of the file completes."""
 
 NO_DATE = "the file has no date; times count from 1970-01-01"
@@ -66,8 +77,9 @@ class CsvReader(Reader):
         Raises:
             UnreadableError: a line is no row of the file, or most rows cannot be used.
         """
-        assembler = Assembler(self._detected)
-        for rows, block in joined(self._settled(chunk_samples), chunk_samples):
+        changes = FollowedChanges(self.recording.timezone if self.recording.stamped else None)
+        assembler = Assembler(self._detected, changes.rows, self.recording.timezone)
+        for rows, block in joined(self._settled(chunk_samples, [changes]), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
                 if len(chunk) or chunk.problems:
                     yield chunk
@@ -76,11 +88,13 @@ class CsvReader(Reader):
         if (end := assembler.end(block)).problems:
             yield end
 
-    def _settled(self, chunk_samples: int) -> Iterator[tuple[Rows, Block]]:
+    def _settled(
+        self, chunk_samples: int, changes: Sequence[FollowedChanges] = ()
+    ) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
         row_parser = RowParser(detected.parser, detected.scale, detected.first_values)
-        stages: list[SharedStamps | IdleFill] = []
+        stages: list[FollowedChanges | SharedStamps | IdleFill] = [*changes]
         if detected.pace.stamp_period_us:
             stages.append(SharedStamps(detected.pace))
         if detected.export.repeats_idle:
@@ -125,6 +139,7 @@ def _recording(path: Path, detected: Detected, first_us: int | None, last_us: in
         start_us=first_us,
         timezone=detected.timezone,
         has_offsets=written is not None and written.has_offsets,
+        stamped=written is not None and written.since_1970,
         duration_s=length if length is not None and length > 0 else None,
         has_temperature="temperature_mc" in detected.first_values,
         notes=detected.notes(),
@@ -146,9 +161,14 @@ class _Kept:
 
 
 class Assembler:
-    """Makes chunks of all rows of a file, in order."""
+    """Makes chunks of all rows of a file, in order.
 
-    def __init__(self, detected: Detected) -> None:
+    Args:
+        followed: numbers of the rows before which the times follow a change of their zone; known as soon as
+            the rows are.
+    """
+
+    def __init__(self, detected: Detected, followed: Sequence[int] = (), zone: str | None = None) -> None:
         problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         self._row_bytes = max(1, round(detected.line_bytes))
         self._no_channels: Channels = {name: np.empty(0, np.int32) for name in detected.first_values}
@@ -157,6 +177,7 @@ class Assembler:
         self._pace = detected.pace
         self._rate = rate_fraction(detected.pace.rate_hz)
         self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
+        self._followed, self._with_its_zone = followed, (FOLLOWED, WITH_ITS_ZONE[1].format(zone=zone))
         self._last_row = -1
         self._last_us = 0
         self._last_jump: Kind | None = None
@@ -213,6 +234,9 @@ class Assembler:
             flags.append((IMPOSSIBLE, rows.fault == Fault.TIME, self._row_bytes))
         if rows.filled is not None and rows.filled.any():
             flags.append((ASLEEP, rows.filled, 0))
+        here = [row - rows.first_row for row in self._followed if 0 <= row - rows.first_row < len(rows)]
+        if here:
+            flags.append((self._with_its_zone, np.isin(np.arange(len(rows)), here), 0))
         before = np.cumsum(good) - good if flags else good
         for kind, flag, row_bytes in flags:
             places = np.flatnonzero(flag)

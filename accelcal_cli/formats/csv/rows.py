@@ -1,6 +1,7 @@
 """Rows of a text file as counts, times and faults, block after block.
 
-`RowParser` makes rows of the parsed columns. `SharedStamps` gives every row a time where several rows share a
+`RowParser` makes rows of the parsed columns. `FollowedChanges` makes the times run on where they follow
+daylight saving. `SharedStamps` gives every row a time where several rows share a
 stamp, such as whole seconds; `IdleFill` marks what a device wrote while it slept. Rows of small blocks are
 then joined, since every stretch of rows costs the same afterwards, however short.
 """
@@ -14,6 +15,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.daylight import LocalStamps
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
@@ -163,6 +165,29 @@ class RowParser:
             line=int(line[row]),
             hint="give the unit of the values with --unit g, mg or m/s2",
         )
+
+
+class FollowedChanges:
+    """Makes times run on where they follow a change of their zone's offset.
+
+    Attributes:
+        rows: numbers of the rows before which they do, from 0.
+    """
+
+    def __init__(self, zone: str | None) -> None:
+        self._stamps = None if zone is None else LocalStamps(zone)
+        self.rows: list[int] = []
+
+    def add(self, rows: Rows, _last: bool) -> Rows:
+        """The next rows, with the times of a clock that runs on."""
+        if rows.time_us is None or self._stamps is None:
+            return rows
+        timed = np.flatnonzero(rows.time_us > IMPOSSIBLE)
+        running, followed = self._stamps.running_on(rows.time_us[timed])
+        self.rows += (rows.first_row + timed[followed]).tolist()
+        times = rows.time_us.copy()
+        times[timed] = running
+        return replace(rows, time_us=times)
 
 
 class SharedStamps:

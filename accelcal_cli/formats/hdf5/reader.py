@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core import recording
 from accelcal_cli.core.clock import Clock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.daylight import FOLLOWED, LocalStamps
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording
-from accelcal_cli.formats._problems import ProblemLog
+from accelcal_cli.formats._problems import ProblemLog, Run
 from accelcal_cli.formats.hdf5 import description, units
 from accelcal_cli.formats.hdf5 import file as h5
 from accelcal_cli.formats.hdf5.channels import Axes, Channel, dps_per_lsb, find_channels
@@ -48,6 +49,7 @@ PIECE_BYTES = 16 << 20
 NO_TIME = ("missing_value", "rows without a believable time left out")
 AHEAD = ("clock_gap", "jumps forward of the times")
 BACK = ("clock_back", "jumps back of the times")
+WITH_ITS_ZONE = "the times follow a change of the clocks in {}"
 
 
 def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
@@ -111,6 +113,7 @@ def _recording(
         start_us=timeline.start_us,
         timezone=zone,
         has_offsets=timeline.has_offsets,
+        stamped=timeline.stamps is not None and not timeline.stamps.scale.base_us,
         samples=rows if known else None,
         duration_s=rows / rate if timeline.duration_s is None else timeline.duration_s,
         has_temperature="temperature_mc" in channels,
@@ -244,21 +247,30 @@ class Hdf5Reader(Reader):
             start = piece * rows // pieces
             yield from self._pieces(start, start + chunk_samples, chunk_samples)
 
+    def _zone_of_stamps(self) -> str | None:
+        return self.recording.timezone if self.recording.stamped else None
+
     def _pieces(self, start: int, stop: int, chunk_samples: int) -> Generator[Chunk, None, None]:
         path = self.recording.path
         with h5.open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
             with h5.explaining(path, self._plan.missing_bytes), h5.h5py_guard(path, "datasets"):
                 opened = partial(TrackRows, file, path=path, pool=pool)
-                stream = _Stream(opened, self._plan, start)
+                stream = _Stream(opened, self._plan, start, self._zone_of_stamps())
             step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
             for row in range(start, stop, step):
                 yield stream.piece(row, min(row + step, stop), last=row + step >= stop)
 
 
+def _message(run: Run) -> str:
+    return run.event.text if run.event.code == FOLLOWED else f"{run.count} {run.event.text}"
+
+
 class _Stream:
     """One run through the rows: what is carried from one chunk to the next."""
 
-    def __init__(self, opened: Callable[[Track], TrackRows], plan: Plan, start: int) -> None:
+    def __init__(
+        self, opened: Callable[[Track], TrackRows], plan: Plan, start: int, zone: str | None
+    ) -> None:
         self._plan = plan
         self._rate = rate_fraction(plan.recording.rate_hz)
         self._accel = [*map(opened, plan.accel.tracks)]
@@ -266,10 +278,11 @@ class _Stream:
         self._before: Channels = {}
         self._stamps = [opened(plan.stamps.track)] if plan.stamps else []
         problems = plan.problems if start == 0 else ()
-        self._log = ProblemLog(problems, lambda run: f"{run.count} {run.event.text}", SINGLE, by_end=True)
+        self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0
+        self._running, self._with_its_zone = LocalStamps(zone), (FOLLOWED, WITH_ITS_ZONE.format(zone))
         sources = chain(self._accel, *self._channels.values(), self._stamps)
         self.row_bytes = sum(source.row_bytes for source in sources)
 
@@ -310,6 +323,9 @@ class _Stream:
             return None
         times, believable = self._plan.stamps.scale.times(selection.read(self._stamps[0])[:, 0])
         selection.leave_out(NO_TIME, ~believable)
+        rows = selection.rows()
+        times[rows], followed = self._running.running_on(times[rows])
+        selection.note(self._with_its_zone, rows[followed])
         return times
 
     def _channel_values(self, selection: RowSelection) -> Channels:

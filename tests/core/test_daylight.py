@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from accelcal_cli.core.clock import zone_change
+from accelcal_cli.core.daylight import zone_change
 
 
 def us(text: str) -> int:
