@@ -9,7 +9,7 @@ import hashlib
 import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -126,22 +126,17 @@ def _borrows(name: str, device: Mapping[str, Row], max_damage_percent: float, *,
 
 
 def _apart_s(one: Row, other: Row) -> float:
-    """Time between two recordings by the device's clock [s]; 0 where they overlap, endless if not known."""
-    spans = [_span(row) for row in (one, other)]
-    if spans[0] is None or spans[1] is None:
+    """Time between two recordings [s]; 0 where they overlap, endless if not known.
+
+    By the device's clock, unless both say how far theirs was from UTC.
+    """
+    if one["start_time"] is None or other["start_time"] is None:
         return float("inf")
-    (start, end), (begin, close) = spans[0], spans[1]
-    return max(0.0, (start - close).total_seconds(), (begin - end).total_seconds())
-
-
-def _span(row: Row) -> tuple[datetime, datetime] | None:
-    if row["start_time"] is None:
-        return None
-    start = datetime.fromisoformat(row["start_time"]).replace(tzinfo=None)
-    try:
-        return start, start + timedelta(seconds=row["duration_s"])
-    except OverflowError:
-        return None
+    start, begin = (datetime.fromisoformat(row["start_time"]) for row in (one, other))
+    if start.tzinfo is None or begin.tzinfo is None:
+        start, begin = start.replace(tzinfo=None), begin.replace(tzinfo=None)
+    later = (begin - start).total_seconds()
+    return float(max(0.0, later - one["duration_s"], -later - other["duration_s"]))
 
 
 def identity(row: Row) -> str:

@@ -49,7 +49,16 @@ def test_ties_go_by_name_and_what_has_no_time_comes_last() -> None:
     assert asked(rows) == {"x": ["a", "b", "c"]}
 
 
-def test_a_clock_at_the_end_of_all_times_tells_none() -> None:
+def test_offsets_count_where_both_recordings_have_one() -> None:
+    """By the clocks b is nearer, 2 h after the end at 12:00; in UTC it begins 7 h after it, and c 4 h."""
+    ends = at(20, 11, zone="+05:00", outcome="refused")
+    assert asked({"a": ends, "b": at(20, 14, zone="+00:00"), "c": at(20, 16, zone="+05:00")}) == {
+        "a": ["c", "b"]
+    }
+    assert asked({"a": ends, "b": at(20, 14), "c": at(20, 16)}) == {"a": ["b", "c"]}
+
+
+def test_a_clock_at_the_end_of_all_times_is_far_from_all() -> None:
     """The end of a recording that begins in the last hour of the year 9999 has no date."""
     late = row(start_time="9999-12-31T23:30:00.000000")
     assert asked({"x": row("refused"), "a": late, "b": at(20)}) == {"x": ["b", "a"]}
