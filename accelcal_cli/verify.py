@@ -25,7 +25,7 @@ from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import Column, ParquetSource, schema_of, values_of
+from accelcal_cli.output.parquet import Column, ParquetSource, described, schema_of, stored_schema, values_of
 from accelcal_cli.output.report import ReportInput, build, section, significant, with_new_names
 from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
 from accelcal_cli.pipeline import calibrate, jobs
@@ -58,6 +58,9 @@ LATER = {
     "holdout.improvement_factor": "0.2.0",
 }
 """Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""
+
+SAYS_TIME_ZONE = "0.2.0"
+"""Parquet files of versions before this one do not say what their times are in."""
 
 _ABSENT = object()
 
@@ -309,8 +312,19 @@ def check_parquet(
     if document.first is not None:
         metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}
     expected = {name: document.report.get(name) for name in names}
-    keys = tuple(differing({name: metadata.get(name) for name in names}, expected))
+    keys = (*differing(metadata, expected), *_other_schema(path, columns_of(written[1]), document))
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)
+
+
+def _other_schema(path: Path, columns: list[Column], document: Document) -> Iterator[str]:
+    """What else the file does not say as it should: `time_zone`, its columns, their types and units."""
+    stored = stored_schema(path)
+    if stored is None:
+        return
+    found, expected = described(stored), described(schema_of(columns, {}))
+    if _release(document.report["accelcal_version"]) < _release(SAYS_TIME_ZONE):
+        expected = expected | {"time_zone": found["time_zone"]}
+    yield from differing(found, expected)
 
 
 def _parquet_beside(report: Path) -> Path | None:

@@ -130,6 +130,26 @@ def schema_of(columns: Sequence[Column], metadata: dict[str, Any]) -> pa.Schema:
     return pa.schema([column.field for column in columns], metadata=about)
 
 
+def described(schema: pa.Schema) -> dict[str, Any]:
+    """What a schema says beside our metadata, as JSON: what times are in, types and units of columns."""
+    columns = {field.name: [str(field.type), _text(field.metadata, b"unit")] for field in schema}
+    return {"time_zone": _text(schema.metadata, TIME_ZONE_KEY), "columns": columns}
+
+
+def _text(metadata: dict[bytes, bytes] | None, key: bytes) -> str | None:
+    value = (metadata or {}).get(key)
+    return None if value is None else value.decode(errors="replace")
+
+
+def stored_schema(path: Path) -> pa.Schema | None:
+    """The schema of a file; None if it is no Parquet file, or cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return pq.read_schema(file)
+    except (OSError, pa.ArrowException):
+        return None
+
+
 def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArray[Any]]:
     """A chunk's rows: one array a column."""
     return [column.values(chunk, xyz) for column in columns]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,52 @@ def test_every_value_is_compared(tmp_path: Path, capsys: Capture, change: Any, c
     assert (found["parquet"]["values"], found["parquet"]["metadata"]) == ("differs", "identical")
     assert (found["parquet"]["column"], found["parquet"]["first_row"]) == (column, row)
     assert run(capsys, "verify", report, path, "--values").lines[0].endswith("\tparquet.values")
+
+
+def retell(path: Path, change: Any) -> None:
+    """Change a calibrated file's schema, keeping its rows."""
+    table = pq.read_table(path)
+    pq.write_table(change(table), path)
+
+
+def with_unit(table: pa.Table, name: str, unit: str) -> pa.Table:
+    place = table.schema.get_field_index(name)
+    return table.cast(table.schema.set(place, table.schema.field(place).with_metadata({"unit": unit})))
+
+
+def with_metadata(table: pa.Table, **entries: str) -> pa.Table:
+    kept = {key: value for key, value in table.schema.metadata.items() if key.decode() not in entries}
+    return table.replace_schema_metadata({**kept, **{key: value for key, value in entries.items() if value}})
+
+
+def with_key_of_ours(table: pa.Table) -> pa.Table:
+    told = json.loads(table.schema.metadata[b"accelcal"]) | {"extra": 1}
+    return with_metadata(table, accelcal=json.dumps(told))
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda table: with_metadata(table, time_zone="UTC"), "time_zone"),
+        (lambda table: with_metadata(table, time_zone=""), "time_zone"),
+        (lambda table: with_unit(table, "x", "m/s2"), "columns.x[1]"),
+        (
+            lambda table: table.set_column(0, "time", table["time"].cast(pa.timestamp("us", "UTC"))),
+            "columns.time[0]",
+        ),
+        (lambda table: table.drop_columns(["validity"]), "columns.validity"),
+        (lambda table: table.append_column("more", table["x"]), "columns.more"),
+        (with_key_of_ours, "extra"),
+    ],
+)
+def test_everything_that_the_file_says_of_itself_is_compared(
+    tmp_path: Path, capsys: Capture, change: Any, key: str
+) -> None:
+    report, path = donor(tmp_path), tmp_path / "donor.raw"
+    retell(tmp_path / "donor.calibrated.parquet", change)
+    ran, found = verify(capsys, report, path)
+    assert (ran.code, found["result"], found["differs"]) == (1, "differs", [])
+    assert key in found["parquet"]["differs"]
 
 
 def test_the_sign_of_a_zero_counts(tmp_path: Path, capsys: Capture) -> None:
