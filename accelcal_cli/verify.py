@@ -7,10 +7,8 @@ calibrated Parquet file beside a report is compared with the report, and on dema
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +26,7 @@ from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import Column, ParquetSource, described, schema_of, stored_schema, values_of
 from accelcal_cli.output.report import ReportInput, build, section, significant, with_new_names
 from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
+from accelcal_cli.output.report_schema import LATER, release
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
@@ -41,23 +40,6 @@ from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")
 """The report's provenance differs from run to run; the versions are named beside the result."""
-
-LATER = {
-    "settings.precision_mg": "0.1.0",
-    "settings.max_damage_percent": "0.1.0",
-    "settings.min_distance_g": "0.2.0",
-    "settings.input.date_format": "0.1.0",
-    "coverage.distinct_orientations": "0.2.0",
-    "settings.input.force_timezone": "0.2.0",
-    "recording.time_zone": "0.2.0",
-    "file_health.clock": "0.1.0",
-    "file_health.clock.dst_change.followed": "0.2.0",
-    "file_health.lost_bytes": "0.1.0",
-    "file_health.lost_percent": "0.1.0",
-    "file_health.rest": "0.2.0",
-    "holdout.improvement_factor": "0.2.0",
-}
-"""Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""
 
 SAYS_TIME_ZONE = "0.2.0"
 """Parquet files of versions before this one do not say what their times are in."""
@@ -250,14 +232,8 @@ def _leave_out_later(now: dict[str, Any], then: dict[str, Any]) -> None:
     for place, version in LATER.items():
         *outer, name = place.split(".")
         inner, before = section(now, *outer), section(then, *outer)
-        if name not in before and _release(then["accelcal_version"]) < _release(version):
+        if name not in before and release(then["accelcal_version"]) < release(version):
             inner.pop(name, None)
-
-
-def _release(version: Any) -> tuple[float, ...]:
-    """A version in order; one that is none comes after all, so that nothing is excused by it."""
-    numbers = re.fullmatch(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})", str(version))
-    return (inf,) if numbers is None else tuple(map(int, numbers.groups()))
 
 
 def _compared(report: dict[str, Any]) -> dict[str, Any]:
@@ -322,7 +298,7 @@ def _other_schema(path: Path, columns: list[Column], document: Document) -> Iter
     if stored is None:
         return
     found, expected = described(stored), described(schema_of(columns, {}))
-    if _release(document.report["accelcal_version"]) < _release(SAYS_TIME_ZONE):
+    if release(document.report["accelcal_version"]) < release(SAYS_TIME_ZONE):
         expected = expected | {"time_zone": found["time_zone"]}
     yield from differing(found, expected)
 

@@ -19,7 +19,7 @@ from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import parsed
 from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, upgraded
-from accelcal_cli.output.report_schema import fault, report_schema
+from accelcal_cli.output.report_schema import fault, schema_of_version
 
 NAME_ONE = "name a report, STEM.calibration.json"
 STRETCH = (0.5, 2.0)
@@ -102,7 +102,7 @@ def _bytes(path: Path) -> bytes:
 
 def check_sections(document: Document, names: tuple[str, ...]) -> None:
     """Raise UnreadableError if sections of a report are missing or not what they should be."""
-    schema = report_schema()
+    schema = schema_of_version(str(document.report["accelcal_version"]))
     wrong = fault(
         document.report,
         {

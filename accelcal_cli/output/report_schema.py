@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
-from functools import cache
-from math import isfinite
+from collections.abc import Callable, Iterator
+from copy import deepcopy
+from functools import cache, lru_cache
+from math import inf, isfinite
 from typing import Any
 
 
@@ -22,6 +23,52 @@ def report_schema() -> dict[str, Any]:
     text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
     schema: dict[str, Any] = json.loads(text)
     return schema
+
+
+LATER = {
+    "settings.precision_mg": "0.1.0",
+    "settings.max_damage_percent": "0.1.0",
+    "settings.min_distance_g": "0.2.0",
+    "settings.input.date_format": "0.1.0",
+    "coverage.distinct_orientations": "0.2.0",
+    "settings.input.force_timezone": "0.2.0",
+    "recording.time_zone": "0.2.0",
+    "file_health.clock": "0.1.0",
+    "file_health.clock.dst_change.followed": "0.2.0",
+    "file_health.lost_bytes": "0.1.0",
+    "file_health.lost_percent": "0.1.0",
+    "file_health.rest": "0.2.0",
+    "holdout.improvement_factor": "0.2.0",
+}
+"""Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""
+
+
+def release(version: Any) -> tuple[float, ...]:
+    """A version in order; one that is none comes after all, so that nothing is excused by it."""
+    numbers = re.fullmatch(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})", str(version))
+    return (inf,) if numbers is None else tuple(map(int, numbers.groups()))
+
+
+@lru_cache(8)
+def schema_of_version(version: str) -> dict[str, Any]:
+    """The schema of a report that this version of accelcal wrote: it may lack what came later."""
+    schema = deepcopy(report_schema())
+    for place, since in LATER.items():
+        *outer, name = place.split(".")
+        if release(version) < release(since):
+            for held in _objects(schema, outer):
+                held["required"] = [key for key in held.get("required", ()) if key != name]
+    return schema
+
+
+def _objects(schema: dict[str, Any], names: list[str]) -> Iterator[dict[str, Any]]:
+    """What the schema says of the objects at the end of these keys."""
+    for choice in schema.get("anyOf", ()):
+        yield from _objects(choice, names)
+    if not names:
+        yield schema
+    elif names[0] in schema.get("properties", {}):
+        yield from _objects(schema["properties"][names[0]], names[1:])
 
 
 _NAMES = {

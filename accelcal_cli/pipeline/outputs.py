@@ -21,7 +21,7 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, load, load_report, section, upgraded
-from accelcal_cli.output.report_schema import fault, report_schema
+from accelcal_cli.output.report_schema import fault, report_schema, schema_of_version
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
@@ -183,7 +183,7 @@ def applied_by_hand(job: Job, source: Path) -> Result | None:
     if (
         held is None
         or _made_by(held) != APPLY
-        or fault(report := upgraded(held), report_schema()) is not None
+        or fault(report := upgraded(held), schema_of_version(str(held.get("accelcal_version")))) is not None
     ):
         return None
     result = Result(job, report, up_to_date=True)

@@ -43,18 +43,37 @@ def first_names(calibration: dict[str, Any]) -> None:
         outer[name] = outer[name] and {FIRST.get(one, one): value for one, value in outer[name].items()}
 
 
+CAME_LATER = (
+    "recording.time_zone", "settings.min_distance_g", "settings.input.force_timezone",
+    "coverage.distinct_orientations", "file_health.rest", "holdout.improvement_factor",
+)  # fmt: skip
+"""What reports of accelcal 0.1.0, the last of schema version 1, did not have."""
+
+
+def without_later(held: dict[str, Any]) -> None:
+    """A report, or what a Parquet file says of itself, as version 0.1.0 wrote it."""
+    held["accelcal_version"] = "0.1.0"
+    first_names(held["calibration"])
+    for place in CAME_LATER:
+        *outer, name = place.split(".")
+        inner = held
+        for key in outer:
+            inner = inner.get(key, {})
+        inner.pop(name, None)
+
+
 def as_first(path: Path) -> Path:
-    """A report, and the Parquet file beside it, as schema version 1 had them."""
+    """A report, and the Parquet file beside it, as version 0.1.0 wrote them."""
 
     def change(held: dict[str, Any]) -> None:
         held["schema_version"] = 1
-        first_names(held["calibration"])
+        without_later(held)
 
     table_path = path.with_name(path.name.replace(".calibration.json", ".calibrated.parquet"))
     if table_path.exists():
         table = pq.read_table(table_path)
         metadata = json.loads(table.schema.metadata[b"accelcal"])
-        first_names(metadata["calibration"])
+        without_later(metadata)
         pq.write_table(
             table.replace_schema_metadata({b"accelcal": json.dumps(metadata).encode()}), table_path
         )
@@ -95,7 +114,7 @@ def test_a_full_gain_has_the_names_above_the_diagonal_too(tmp_path: Path, capsys
 def test_a_first_report_is_verified_with_its_parquet(tmp_path: Path, capsys: Capture) -> None:
     path, first = tmp_path / "donor.raw", as_first(donor(tmp_path))
     assert "kxy" in report(first)["calibration"]["parameters"]
-    ran = run(capsys, "verify", first, path)
+    ran = run(capsys, "verify", first, path, "--values")
     assert (ran.code, ran.out.split("\t")[1], ran.out.split("\t")[-1].strip()) == (0, "identical", "-"), ran
     edit(first, lambda held: held["calibration"]["parameters"].update(kxy=0.5))
     ran = run(capsys, "verify", first, path, "--json")
@@ -119,6 +138,26 @@ def test_a_first_report_gives_its_coefficients(tmp_path: Path, capsys: Capture) 
     assert now["calibration"] == then["calibration"] and now["holdout"] == then["holdout"]
     tables = [pq.read_table(tmp_path / name / "other.calibrated.parquet") for name in ("now", "then")]
     assert pa.Table.equals(*tables)
+    ran = run(capsys, "verify", tmp_path / "then" / "other.calibration.json", path, "--values")
+    assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran
+
+
+@pytest.mark.parametrize("place", CAME_LATER)
+def test_what_came_later_is_missing_in_a_first_report_only(
+    tmp_path: Path, capsys: Capture, place: str
+) -> None:
+    """A report of this version without it is damaged, or differs."""
+    path = donor(tmp_path)
+
+    def change(held: dict[str, Any]) -> None:
+        *outer, name = place.split(".")
+        for key in outer:
+            held = held[key]
+        del held[name]
+
+    edit(path, change)
+    (tmp_path / "donor.calibrated.parquet").unlink()
+    assert run(capsys, "verify", path, tmp_path / "donor.raw").code in (1, 3)
 
 
 def test_a_first_report_is_known_by_what_its_file_holds(tmp_path: Path) -> None:
