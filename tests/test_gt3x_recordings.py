@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from accelcal_cli.pipeline import survey
+from accelcal_cli.pipeline.survey import with_clipping
 from tests.cli.run import run
 
 Capture = pytest.CaptureFixture[str]
@@ -47,7 +50,9 @@ def with_and_without_sleep(
 ) -> tuple[dict, dict]:
     """Reports of the night as it is, and with its sleep taken for measured."""
     report = calibrated(capsys, real_data / "vendor" / NIGHT, folder, *words)
-    monkeypatch.setattr("accelcal_cli.formats.gt3x.timeline._validity", lambda *_: None)
+    monkeypatch.setattr(
+        survey, "with_clipping", lambda chunk, about: with_clipping(replace(chunk, validity=None), about)
+    )
     spoiled = calibrated(capsys, real_data / "vendor" / NIGHT, folder, *words)
     assert report["file_health"]["filled_samples"] == 657_540
     assert spoiled["file_health"]["filled_samples"] == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -157,3 +158,69 @@ def test_a_file_is_a_subject() -> None:
 def test_every_layer_has_its_place() -> None:
     found = {path.stem for path in PACKAGE.iterdir() if path.is_dir() or path.suffix == ".py"}
     assert found - {"__pycache__", "__init__", "py"} <= set(LAYER)
+
+
+TESTS = sorted(Path(__file__).resolve().parent.rglob("*.py"))
+SHARED = {"accelcal_cli.formats", "accelcal_cli.optimize"}
+"""Packages whose modules with a leading `_` are no plugins but what these share: public within."""
+
+
+def is_private(name: str) -> bool:
+    return name.startswith("_") and not name.startswith("__")
+
+
+@cache
+def private_names() -> set[str]:
+    """Functions, classes, attributes and constants of the package that are nobody else's business."""
+    names: set[str] = set()
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                names.add(node.name)
+            elif isinstance(node, ast.Attribute | ast.Name) and isinstance(node.ctx, ast.Store):
+                names.add(node.attr if isinstance(node, ast.Attribute) else node.id)
+    return {name for name in names if is_private(name) and name != "_"}
+
+
+def private_imports(name: str) -> bool:
+    """Whether a dotted name of ours has a private part that is no module of SHARED."""
+    parts = name.split(".")
+    hidden = [place for place, part in enumerate(parts) if is_private(part)]
+    return any(".".join(parts[:place]) not in SHARED for place in hidden)
+
+
+def reaches(path: Path) -> Iterator[str]:
+    """Private names of ours in a test: imported, attributes of others, or in texts that are run."""
+    known = private_names()
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Attribute) and node.attr in known:
+            if not (isinstance(node.value, ast.Name) and node.value.id in ("self", "cls")):
+                yield node.attr
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield from (name for name in re.findall(r"\.(_\w+)", node.value) if name in known)
+        elif isinstance(node, ast.Call) and len(node.args) > 1 and isinstance(node.args[1], ast.Constant):
+            yield from (name for name in known & {node.args[1].value} if "attr" in ast.unparse(node.func))
+    yield from (name for name in imported(path) if name.startswith("accelcal_cli") and private_imports(name))
+
+
+@pytest.mark.parametrize("path", sorted({*TESTS} - {Path(__file__).resolve()}), ids=str)
+def test_no_test_names_what_is_private(path: Path) -> None:
+    assert [*reaches(path)] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("from accelcal_cli.verify import _known_by", ["accelcal_cli.verify._known_by"]),
+        ("from accelcal_cli.formats._problems import ProblemLog", []),
+        ("from accelcal_cli.formats._problems import _x", ["accelcal_cli.formats._problems._x"]),
+        ("verify._known_by(a)", ["_known_by"]),
+        ("self._known_by = os._exit", []),
+        ("patch.setattr(verify, '_known_by', 1)", ["_known_by"]),
+        ("patch.setattr('accelcal_cli.verify._known_by', 1)", ["_known_by"]),
+    ],
+)
+def test_private_names_are_seen_wherever_they_are(tmp_path: Path, text: str, found: list[str]) -> None:
+    path = tmp_path / "test_a.py"
+    path.write_text(text)
+    assert [*reaches(path)] == found

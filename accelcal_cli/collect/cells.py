@@ -176,7 +176,7 @@ class CellCollector:
         """The points: one per cell, in the order of the cells' coordinates."""
         cells = self._believed()
         while len(cells) > MAX_POINTS:
-            cells = _merged(cells)
+            cells = coarser(cells)
         ordered = sorted(cells.items())
         weights = shared_weights([_group(key) for key, _ in ordered], [value[0] for _, value in ordered])
         sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for _, v in ordered]
@@ -237,7 +237,7 @@ def _group(key: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(part >> 1 for part in key[:3])
 
 
-def _merged(cells: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
+def coarser(cells: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
     """Cells of twice the width, in space and in temperature."""
     wider: dict[tuple[int, ...], list[int]] = {}
     for key, value in cells.items():

@@ -132,11 +132,11 @@ class States:
 
     def _end(self, reach: Candidates, start: int) -> int:
         """Where the state of the first of these windows ends."""
-        limit = self._tolerance(int(reach["least_norm"][0]))
+        limit = self.tolerance(int(reach["least_norm"][0]))
         far = (np.abs(reach["sums"] - reach["sums"][0]) > limit).any(axis=1)
         return start + (int(far.argmax()) if far.any() else len(reach))
 
-    def _tolerance(self, least: int) -> int:
+    def tolerance(self, least: int) -> int:
         """Largest difference of two sums of counts whose means agree.
 
         With n samples a window, n var = least / 4^bits: difference^2 < factor^2 n^2 var.

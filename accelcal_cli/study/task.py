@@ -225,7 +225,7 @@ class StageProgress:
     """Turns the bytes of each stage into the part of the work that is done."""
 
     def __init__(self, report_progress: ProgressCallback) -> None:
-        self._report_progress = report_progress
+        self.report_progress = report_progress
         self._next: Any = 0.0
         self._part = 0.0
 
@@ -237,6 +237,6 @@ class StageProgress:
             part = start + 0.5 * min(1.0, done / max(total, 1))
             if part > self._part and time.monotonic() >= self._next:
                 self._next, self._part = time.monotonic() + REPORT_S, part
-                self._report_progress(part)
+                self.report_progress(part)
 
         return moved

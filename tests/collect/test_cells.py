@@ -293,10 +293,10 @@ def test_making_cells_coarser_ends_with_any_number_of_temperatures(monkeypatch: 
         nonlocal rounds
         rounds += 1
         assert rounds < 40, "cells are made coarser without end"
-        return merged(held)
+        return coarser(held)
 
-    merged = cells._merged
-    monkeypatch.setattr(cells, "_merged", counted)
+    coarser = cells.coarser
+    monkeypatch.setattr(cells, "coarser", counted)
     corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
     sums = [[148 * LENGTH * part for part in corner] for corner in corners for _ in range(600)]
     warm = [LENGTH * 1000 * degree for _ in corners for degree in range(600)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import weakref
 from dataclasses import replace
 from fractions import Fraction
 
@@ -127,13 +128,14 @@ def test_chunks_that_know_no_validity_join_chunks_that_do(cuts: list[int]) -> No
 
 def test_a_pending_stretch_does_not_keep_its_chunk_alive() -> None:
     segmenter = Segmenter(10, ANYTHING)
-    (chunk,) = Stream(np.zeros((15, 3), np.int16), temperature_mc=np.zeros(15, np.int32)).chunks()
-    list(segmenter.feed(chunk))
-    pending = segmenter._pending
-    assert pending is not None and len(pending) == 5
-    assert not np.shares_memory(pending.counts, chunk.counts)
-    assert pending.temperature_mc is not None and chunk.temperature_mc is not None
-    assert not np.shares_memory(pending.temperature_mc, chunk.temperature_mc)
+    counts, warm = np.zeros((15, 3), np.int16), np.zeros(15, np.int32)
+    first, second = Stream(np.concatenate([counts, counts]), temperature_mc=np.tile(warm, 2)).chunks([15])
+    alive = [weakref.ref(counts), weakref.ref(warm)]
+    first = replace(first, counts=counts[:], temperature_mc=warm[:])
+    list(segmenter.feed(first))
+    del first, counts, warm
+    assert [kept() for kept in alive] == [None, None]
+    assert [first for windows in segmenter.feed(second) for first in windows.first_sample] == [10, 20]
 
 
 @pytest.mark.parametrize(("kind", "lsb_per_g"), [(np.int16, 256), (np.int16, 2048), (np.int32, 1 << 24)])

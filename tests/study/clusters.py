@@ -35,7 +35,7 @@ def stage(self, name, total, plain=task.StageProgress.stage):
         while name == "writing" and pathlib.Path("endless").exists():
             pathlib.Path(f"{os.getpid()}.begun").touch()
             time.sleep(0.01)
-            self._report_progress(0.5)
+            self.report_progress(0.5)
 
     return endless
 

@@ -20,19 +20,20 @@ pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="workers are for
 ROOT = Path(__file__).resolve().parents[2]
 
 SERVER_KILLED = """
-import multiprocessing.forkserver as server, os, signal
+import contextlib, multiprocessing.forkserver as server, os, signal
 from accelcal_cli.study import process_pool
 from tests.study.test_process_pool import work
 
-def fatal(*words):
-    process = plain(*words)
-    if (number := server._forkserver._forkserver_pid) and not killed:
-        killed.append(number)
-        os.kill(number, signal.SIGKILL)
-    return process
+@contextlib.contextmanager
+def fatal():
+    with plain():
+        if (number := server._forkserver._forkserver_pid) and not killed:
+            killed.append(number)
+            os.kill(number, signal.SIGKILL)
+        yield
 
-killed, plain = [], process_pool._process
-process_pool._process = fatal
+killed, plain = [], process_pool.forkserver_folder
+process_pool.forkserver_folder = fatal
 if __name__ == "__main__":
     for ended in process_pool.ProcessPool(work, 1).run([("kill", signal.SIGKILL), ("echo", 1)]):
         print(ended.result)

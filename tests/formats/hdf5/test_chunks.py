@@ -222,15 +222,16 @@ def test_only_where_several_may_work_is_anything_unpacked_ahead(
 ) -> None:
     monkeypatch.setattr(hdf5_rows, "STORED_ROWS", CHUNK)
     begun: list[tuple[int, str]] = []
-    unpack = hdf5_rows.StoredChunks._unpack
+    unshuffled = hdf5_rows.unshuffled
+    first_row = {counts()[row : row + CHUNK].tobytes(): row for row in range(0, ROWS - CHUNK + 1, CHUNK)}
 
-    def spy(self: hdf5_rows.StoredChunks, row: int, into: np.ndarray) -> bool:
-        begun.append((row, threading.current_thread().name))
-        return unpack(self, row, into)
+    def spy(raw: bytes, size: int) -> np.ndarray:
+        begun.append((first_row[raw], threading.current_thread().name))
+        return unshuffled(raw, size)
 
     write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="gzip")
     with HDF5.open(path, ReadOptions()) as reader:
-        monkeypatch.setattr(hdf5_rows.StoredChunks, "_unpack", spy)
+        monkeypatch.setattr(hdf5_rows, "unshuffled", spy)
         reader.threads = threads
         stream = reader.chunks(CHUNK)
         next(stream)
