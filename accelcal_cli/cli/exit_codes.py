@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, printable
+from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, printable
 
 OK = 0
 SOME_FAILED = 1
@@ -68,20 +68,29 @@ def _code_of(command: Callable[[], Any]) -> Any:
             raise OutputError(f"{sys.stdout.why}: the output was lost")
     except click.Abort:
         raise
-    except click.ClickException as error:
-        _show_usage(error)
-        code = error.exit_code
-    except AccelcalError as error:
-        say(str(error))
-        code = error.exit_code
-    except BrokenPipeError:
-        _silence(sys.stdout)
-        code = SOME_FAILED
-    except OSError as error:
-        code = _output_failed(error)
-    except Exception:
-        code = report_bug()
+    except Exception as error:
+        code = of_failure(error)
     return code
+
+
+def of_failure(error: Exception) -> int:
+    """The exit code of an error that is being handled, which is told in one line.
+
+    Raises:
+        InterruptedBySignalError: it was raised while a signal ended the command, whose code counts.
+    """
+    if came_of(error, InterruptedBySignalError, KeyboardInterrupt):
+        raise InterruptedBySignalError from None
+    if isinstance(error, click.ClickException):
+        _show_usage(error)
+        return error.exit_code
+    if isinstance(error, AccelcalError):
+        say(str(error))
+        return error.exit_code
+    if isinstance(error, BrokenPipeError):
+        _silence(sys.stdout)
+        return SOME_FAILED
+    return _output_failed(error) if isinstance(error, OSError) else report_bug()
 
 
 class _Lost(io.StringIO):
@@ -163,7 +172,7 @@ def report_bug(path: Path | None = None) -> int:
     import traceback
 
     kind, value, _ = sys.exc_info()
-    if _came_of_a_signal(value):
+    if came_of(value, InterruptedBySignalError, KeyboardInterrupt):
         raise InterruptedBySignalError from None
     if isinstance(value, MemoryError) or getattr(value, "errno", None) == errno.ENOMEM:
         where = "" if path is None else f"{path}: "
@@ -173,12 +182,6 @@ def report_bug(path: Path | None = None) -> int:
     text = " ".join(f"{name}: {value}".split())
     say(f"a bug in accelcal ({text}); please report it with {keep_trace(traceback.format_exc())}")
     return BUG
-
-
-def _came_of_a_signal(error: BaseException | None) -> bool:
-    while error is not None and not isinstance(error, KeyboardInterrupt | InterruptedBySignalError):
-        error = error.__context__
-    return error is not None
 
 
 def keep_trace(text: str) -> str:

@@ -49,8 +49,7 @@ def _one(path: Path, values: dict[str, Any], *, several: bool) -> int:
     try:
         inspection = _look(path, values, several=several)
     except AccelcalError as error:
-        exit_codes.say(str(error))
-        return error.exit_code
+        return exit_codes.of_failure(error)
     shown = as_json(inspection)
     exit_codes.show(json.dumps(shown) if values["as_json_"] else text(inspection, shown))
     return exit_codes.OK

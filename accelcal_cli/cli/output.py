@@ -141,8 +141,7 @@ def each_recording(
             with progress_bars(path.name, quiet=quiet) as bars:
                 results.append(work(path, bars))
         except AccelcalError as error:
-            exit_codes.say(str(error))
-            failed = error.exit_code
+            failed = exit_codes.of_failure(error)
     return results, exit_codes.SOME_FAILED if failed and len(recordings) > 1 else failed
 
 
@@ -179,8 +178,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
         with bytes_of(job.source) as source, progress_bars(job.source.name, quiet=values["quiet"]) as bars:
             result = work(job, bars, source)
     except AccelcalError as error:
-        exit_codes.say(str(error))
-        return error.exit_code
+        return exit_codes.of_failure(error)
     except Exception:
         return exit_codes.report_bug(job.source)
     if values["as_json"]:

@@ -48,6 +48,13 @@ def listed(items: Sequence[str]) -> str:
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
+def came_of(error: BaseException | None, *kinds: type[BaseException]) -> BaseException | None:
+    """The error, or that in whose handling it was raised, if it is of one of these kinds; else None."""
+    while error is not None and not isinstance(error, kinds):
+        error = error.__context__
+    return error
+
+
 class AccelcalError(Exception):
     """An error with a place and a remedy, shown as one line.
 

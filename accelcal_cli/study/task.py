@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, printable
+from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -96,24 +96,30 @@ Work = Callable[[AnyTask, ProgressCallback], TaskResult]
 
 
 def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
-    """Work that returns a result whatever happens."""
+    """Work that returns a result whatever happens, unless the process is to end."""
 
     @functools.wraps(work)
     def guarded_work(task: AnyTask, report_progress: ProgressCallback) -> TaskResult:
         keep_freed_memory()
         try:
             return work(task, report_progress)
-        except AccelcalError as error:
-            again = isinstance(error, OutputError)
-            return TaskResult(task.failure(error.exit_code, str(error), again=again))
-        except MemoryError:
-            message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
-            return TaskResult(task.failure(NO_MEMORY, message, again=True))
         except Exception as error:
-            message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
-            return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
+            if (end := came_of(error, SystemExit)) is not None:
+                raise end from None
+            return _failed(task, error)
 
     return guarded_work
+
+
+def _failed(task: Task, error: Exception) -> TaskResult:
+    if isinstance(error, AccelcalError):
+        again = isinstance(error, OutputError)
+        return TaskResult(task.failure(error.exit_code, str(error), again=again))
+    if isinstance(error, MemoryError):
+        message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
+        return TaskResult(task.failure(NO_MEMORY, message, again=True))
+    message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
+    return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())
 
 
 @guarded

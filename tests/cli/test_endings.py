@@ -12,7 +12,9 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.core.errors import OutputError
 from accelcal_cli.pipeline import calibrate
+from accelcal_cli.segment.segmenter import Segmenter
 from accelcal_cli.study import task
 from tests.cli.run import assert_one_line, command, little_room, run
 from tests.recordings import directions, still_counts, write_raw
@@ -75,6 +77,73 @@ def test_signals_are_left_as_they_were_for_what_comes_after() -> None:
         "signal.raise_signal(signal.SIGTERM)"
     )
     assert (done.returncode, done.stderr) == (-signal.SIGTERM, "")
+
+
+FAILS_AT_ITS_END = """
+import contextlib, signal, sys
+from accelcal_cli.cli.exit_codes import run_safely
+from accelcal_cli.core.errors import OutputError
+@contextlib.contextmanager
+def output():
+    try:
+        yield
+    finally:
+        raise OutputError("a temporary file cannot be removed")
+def command():
+    with output():
+        signal.raise_signal(signal.{})
+sys.exit(run_safely(command))
+"""
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_an_error_while_a_signal_ends_the_command_is_an_interruption(name: str) -> None:
+    done = python(FAILS_AT_ITS_END.format(name))
+    assert (done.returncode, done.stderr) == (
+        130,
+        "accelcal: interrupted; no incomplete output was left behind\n",
+    )
+
+
+def interrupted_and_failing(*_words: object) -> None:
+    try:
+        raise exit_codes.InterruptedBySignalError
+    finally:
+        raise OutputError("a temporary file cannot be removed")
+
+
+@pytest.mark.parametrize(
+    "command",
+    [("calibrate",), ("inspect",), ("evaluate", "stillness")],
+    ids=" ".join,
+)
+def test_a_recording_that_fails_as_a_signal_ends_it_is_the_last(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
+) -> None:
+    """The others are not begun."""
+    paths = [write_raw(tmp_path / f"{name}.raw", still_counts(directions(2))) for name in "ab"]
+    before = sorted(tmp_path.iterdir())
+    monkeypatch.setattr(Segmenter, "feed", interrupted_and_failing)
+    ran = run(capsys, *command, *paths)
+    assert (ran.code, ran.out) == (130, "")
+    assert ran.err == "accelcal: interrupted; no incomplete output was left behind\n"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize("error", [OutputError("x"), OSError("x"), MemoryError()])
+def test_a_worker_that_is_terminated_ends_whatever_fails_meanwhile(error: Exception) -> None:
+    """Its recording is not entered as failed: it is given to another worker."""
+
+    @task.guarded
+    def work(_task: task.Task, _progress: object) -> task.TaskResult:
+        try:
+            raise SystemExit(143)
+        finally:
+            raise error
+
+    with pytest.raises(SystemExit) as ended:
+        work(None, print)  # type: ignore[type-var]
+    assert ended.value.code == 143
 
 
 def test_a_bug_without_room_for_its_trace(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
