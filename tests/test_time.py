@@ -7,6 +7,7 @@ The decoders do not use the package.
 from __future__ import annotations
 
 import gzip
+import json
 import re
 import struct
 import zipfile
@@ -17,13 +18,17 @@ from zoneinfo import ZoneInfo
 
 import h5py
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.core.clock import iso_time, utc_offset_s
+from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.inspect import as_json, inspect
+from tests.cli.run import run
+from tests.cli.studies import rows
 from tests.formats import make_csv, make_hdf5
 
 FIRST: dict[str, tuple[str, str | None]] = {
@@ -32,6 +37,7 @@ FIRST: dict[str, tuple[str, str | None]] = {
     "apdm_opal.h5": ("2021-05-14T13:16:40", "UTC"),
     "ax3_100hz_3min.cwa": ("2019-02-26T10:55:05", None),
     "ax3_200hz_5min.cwa": ("2020-02-12T09:03:37", None),
+    "ax3_corrupt_blocks_0_13_14_142_143_144.cwa": ("2019-02-26T10:55:07", None),
     "ax3_sacrum_100hz_3h.cwa": ("2019-10-02T11:43:55", None),
     "ax6_100hz_2min.cwa": ("2019-12-23T21:04:06", None),
     "ax6_100hz_6min.CWA": ("2025-11-17T09:00:02", None),
@@ -72,9 +78,11 @@ def cwa_stamp(sector: bytes) -> tuple[datetime, int, int]:
 
 
 def cwa(path: Path) -> str:
-    """By the stamps of the first two data sectors and the samples between them."""
+    """By the stamps of the first two data sectors whose words add up to 0, and the samples between them."""
     data = path.read_bytes()
-    (one, at, count), (two, then, _) = (cwa_stamp(data[place : place + 512]) for place in (1024, 1536))
+    sectors = [data[place : place + 512] for place in range(1024, 1024 + 512 * 4, 512)]
+    good = [sector for sector in sectors if sum(struct.unpack("<256H", sector)) % 65536 == 0]
+    (one, at, count), (two, then, _) = map(cwa_stamp, good[:2])
     return (one - at * (two - one) / (count + then - at)).replace(microsecond=0).isoformat()
 
 
@@ -122,15 +130,85 @@ DECODERS: dict[str, Callable[[Path], str]] = {
 }  # fmt: skip
 
 
+def test_every_real_recording_is_looked_at(real_data: Path) -> None:
+    assert {path.name for path in (real_data / "vendor").iterdir()} == set(FIRST)
+
+
 @pytest.mark.parametrize("name", FIRST)
 def test_the_first_stamp_is_right_to_the_second(real_data: Path, name: str) -> None:
     path = real_data / "vendor" / name
-    sensor = "XI-012367" if name.endswith(".h5") else None
-    with open_recording(path, ReadOptions(sensor=sensor)) as reader:
+    with open_recording(path, ReadOptions(sensor=sensor_of(path))) as reader:
         found = reader.recording
+        first_us = int(next(chunk for chunk in reader.chunks(1000) if len(chunk)).clock.times(0, 1)[0])
     second, zone = FIRST[name]
     assert DECODERS[path.suffix.lower()](path) == second
     assert (str(iso_time(found.start_us, None))[:19], found.timezone) == (second, zone)
+    assert str(iso_time(first_us, None))[:19] == second
+
+
+def sensor_of(path: Path) -> str | None:
+    return "XI-012367" if path.suffix == ".h5" else None
+
+
+def moment_of(name: str, zone: str | None = None) -> datetime:
+    """The first second of a recording, in UTC where the zone is known, or at least given."""
+    second, stated = FIRST[name]
+    if stated is not None:
+        return datetime.fromisoformat(second + stated.replace("UTC", "+00:00"))
+    local = datetime.fromisoformat(second)
+    return local if zone is None else local.replace(tzinfo=ZoneInfo(zone))
+
+
+def contradicts(name: str, zone: str) -> bool:
+    """Whether the offset that a recording states is not that of a zone when it began."""
+    moment = moment_of(name, zone)
+    return moment.utcoffset() != moment.replace(tzinfo=ZoneInfo(zone)).utcoffset()
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_a_zone_is_taken_where_the_file_states_none_and_else_refused_by_name(
+    real_data: Path, name: str
+) -> None:
+    path, zone = real_data / "vendor" / name, "Europe/Berlin"
+    options = ReadOptions(sensor=sensor_of(path), timezone=zone)
+    if contradicts(name, zone):
+        said = f"states its time zone, {FIRST[name][1]}, which is not {zone}"
+        with pytest.raises(UsageError, match=re.escape(said)):
+            open_recording(path, options)
+        return
+    with open_recording(path, options) as reader:
+        about = reader.recording
+    offset_s = utc_offset_s(about.timezone, about.start_us or 0) or 0
+    utc = datetime.fromtimestamp((about.start_us or 0) // 10**6 - offset_s, UTC)
+    assert utc == moment_of(name, zone)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_a_study_of_all_real_recordings(
+    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], zone: str | None
+) -> None:
+    """One type of `time`, or a word about it; every first stamp right to the second."""
+    words = () if zone is None else ("--timezone", zone)
+    ran = run(capsys, "study", real_data / "vendor", "-d", tmp_path, "-j", 2, *words)
+    kinds = set()
+    for row in rows(tmp_path):
+        name = Path(row["path"]).name
+        if name.endswith(".h5"):
+            assert "choose one with --sensor" in row["message"]
+        elif zone is not None and contradicts(name, zone):
+            assert f"states its time zone, {FIRST[name][1]}, which is not {zone}" in row["message"]
+        else:
+            moment = moment_of(name, zone)
+            assert datetime.fromisoformat(row["start_time"]).replace(microsecond=0) == moment
+            assert row["time_zone"] == ("unknown" if moment.tzinfo is None else "UTC")
+        if row["parquet"]:
+            first = pq.read_table(tmp_path / row["parquet"], columns=["time"])["time"][0].as_py()
+            assert first.replace(microsecond=0) == moment_of(name, zone)
+            kinds.add(str(first.tzinfo))
+    assert len(kinds) == (1 if zone else 2)
+    assert ("do not join them" in ran.err) == (zone is None)
+    assert (json.loads((tmp_path / "study.json").read_text())["mixed_times"] is None) == (zone is not None)
 
 
 def test_a_recording_and_its_export_begin_at_the_same_moment_once_the_zone_is_named(real_data: Path) -> None:
