@@ -77,5 +77,5 @@ def test_sleep_is_excluded_by_the_papers_rules_too(
     reports = with_and_without_sleep(capsys, real_data, tmp_path, monkeypatch, "--profile", "paper")
     assert [report["fit"]["windows"]["used"] for report in reports] == [2643, 7160]
     assert reports[0]["message"].startswith(
-        "control subsets without two points that are 0.2 g from all others"
+        "control subsets without two points that are at least 0.2 g from all others"
     )

@@ -11,7 +11,7 @@ import click
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import bytes_of
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
@@ -99,7 +99,7 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
 
 def _scale(lsb_per_g: float) -> str:
     decimal = lsb_per_g >= FLOAT_LSB_PER_G
-    return "decimal values, to a step of 2^-24 g" if decimal else f"{lsb_per_g:.10g} counts per g"
+    return "decimal values, in steps of 2^-24 g" if decimal else f"{lsb_per_g:.10g} counts per g"
 
 
 def _known(text: str, value: float | None) -> str:
@@ -116,11 +116,12 @@ def _clock(clock: dict[str, Any]) -> str:
     if drift is None:
         parts = ["drift unknown"]
     elif abs(drift) > CLOCKS_S_PER_DAY:
-        parts = [f"{clock['rate_hz_measured']:.4g} Hz where {clock['rate_hz_nominal']:g} Hz is nominal"]
+        parts = [f"{clock['rate_hz_measured']:.4g} Hz measured, {clock['rate_hz_nominal']:g} Hz nominal"]
     else:
         parts = [f"drift {drift:+g} s/day"]
     if gaps is not None:
-        parts += [f"{gaps} gaps ({clock['gap_seconds']:g} s)", f"{clock['backward']} steps back"]
+        back = "1 step back" if clock["backward"] == 1 else f"{clock['backward']} steps back"
+        parts += [f"{counted(gaps, 'gap')} ({clock['gap_seconds']:g} s)", back]
     return ", ".join(parts)
 
 

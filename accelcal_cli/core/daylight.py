@@ -55,7 +55,7 @@ class ZoneChange:
             True: "the times of this file follow that, and were read so",
             False: f"the device's clock was not, and is {hours} {off} local time from then on",
             None: "the rows that were read do not show whether the clock of this file was, too: it is taken "
-            f"for one that was not, and if it was, later times are {hours} too {wrong}",
+            f"to be one that was not; if it was, later times are {hours} too {wrong}",
         }
         at = iso_time(self.at_us, self.before_s)
         return f"clocks in {self.zone} were put {put} by {hours} at {at}; {then[self.followed]}"

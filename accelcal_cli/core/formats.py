@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import gzip
 import importlib
+import re
 import stat
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
 from accelcal_cli.core.zones import in_its_zone
@@ -68,8 +69,8 @@ class ReadOptions:
     )
 
 
-UNUSED = ": means nothing for format {} and was not used"
-"""How a note ends that names options; what it begins with is separated by commas."""
+UNUSED = re.compile(r"(--.*) means? nothing for format (\S+) and (?:was|were) not used")
+"""A note that names options, and the format."""
 
 
 def option_name(name: str) -> str:
@@ -85,16 +86,23 @@ def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
     return replace(options, **{name: getattr(default, name) for name in names})
 
 
-def unused_note(names: Iterable[str], format_name: str) -> str:
+def mean_nothing(names: Sequence[str]) -> str:
+    """Some options and a verb: `--unit and --columns mean nothing`."""
+    return f"{listed([option_name(name) for name in names])} {'means' if len(names) == 1 else 'mean'} nothing"
+
+
+def unused_note(names: Sequence[str], format_name: str) -> str:
     """The note of a recording for which some options mean nothing."""
-    return ", ".join(map(option_name, names)) + UNUSED.format(format_name)
+    verb = "was" if len(names) == 1 else "were"
+    return f"{mean_nothing(names)} for format {format_name} and {verb} not used"
 
 
 def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
     """The options that the notes of a report's `recording` say were not used, as fields of `ReadOptions`."""
-    end, notes = UNUSED.format(recording.get("format")), recording.get("notes")
-    notes = notes if isinstance(notes, list) else []
-    words = [word for note in notes if str(note).endswith(end) for word in str(note)[: -len(end)].split(", ")]
+    notes = recording.get("notes")
+    found = [UNUSED.fullmatch(str(note)) for note in (notes if isinstance(notes, list) else [])]
+    named = " ".join(note[1] for note in found if note and note[2] == recording.get("format"))
+    words = re.findall("--[a-z-]+", named)
     return tuple(name for name in ReadOptions.__dataclass_fields__ if option_name(name) in words)
 
 

@@ -17,8 +17,8 @@ UTC, UNKNOWN = "UTC", "unknown"
 """What times in the outputs are in: moments in UTC, or local times of an unknown zone."""
 
 OMIT = "omit --timezone, which is for files that state no zone"
-TWICE = "{time} occurs twice in {zone} on that day: it is taken for the first, before clocks were put back"
-NEVER = "{time} does not occur in {zone} on that day: the clock is taken for one that was not put forward"
+TWICE = "{time} occurs twice in {zone} on that day: it is taken to be the first, before clocks were put back"
+NEVER = "{time} does not occur in {zone} on that day: the clock is taken to be one that was not put forward"
 
 
 def zone_of_times(offset_s: int | None) -> str:
@@ -54,7 +54,7 @@ def _zone(recording: Recording, wanted: str | None, force: bool) -> str | None:
             what, path=recording.path, hint=f"{OMIT}; or add --force-timezone if the file is wrong"
         )
     if recording.has_offsets:
-        what = f"its times have offsets from UTC, which --force-timezone cannot replace by {wanted}"
+        what = f"its times have offsets from UTC, which --force-timezone cannot replace with {wanted}"
         raise UsageError(what, path=recording.path, hint=f"{OMIT}; or write the times without offsets")
     return wanted
 

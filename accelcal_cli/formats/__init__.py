@@ -17,12 +17,12 @@ from functools import cache
 from pathlib import Path
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.formats import (
     Encoder,
     Format,
     ReadOptions,
-    option_name,
+    mean_nothing,
     probe_file,
     unused_note,
     without,
@@ -100,9 +100,10 @@ def refuse_unused(paths: Iterable[Path], options: ReadOptions) -> None:
 def _refuse_options(names: Sequence[str], formats: Sequence[str], path: Path | None = None) -> None:
     """Raise UsageError if there are names of options, which mean nothing for these formats."""
     if names:
-        words, kinds = ", ".join(map(option_name, names)), "formats" if len(formats) > 1 else "format"
-        text = f"{words}: means nothing for {kinds} {', '.join(formats)}"
-        raise UsageError(text, path=path, hint="omit it, or name the format with --format if it is another")
+        kinds, them = "formats" if len(formats) > 1 else "format", "it" if len(names) == 1 else "them"
+        text = f"{mean_nothing(names)} for {kinds} {listed(formats)}"
+        hint = f"omit {them}, or name the format with --format if it is another"
+        raise UsageError(text, path=path, hint=hint)
 
 
 def open_recording(

@@ -19,10 +19,10 @@ STUCK_G, TURNED_G = 0.02, 0.5
 """An axis that stays within the first while rest turns others by more than the second [g] is none."""
 
 UNITS = {
-    9.80665: "as values in m/s2 do that are taken for g",
-    1000.0: "as values in mg do that are taken for g",
-    1 / 9.80665: "as values in g do that are taken for m/s2",
-    1 / 1000.0: "as values in g do that are taken for mg",
+    9.80665: "as if values in m/s2 were read as g",
+    1000.0: "as if values in mg were read as g",
+    1 / 9.80665: "as if values in g were read as m/s2",
+    1 / 1000.0: "as if values in g were read as mg",
 }
 """What rest measures [g] if the unit is wrong, and how to say so."""
 
@@ -65,9 +65,9 @@ def _stuck(rest: Rest) -> str | None:
     turned = [f"{axis} by {span:.2f} g" for axis, span in spans.items() if span > TURNED_G]
     if not stuck or not turned:
         return None
-    at = rest.axis_min_g["xyz".index(stuck[0])]
-    text = f"{stuck[0]} stays at {at:.2f} g while rest turns {listed(turned)}"
-    return f"{text}: check that it is the right column or field"
+    at = round(rest.axis_min_g["xyz".index(stuck[0])], 2) + 0.0
+    text = f"{stuck[0]} stays at {at:.2f} g at rest while gravity moves {listed(turned)}"
+    return f"{text}: check that {stuck[0]} is the right column or field"
 
 
 def _size(median_g: float | None, what: str, lsb_per_g: float, decimal: bool) -> str | None:
@@ -90,4 +90,4 @@ def _scatter(rest: Rest) -> str | None:
     if rest.p95_g - rest.p5_g < WIDEST_G:
         return None
     text = f"rest measures anything from {rest.p5_g:.2f} to {rest.p95_g:.2f} g"
-    return f"{text}, more than scale and offset can explain: check the columns, or places and types of fields"
+    return f"{text}, more than scale and offset explain: check the columns, or places and types of the fields"

@@ -137,7 +137,8 @@ def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> J
 
 def _wanting(first: list[str], second: list[str], settings: Settings) -> str:
     """What is said of subsets that are not full: those of the first set, or else of the second."""
-    apart = f" that are {settings.min_distance_g:g} g from all others" if settings.min_distance_g else ""
+    least_g = settings.min_distance_g
+    apart = f" that are at least {least_g:g} g from all others" if least_g else ""
     return f"{'' if first else 'control '}subsets without two points{apart}: {' '.join(first or second)}"
 
 

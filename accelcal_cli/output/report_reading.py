@@ -79,7 +79,7 @@ def read_document(path: Path) -> Document:
     version, writer = report["schema_version"], report["accelcal_version"]
     if version not in (1, SCHEMA_VERSION) or isinstance(version, bool):
         raise UnreadableError(
-            f"has schema version {version!r} (of accelcal {writer!r}), this one reads 1 to {SCHEMA_VERSION}",
+            f"has schema version {version!r} (of accelcal {writer!r}), not one of 1 to {SCHEMA_VERSION}",
             path=path,
             hint="calibrate its recording again with this version, or use the version that wrote it",
         )

@@ -143,7 +143,7 @@ def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: R
     what = f"accelcal {then}" if then != now else " and ".join(_words(report, name) for name in parts)
     if report.get("calibration") is not None and what and _is_of(report, source):
         raise OutputError(
-            f"holds what {what} made of this recording",
+            f"holds the result of {what} for this recording",
             path=job.report,
             hint="choose another folder with -d, a name with -o, or use --force to replace it",
         )
@@ -160,7 +160,7 @@ def _unused(report: dict[str, Any]) -> tuple[str, ...]:
 def _words(report: dict[str, Any], name: str) -> str:
     given = _part(report, name)
     text = ",".join(given) if isinstance(given, list) else str(given)
-    return f"a run without --{name}" if given is None else f"--{name} {printable(text)}"
+    return f"a run without --{name}" if given is None else f"a run with --{name} {printable(text)}"
 
 
 def _made_by(report: dict[str, Any]) -> str:

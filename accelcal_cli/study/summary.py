@@ -145,7 +145,7 @@ def _standard_errors(section: dict[str, Any]) -> dict[str, float]:
     return {name: value for name, value in named.items() if value is not None}
 
 
-WAY_OUT = "give the zone of the latter with --timezone, in a study of their own if other files state theirs"
+WAY_OUT = "give the zone of the latter with --timezone, in a separate study if other files state their own"
 
 
 @dataclass(frozen=True, slots=True)

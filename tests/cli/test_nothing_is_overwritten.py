@@ -37,7 +37,7 @@ def test_a_refused_six_pose_leaves_a_good_calibration(tmp_path: Path, capsys: Ca
     before = held(tmp_path)
     ran = run(capsys, "six-pose", path, "--face-degrees", 30)
     assert ran.code == 5
-    assert_one_line(ran, "good.calibration.json", "what accelcal calibrate made", "-o", "--force")
+    assert_one_line(ran, "good.calibration.json", "the result of accelcal calibrate", "-o", "--force")
     assert held(tmp_path) == before
     assert run(capsys, "six-pose", path, "--face-degrees", 30, "-d", tmp_path / "other").code == 4
     assert held(tmp_path) == before
@@ -48,7 +48,7 @@ def test_calibrate_leaves_a_good_six_pose(tmp_path: Path, capsys: Capture) -> No
     before = held(tmp_path)
     ran = run(capsys, "calibrate", tmp_path / "six.csv.gz")
     assert ran.code == 5
-    assert_one_line(ran, "what accelcal six-pose made")
+    assert_one_line(ran, "the result of accelcal six-pose")
     assert held(tmp_path) == before
 
 
@@ -66,7 +66,7 @@ def test_one_sensor_of_a_file_does_not_replace_another(tmp_path: Path, capsys: C
     before = held(tmp_path)
     ran = run(capsys, "calibrate", made.path, "--sensor", "XI-000002", "--report-only")
     assert ran.code == 5
-    assert_one_line(ran, "made.calibration.json", "what --sensor XI-000001 made", "-d", "-o")
+    assert_one_line(ran, "made.calibration.json", "a run with --sensor XI-000001", "-d", "-o")
     assert held(tmp_path) == before
     words = ("--sensor", "XI-000002", "--report-only", "-o", tmp_path / "left.parquet")
     assert run(capsys, "calibrate", made.path, *words).code == 0
@@ -78,7 +78,7 @@ def test_columns_of_one_sensor_do_not_replace_those_of_another(tmp_path: Path, c
     assert run(capsys, "calibrate", path, "--report-only").code == 0
     ran = run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z")
     assert ran.code == 5
-    assert_one_line(ran, "what a run without --columns made")
+    assert_one_line(ran, "the result of a run without --columns for")
     assert run(capsys, "calibrate", path, "--report-only", "--columns", "y,x,z", "--force").code == 0
 
 
@@ -123,7 +123,7 @@ def test_calibrate_leaves_what_apply_made(tmp_path: Path, capsys: Capture) -> No
     before = held(out)
     ran = run(capsys, "calibrate", path, "-d", out)
     assert ran.code == 5
-    assert_one_line(ran, "what accelcal apply made")
+    assert_one_line(ran, "the result of accelcal apply")
     assert held(out) == before
 
 

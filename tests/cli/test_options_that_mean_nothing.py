@@ -19,7 +19,7 @@ from tests.formats import make_cwa
 from tests.recordings import RATE_HZ, directions, good_csv, good_raw, still_counts
 
 Capture = pytest.CaptureFixture[str]
-NOTE = "--unit: means nothing for format raw and was not used"
+NOTE = "--unit means nothing for format raw and was not used"
 
 
 def mixed(folder: Path) -> Path:
@@ -39,7 +39,7 @@ def report(path: Path) -> dict[str, Any]:
     [
         (("--unit", "mg"), "--unit", "raw"),
         (("--columns", "x,y,z"), "--columns", "raw"),
-        (("--time-column", "t", "--date-format", "dmy"), "--time-column, --date-format", "raw"),
+        (("--time-column", "t", "--date-format", "dmy"), "--time-column and --date-format", "raw"),
         (("--sensor", "imu"), "--sensor", "csv"),
     ],
 )
@@ -51,7 +51,9 @@ def test_for_one_recording_they_are_wrong_usage(
     before = sorted(tmp_path.iterdir())
     ran = run(capsys, command, path, *words)
     assert ran.code == 2
-    assert_one_line(ran, f"{name}: means nothing for format {kind}")
+    several = " and " in name
+    assert_one_line(ran, f"{name} {'mean' if several else 'means'} nothing for format {kind}; omit ")
+    assert ("omit them" in ran.err) == several
     assert sorted(tmp_path.iterdir()) == before
 
 
@@ -59,7 +61,7 @@ def test_columns_of_a_cwa_are_wrong_usage(tmp_path: Path, capsys: Capture) -> No
     made = make_cwa.make(tmp_path, still_counts(directions(2)), RATE_HZ, 256.0)
     ran = run(capsys, "calibrate", made.path, "--columns", "x,y,z", "--unit", "mg")
     assert ran.code == 2
-    assert_one_line(ran, "--unit, --columns: means nothing for format cwa")
+    assert_one_line(ran, "--unit and --columns mean nothing for format cwa")
 
 
 def test_of_several_those_that_they_are_not_meant_for_say_so(tmp_path: Path, capsys: Capture) -> None:
@@ -90,11 +92,11 @@ def test_in_a_study_they_must_mean_something_for_one(tmp_path: Path, capsys: Cap
     folder = mixed(tmp_path / "in")
     ran = study(capsys, folder, "--sensor", "imu")
     assert ran.code == 2
-    assert_one_line(ran, "--sensor: means nothing for formats csv, raw")
+    assert_one_line(ran, "--sensor means nothing for formats csv and raw")
     assert not list((tmp_path / "out").glob("*.json"))
     ran = run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), "--sensor", "imu")
     assert ran.code == 2
-    assert_one_line(ran, "--sensor: means nothing for formats csv, raw")
+    assert_one_line(ran, "--sensor means nothing for formats csv and raw")
 
 
 def test_reports_of_before_that_hold_such_an_option_are_still_verified(
@@ -130,3 +132,14 @@ def test_a_pool_leaves_out_what_means_nothing_for_its_members(tmp_path: Path, ca
     (pool,) = (tmp_path / "out").glob("study.pool.*.json")
     made = report(pool)
     assert (made["settings"]["input"]["unit"], made["recording"]["notes"]) == (None, [NOTE])
+
+
+def test_two_of_them_are_noted_in_a_sentence_and_verified(tmp_path: Path, capsys: Capture) -> None:
+    folder = mixed(tmp_path / "in")
+    words = ("--unit", "g", "--columns", "1,2,3", "--report-only", "-d", tmp_path)
+    assert run(capsys, "calibrate", *sorted(folder.glob("[ab].[rc]*")), *words).code == 0
+    told = tmp_path / "a.calibration.json"
+    note = "--unit and --columns mean nothing for format raw and were not used"
+    assert report(told)["recording"]["notes"] == [note]
+    ran = run(capsys, "verify", told, folder / "a.raw")
+    assert (ran.code, ran.out.split("\t")[1]) == (0, "identical"), ran

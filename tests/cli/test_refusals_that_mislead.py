@@ -29,7 +29,7 @@ def test_wrong_counts_per_g(tmp_path: Path, capsys: Capture, lsb_per_g: int) -> 
 def test_a_wrong_unit(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "calibrate", good_csv(tmp_path), "--unit", "m/s2")
     assert ran.code == 4
-    assert "as values in g do that are taken for m/s2; check the unit (--unit)" in ran.err
+    assert "as if values in g were read as m/s2; check the unit (--unit)" in ran.err
 
 
 def test_an_axis_that_is_another_field(tmp_path: Path, capsys: Capture) -> None:
@@ -37,7 +37,7 @@ def test_an_axis_that_is_another_field(tmp_path: Path, capsys: Capture) -> None:
     counts[:, 0] = 8
     ran = run(capsys, "calibrate", write_csv(tmp_path / "a.csv", counts))
     assert ran.code == 4
-    assert "x stays at 0.03 g while rest turns y by " in ran.err
+    assert "x stays at 0.03 g at rest while gravity moves y by " in ran.err
     counts[:, 0] = counts[:, 1]
     ran = run(capsys, "calibrate", write_csv(tmp_path / "b.csv", counts))
     assert "x and y hold the same values throughout" in ran.err
@@ -48,5 +48,5 @@ def test_inspect_says_two_rates_instead_of_a_drift_and_no_counts_for_decimals(
 ) -> None:
     path = write_csv(tmp_path / "a.csv", still_counts(directions(12)), rate_hz=24.4)
     shown = run(capsys, "inspect", "--full", path, "--rate", 25).out
-    assert "24.4 Hz where 25 Hz is nominal" in shown and "s/day" not in shown
-    assert "decimal values, to a step of 2^-24 g" in shown
+    assert "24.4 Hz measured, 25 Hz nominal" in shown and "s/day" not in shown
+    assert "decimal values, in steps of 2^-24 g" in shown

@@ -61,7 +61,7 @@ def test_offsets_written_with_the_times_cannot_be_replaced() -> None:
 @pytest.mark.parametrize(
     ("start", "offset_h", "note"),
     [
-        ("2024-10-27T02:30", 2, "occurs twice in Europe/Berlin on that day: it is taken for the first"),
+        ("2024-10-27T02:30", 2, "occurs twice in Europe/Berlin on that day: it is taken to be the first"),
         ("2024-03-31T02:30", 1, "does not occur in Europe/Berlin on that day"),
         ("2024-10-27T03:00", 1, None),
         ("2024-03-31T03:00", 2, None),

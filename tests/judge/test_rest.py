@@ -33,10 +33,10 @@ def test_nothing_is_odd_about_a_sensor_with_large_errors() -> None:
 @pytest.mark.parametrize(
     ("median_g", "said"),
     [
-        (9.7, "as values in m/s2 do that are taken for g"),
-        (1010.0, "as values in mg do that are taken for g"),
-        (0.1, "as values in g do that are taken for m/s2"),
-        (0.001, "as values in g do that are taken for mg"),
+        (9.7, "as if values in m/s2 were read as g"),
+        (1010.0, "as if values in mg were read as g"),
+        (0.1, "as if values in g were read as m/s2"),
+        (0.001, "as if values in g were read as mg"),
     ],
 )
 def test_a_wrong_unit_is_named(median_g: float, said: str) -> None:
@@ -61,7 +61,9 @@ def test_axes_of_one_column_and_an_axis_that_stays() -> None:
     assert (seen(alike=("x", "y")) or "").startswith("x and y hold the same values throughout")
     text = seen(axis_min_g=(0.03, -0.9, -1.1), axis_max_g=(0.04, 1.1, 0.9))
     assert text is not None
-    assert text.startswith("x stays at 0.03 g while rest turns y by 2.00 g and z by 2.00 g: check")
+    assert text.startswith(
+        "x stays at 0.03 g at rest while gravity moves y by 2.00 g and z by 2.00 g: check that x"
+    )
 
 
 def test_rest_of_any_length_is_said_with_its_range() -> None:

@@ -181,7 +181,9 @@ def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
     found = judge_paper(fitted, control, (["xn", "z0"], ["xp"]), PAPER, fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
-    assert found.message.startswith("subsets without two points that are 0.2 g from all others: xn z0;")
+    assert found.message.startswith(
+        "subsets without two points that are at least 0.2 g from all others: xn z0;"
+    )
     as_before = judge_paper(
         fitted, control, (["xn", "z0"], ["xp"]), replace(PAPER, min_distance_g=0.0), fast_fits
     )
@@ -194,7 +196,7 @@ def test_point_1_the_paper_needs_every_subset_of_the_control_points_too() -> Non
     found = judge_paper(fitted, control, ([], ["xp", "y0"]), PAPER, fast_fits)
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.message.startswith(
-        "control subsets without two points that are 0.2 g from all others: xp y0;"
+        "control subsets without two points that are at least 0.2 g from all others: xp y0;"
     )
     any_distance = replace(PAPER, min_distance_g=0.0)
     for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.CALIBRATED)):

@@ -125,9 +125,8 @@ def _recording(
 def _shared(timeline: Timeline) -> tuple[str, ...]:
     """Whether `time` does not tell the rows apart: nothing is made of such stamps."""
     coarse_us = timeline.stamps.coarse_us if timeline.stamps else 0
-    return (
-        (f"several rows share a time stamp, {coarse_us / 1e6:g} s apart, and keep it",) if coarse_us else ()
-    )
+    text = f"several rows share each time stamp (stamps are {coarse_us / 1e6:g} s apart) and keep it"
+    return (text,) if coarse_us else ()
 
 
 def _range(attributes: h5.Attributes) -> float | None:

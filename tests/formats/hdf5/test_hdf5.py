@@ -794,4 +794,6 @@ def test_rows_that_share_a_stamp_are_told(path: Path) -> None:
     write(
         path, {"accel": counts(), "time": START_US // 10**6 + np.arange(rows) // 100}, about(start_time=None)
     )
-    assert "several rows share a time stamp, 1 s apart, and keep it" in read(path).recording.notes
+    assert (
+        "several rows share each time stamp (stamps are 1 s apart) and keep it" in read(path).recording.notes
+    )
