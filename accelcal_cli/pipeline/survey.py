@@ -173,7 +173,7 @@ class CellProcedure(Procedure):
         """Windows by fate."""
         cells = self.collector.counts()
         constant = 0 if cells.constant_used else cells.constant
-        return window_use(counts, cells.implausible, constant)
+        return window_use(counts, cells.implausible, constant, cells.far_temperature)
 
 
 class PaperProcedure(Procedure):
@@ -201,11 +201,13 @@ class PaperProcedure(Procedure):
         return window_use(counts, self.collector.implausible, 0)
 
 
-def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:
+def window_use(counts: WindowCounts, implausible: int, constant: int, far: int = 0) -> WindowUse:
     """Windows by fate, from the segmenter's counts and the collector's."""
     fates = asdict(counts)
-    used = fates.pop("still") - implausible - constant
-    return WindowUse(**fates, implausible=implausible, constant_left_out=constant, used=used)
+    used = fates.pop("still") - implausible - constant - far
+    return WindowUse(
+        **fates, implausible=implausible, constant_left_out=constant, temperature_left_out=far, used=used
+    )
 
 
 def survey(
