@@ -29,6 +29,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats.hdf5.datasets import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, readable
+from accelcal_cli.formats.hdf5.storage import keeping_chunks, stored_chunks
 
 BLOCK_ROWS = 65_536
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
@@ -37,10 +38,18 @@ STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
 LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
 """Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
 
+MOST_CHUNKS = 4096
+"""At a time: the HDF5 library keeps a kilobyte and more of notes on each that it reads."""
+
 STREAM_ABOVE_BYTES = 16 << 20
-REFUSE_ABOVE_BYTES = 256 << 20
+REFUSE_ABOVE_BYTES = 192 << 20
+"""Of chunks that h5py unpacks as a whole, of all datasets together; it holds two of each for a moment."""
+
 PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
+LARGEST_NUMBER = 8
+"""Bytes; long doubles are larger, and no number of numpy's holds two of their halves."""
+
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
@@ -138,6 +147,8 @@ def unshuffled(raw: bytes, size: int) -> NDArray[Any]:
     Neighbours are put together two by two, so that each step works on whole numbers.
     """
     parts: NDArray[Any] = np.frombuffer(raw, np.uint8).reshape(size, -1)
+    if size > LARGEST_NUMBER:
+        return np.ascontiguousarray(parts.T).reshape(-1)
     while len(parts) > 1:
         wide = parts[1::2].astype(f"<u{2 * parts.itemsize}")
         wide <<= 8 * parts.itemsize
@@ -257,12 +268,20 @@ class TrackRows:
 
     Args:
         pool: unpacks ahead where it can; None if one thread does all.
+        stored: of datasets by path, what `stored_chunks` found, for the next who opens them.
 
     Raises:
         UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
     """
 
-    def __init__(self, file: Any, track: Track, path: Path, pool: Executor | None = None) -> None:
+    def __init__(
+        self,
+        file: Any,
+        track: Track,
+        path: Path,
+        pool: Executor | None = None,
+        stored: dict[str, NDArray[np.int64] | None] | None = None,
+    ) -> None:
         self._dataset = file[track.path]
         self._track = track
         self._path = path
@@ -276,7 +295,13 @@ class TrackRows:
         streamed = self._has_filters() and self._chunk_bytes > STREAM_ABOVE_BYTES
         self._stream = self._open_stream() if streamed else None
         self._stored = None if self._stream else self._open_stored()
+        self._broken = -1
+        self.kept_bytes = self._chunk_bytes if streamed and self._stream is None else 0
+        if self.kept_bytes:
+            self._dataset = None
+            self._dataset = keeping_chunks(file, track.path, self.kept_bytes)
         self._has_holes = self._find_holes()
+        self._exist = self._find_existing({} if stored is None else stored)
 
     def _chunking(self) -> tuple[int, int]:
         """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
@@ -339,6 +364,12 @@ class TrackRows:
         except H5PY_ERRORS:
             return True
 
+    def _find_existing(self, stored: dict[str, NDArray[np.int64] | None]) -> NDArray[np.int64] | None:
+        """Numbers of the chunks that exist, where some do not; None too if only each one's place tells."""
+        if self._has_holes and self.path not in stored:
+            stored[self.path] = stored_chunks(self._dataset, self._track.axis, self._columns())
+        return stored.get(self.path) if self._has_holes else None
+
     @property
     def path(self) -> str:
         """The dataset's path in the file."""
@@ -369,11 +400,13 @@ class TrackRows:
         size = self._chunk_rows
         most = BLOCK_ROWS if self._stored is None else min(STORED_ROWS, STORED_BYTES // self.row_bytes)
         if size <= most:
-            step = size * (most // size)
+            side_by_side = 1 if self._dataset.chunks is None else len(self._columns())
+            chunks = most if self._dataset.chunks is None else max(1, MOST_CHUNKS // side_by_side)
+            step = size * min(most // size, chunks)
             start = row // step * step
             return start, min(start + step, self._track.rows)
         chunk = row // size * size
-        in_parts = self._stream is not None or not self._has_filters()
+        in_parts = self._stream is not None or self.kept_bytes or not self._has_filters()
         step = BLOCK_ROWS if in_parts else size
         start = chunk + (row - chunk) // step * step
         return start, min(start + step, chunk + size, self._track.rows)
@@ -395,6 +428,7 @@ class TrackRows:
                 (values, good), (more, sound) = self._read(start, middle), self._read(middle, stop)
                 return np.concatenate((values, more)), np.concatenate((good, sound))
             values, good = np.empty((0, self._track.width), self._track.dtype), np.empty(0, np.bool_)
+            self._broken = start // self._chunk_rows
         lost = stop - start - len(values)
         if lost:
             values, good = np.pad(values, ((0, lost), (0, 0))), np.pad(good, (0, lost))
@@ -411,6 +445,8 @@ class TrackRows:
             return self._stream.read(start, stop)
         if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
             return values
+        if self.kept_bytes and start // self._chunk_rows == self._broken:
+            raise OSError("the chunk could not be unpacked before")
         part = self._dataset[start:stop] if self._track.axis == 0 else self._dataset[:, start:stop].T
         # A copy, so that what stays lies apart from what HDF5 needed for a moment and can use again.
         return np.array(part, order="C").reshape(-1, self._track.width)
@@ -418,7 +454,12 @@ class TrackRows:
     def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
         """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
         good = np.ones(stop - start, np.bool_)
-        if self._has_holes:
+        if self._exist is not None:
+            first, last = np.searchsorted(
+                self._exist, (start // self._chunk_rows, -(-stop // self._chunk_rows))
+            )
+            good = np.isin(np.arange(start, stop) // self._chunk_rows, self._exist[first:last])
+        elif self._has_holes:
             first = start // self._chunk_rows * self._chunk_rows
             for row in range(first, stop, self._chunk_rows):
                 if self.chunk_offset(row) is None:
