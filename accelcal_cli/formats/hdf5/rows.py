@@ -42,8 +42,8 @@ MOST_CHUNKS = 4096
 """At a time: the HDF5 library keeps a kilobyte and more of notes on each that it reads."""
 
 STREAM_ABOVE_BYTES = 16 << 20
-REFUSE_ABOVE_BYTES = 192 << 20
-"""Of chunks that h5py unpacks as a whole, of all datasets together; it holds two of each for a moment."""
+REFUSE_ABOVE_BYTES = 128 << 20
+"""Of chunks that h5py unpacks whole, of all datasets together; at moments it takes three times as much."""
 
 PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
