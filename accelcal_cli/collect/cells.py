@@ -27,6 +27,10 @@ from accelcal_cli.core.settings import Settings
 
 MAX_POINTS = 4096
 LEADING_BITS = 8
+FAR_MC, FAR_DEVIATIONS = 40_000, 10
+"""Temperatures [thousandths of a degree C] further than this from the median of the windows, and than so
+many times their median distance from it, are faults of the thermometer: no wrist is so hot or so cold."""
+
 NEARLY_CONSTANT_SHARE = 10
 """Constant windows are believed where nearly constant ones are at least a tenth as many."""
 
@@ -102,6 +106,7 @@ class CellCounts:
     implausible: int
     constant: int
     constant_used: bool
+    far_temperature: int = 0
 
 
 class Histogram:
@@ -174,7 +179,7 @@ class CellCollector:
 
     def points(self) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates."""
-        cells = self._believed()
+        cells, _ = self._settled()
         while len(cells) > MAX_POINTS:
             cells = coarser(cells)
         ordered = sorted(cells.items())
@@ -184,7 +189,16 @@ class CellCollector:
 
     def counts(self) -> CellCounts:
         """What was left out and why."""
-        return CellCounts(self.implausible, self.spreads.numbers.get(0, 0), self._constants_are_real())
+        constant, real = self.spreads.numbers.get(0, 0), self._constants_are_real()
+        return CellCounts(self.implausible, constant, real, self._settled()[1])
+
+    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], int]:
+        """The cells that make points, and how many windows their temperature sets aside."""
+        cells = self._believed()
+        if not self.temperature:
+            return cells, 0
+        far = _far_off(cells)
+        return {key: cells[key] for key in cells if key not in far}, sum(cells[key][0] for key in far)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)
@@ -231,6 +245,26 @@ def _step(spreads: dict[int, int]) -> int:
 def _add(cells: dict[tuple[int, ...], list[int]], key: tuple[int, ...], value: list[int]) -> None:
     total = cells.get(key)
     cells[key] = list(value) if total is None else [a + b for a, b in zip(total, value, strict=True)]
+
+
+def _far_off(cells: dict[tuple[int, ...], list[int]]) -> set[tuple[int, ...]]:
+    """Cells whose temperature is far from all others': one such point would decide the slopes."""
+    means = {key: value[5] // value[1] for key, value in cells.items()}
+    middle = _median([(means[key], value[0]) for key, value in cells.items()])
+    away = {key: abs(mean - middle) for key, mean in means.items()}
+    usual = _median([(away[key], value[0]) for key, value in cells.items()])
+    limit = max(FAR_MC, FAR_DEVIATIONS * usual)
+    return {key for key, distance in away.items() if distance > limit}
+
+
+def _median(values: list[tuple[int, int]]) -> int:
+    """Of pairs of a value and how often it counts: the lower median, 0 of none."""
+    half, seen = sum(number for _, number in values), 0
+    for value, number in sorted(values):
+        seen += 2 * number
+        if seen >= half:
+            return value
+    return 0
 
 
 def _group(key: tuple[int, ...]) -> tuple[int, ...]:

@@ -68,6 +68,19 @@ def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floa
     return np.asarray(2 * np.stack(columns, axis=1))
 
 
+def slope_information(points: PointSet) -> float:
+    """How much the points say of the slopes, beside the offsets, where they say least; 0 for nothing.
+
+    With A, B, C the weighted means of g g^T, tau g g^T and tau^2 g g^T (g the raw points), the columns of
+    the slopes less what those of the offsets explain have the squares C - B A^-1 B; its smallest eigenvalue.
+    """
+    if points.tau is None or not points.weights.any():
+        return 0.0
+    weights, tau, g = points.weights / points.weights.sum(), points.tau / ONE, points.xyz_g()
+    a, b, c = ((g * (weights * tau**power)[:, None]).T @ g for power in range(3))
+    return float(np.linalg.eigvalsh(c - b @ np.linalg.pinv(a) @ b)[0])
+
+
 def _gain_and_shifted(g: Floats, tau: Floats, parameters: tuple[int, ...]) -> tuple[Floats, Floats]:
     """K, and v + o + s (T - Tref)."""
     p = np.array(parameters) / ONE

@@ -29,6 +29,11 @@ LADDER = ("0", "3", "6", "3T", "9", "6T", "9T")
 KINDS = ("scale", "misalignment", "offset", "temperature slopes")
 """The twelve parameters, by threes."""
 
+LEAST_INFORMATION = 2.0**-14
+"""What the points of a fit have to say of the slopes (`errors.slope_information`). Sound recordings have
+2**-12.7 and more, those where only one posture is hot 2**-46 and less: there the descent has a floor so flat
+that it walks on for thousands of steps, to slopes that mean nothing."""
+
 _COARSE_BITS = 12
 
 
@@ -83,6 +88,12 @@ def folds(label: NDArray[np.int64], number: int) -> NDArray[np.int64]:
     return label % number
 
 
+def _left_out(label: NDArray[np.int64], number: int) -> list[NDArray[np.bool_]]:
+    """The points of each fold, which its fit does not see, (n,) each."""
+    fold = folds(label, number)
+    return [fold == one for one in sorted(set(fold.tolist()))]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Sample:
     """Points that belong together.
@@ -103,8 +114,7 @@ def blocked(sample: Sample, model: Model, fit: FitFunction, number: int) -> tupl
     A random hold-out would leave neighbours of every held-out point in the fit and hide failure.
     """
     points, label = sample.points, sample.label
-    fold = folds(label, number)
-    left_out = [fold == one for one in sorted(set(fold.tolist()))]
+    left_out = _left_out(label, number)
     *fits, whole = fit([*(points.select(~out) for out in left_out), points], model)
     deviations = np.empty(len(points))
     for out, fitted in zip(left_out, fits, strict=True):
@@ -198,11 +208,19 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
     range_c = temperature_range_c(evidence.sample.points)
     if model.has_temperature and range_c < settings.min_temperature_range_c:
         return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
+    if model.has_temperature and not _slopes_known(evidence.sample, settings.folds):
+        return "too few postures differ in temperature"
     if settings.model == "auto" and model.free:
         missing = _uncovered(evidence.coverage, settings.coverage_g, model)
         if missing:
             return f"no stillness with {', '.join(missing)}"
     return None
+
+
+def _slopes_known(sample: Sample, number: int) -> bool:
+    """Whether the points of every fit, with any fold left out, tell slopes from offsets on all axes."""
+    parts = (sample.points.select(~out) for out in _left_out(sample.label, number))
+    return all(errors.slope_information(part) >= LEAST_INFORMATION for part in parts)
 
 
 def _uncovered(coverage: Coverage, reach_g: float, model: Model) -> list[str]:

@@ -248,6 +248,7 @@ class WindowUse:
     joined: int
     implausible: int
     constant_left_out: int
+    temperature_left_out: int
     used: int
 
 

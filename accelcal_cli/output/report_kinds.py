@@ -58,6 +58,7 @@ def _windows(data: PointsInput) -> dict[str, Any]:
         **dict.fromkeys(none, 0),
         "implausible": data.implausible,
         "constant_left_out": 0,
+        "temperature_left_out": 0,
         "used": data.rows - data.implausible,
         "raw_error_mg": reports.rounded(data.raw_error_mg),
         "after_error_mg": reports.rounded(data.after_error_mg),

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.rest import RestSums
@@ -175,7 +176,7 @@ class CellProcedure(Procedure):
         """Windows by fate."""
         cells = self.collector.counts()
         constant = 0 if cells.constant_used else cells.constant
-        return window_use(counts, cells.implausible, constant)
+        return window_use(counts, cells.implausible, constant, cells.far_temperature)
 
 
 class PaperProcedure(Procedure):
@@ -203,11 +204,13 @@ class PaperProcedure(Procedure):
         return window_use(counts, self.collector.implausible, 0)
 
 
-def window_use(counts: WindowCounts, implausible: int, constant: int) -> WindowUse:
+def window_use(counts: WindowCounts, implausible: int, constant: int, far: int = 0) -> WindowUse:
     """Windows by fate, from the segmenter's counts and the collector's."""
     fates = asdict(counts)
-    used = fates.pop("still") - implausible - constant
-    return WindowUse(**fates, implausible=implausible, constant_left_out=constant, used=used)
+    used = fates.pop("still") - implausible - constant - far
+    return WindowUse(
+        **fates, implausible=implausible, constant_left_out=constant, temperature_left_out=far, used=used
+    )
 
 
 def survey(
@@ -412,26 +415,29 @@ class FactsObserver(Observer):
     def _note_times(self, chunk: Chunk) -> None:
         if self.first_us is None:
             self.first_us = self._run_start_us = int(chunk.clock.times(0, 1)[0])
-        for row in chunk.breaks.tolist():
-            if self.samples + row:
-                self._break(chunk, row)
+        rows = chunk.breaks[chunk.breaks + self.samples > 0]
+        if len(rows):
+            self._note_breaks(rows, chunk.time_us)
         self.last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
 
-    def _break(self, chunk: Chunk, row: int) -> None:
-        before = int(chunk.clock.times(row - 1, row)[0]) if row else (self.last_us or 0)
-        after = int(chunk.clock.times(row, row + 1)[0])
-        sample = self.samples + row
-        self._run_us += before - self._run_start_us
-        self._run_steps += sample - self._run_first - 1
-        self._run_start_us, self._run_first = after, sample
-        seconds = (after - before) / 1e6
-        if abs(seconds) * self.recording.rate_hz <= GAP_PERIODS and seconds > 0:
-            return
-        if seconds > 0:
-            self._gap_us += after - before
-        else:
-            self._back += 1
-        if len(self.gaps) < MAX_GAPS:
-            self.gaps.append(Gap(sample, before, seconds))
-        else:
-            self.gaps_omitted += 1
+    def _note_breaks(self, rows: NDArray[np.int64], time_us: NDArray[np.int64]) -> None:
+        """Runs that end before these rows of a chunk, whose rows have these times.
+
+        All at once: a damaged file may have a break before each row. Sums of times are made of Python's
+        integers, which do not overflow.
+        """
+        before, after = np.where(rows > 0, time_us[rows - 1], self.last_us or 0), time_us[rows]
+        first = self.samples + int(rows[-1])
+        self._run_us += sum(before.tolist()) - sum(after[:-1].tolist()) - self._run_start_us
+        self._run_steps += first - self._run_first - len(rows)
+        self._run_start_us, self._run_first = int(after[-1]), first
+        steps_us = after - before
+        seconds = steps_us / 1e6
+        jumps = (seconds <= 0) | (seconds * self.recording.rate_hz > GAP_PERIODS)
+        self._gap_us += sum(steps_us[jumps & (seconds > 0)].tolist())
+        self._back += int((seconds <= 0).sum())
+        places = np.flatnonzero(jumps)
+        listed = places[: MAX_GAPS - len(self.gaps)]
+        columns = (self.samples + rows[listed], before[listed], seconds[listed])
+        self.gaps += map(Gap, *(column.tolist() for column in columns))
+        self.gaps_omitted += len(places) - len(listed)

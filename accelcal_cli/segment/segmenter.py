@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Protocol
 
 import numpy as np
@@ -149,14 +148,16 @@ class Segmenter:
 
     def feed(self, chunk: Chunk) -> Iterator[Windows]:
         """Still windows that are decided in this chunk, in batches."""
-        edges = [0, *(int(row) for row in chunk.breaks if row > 0), len(chunk)]
+        edges = np.concatenate(([0], chunk.breaks[chunk.breaks > 0], [len(chunk)]))
         if chunk.is_fresh:
-            self._break()
-        for start, stop in pairwise(edges):
-            if start:
-                self._break()
-            if self._matters(start, stop, len(chunk)):
-                yield from self._run(chunk.part(start, stop))
+            self._run_number += 1
+            self._pending = None
+        first = self._run_number
+        for index in self._mattering(np.diff(edges)).tolist():
+            if index:
+                self._run_number = first + index
+                self._pending = None
+            yield from self._run(chunk.part(int(edges[index]), int(edges[index + 1])))
         if self._pending is not None:
             self._pending = self._pending.copy()
 
@@ -166,14 +167,12 @@ class Segmenter:
             self._count_still(windows)
             yield windows
 
-    def _break(self) -> None:
-        self._run_number += 1
-        self._pending = None
-
-    def _matters(self, start: int, stop: int, rows: int) -> bool:
-        """Whether these rows, up to a break or the end of a chunk of so many rows, may make a window."""
-        complete = stop - start >= self.length or self._pending is not None
-        return stop > start and (complete or stop == rows)
+    def _mattering(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Which of a chunk's runs, of so many rows each, may make a window; damaged files have many more."""
+        whole = rows >= self.length
+        whole[0] |= self._pending is not None
+        whole[-1] = True
+        return np.flatnonzero(whole & (rows > 0))
 
     def _run(self, rows: Chunk) -> Iterator[Windows]:
         """The windows in rows without a break inside."""

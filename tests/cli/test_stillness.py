@@ -50,7 +50,8 @@ def test_each_rule_calibrates_and_is_in_the_report(tmp_path: Path, capsys: Captu
     assert numbers(report) == NUMBERS[rule]
     assert (report["settings"]["adaptive"] is not None) == (rule == "adaptive")
     windows = report["fit"]["windows"]
-    left_out = ("moving", "filled", "clipped", "recovered", "implausible", "constant_left_out")
+    left_out = ["moving", "filled", "clipped", "recovered", "implausible", "constant_left_out"]
+    left_out.append("temperature_left_out")
     assert windows["complete"] == windows["used"] + windows["joined"] + sum(
         windows[name] for name in left_out
     )

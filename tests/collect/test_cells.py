@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from accelcal_cli.collect import cells
 from accelcal_cli.collect.cells import CellCollector, CellCounts
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import WEIGHT_ONE, Windows
+from accelcal_cli.core.points import WEIGHT_ONE, Windows, joined_windows
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.segment import still_rule
 from tests.collect.made import plain, windows
@@ -240,6 +240,40 @@ def test_cells_are_split_by_whole_degrees_where_temperature_is_used() -> None:
     items = windows(LENGTH, [UP] * 5, temperature_sums=warm)
     assert collected(items, temperature=True).points().windows.tolist() == [1, 1, 1, 2]
     assert collected(items).points().windows.tolist() == [5]
+
+
+def heated(*degrees: float, number: int = 1) -> Windows:
+    """Windows at rest, `number` at each temperature."""
+    warm = [round(1000 * c) * LENGTH for c in degrees for _ in range(number)]
+    rest = np.tile([[0, 0, 256 * LENGTH]], (len(warm), 1))
+    return windows([LENGTH] * len(warm), rest.tolist(), np.ones((len(warm), 3), np.int64), warm)
+
+
+@pytest.mark.parametrize(
+    ("degrees", "left_out"),
+    [
+        ((25, 26, 27, 26, 250), 1),
+        ((25, 26, 27, 26, -50, 250), 2),
+        ((25, 26, 27, 26, 67), 1),
+        ((25, 26, 27, 26, 65, -13), 0),
+        ((-300, -250, -200, -150, -100, -50, 200), 0),
+        ((250, 250, 250), 0),
+    ],
+    ids=["end", "both ends", "too far", "far", "spread out", "all alike"],
+)
+def test_temperatures_far_from_all_others_are_a_fault_of_the_thermometer(
+    degrees: tuple[float, ...], left_out: int
+) -> None:
+    held = collected(heated(*degrees), temperature=True)
+    assert held.counts().far_temperature == left_out
+    assert held.points().windows.sum() == len(degrees) - left_out
+    cold = collected(heated(*degrees))
+    assert cold.counts().far_temperature == 0 and cold.points().windows.sum() == len(degrees)
+
+
+def test_the_median_of_temperatures_is_that_of_windows_not_of_cells() -> None:
+    items = joined_windows([heated(100, 101, 102), heated(20, number=9)])
+    assert collected(items, temperature=True).counts().far_temperature == 3
 
 
 def test_the_histogram_of_spreads_stays_small_and_is_exact_for_small_ones() -> None:

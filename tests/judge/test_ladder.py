@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +14,7 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet, TemperatureScale
 from accelcal_cli.core.results import Trial
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.judge.errors import coverage
+from accelcal_cli.judge.errors import coverage, slope_information
 from accelcal_cli.judge.model_ladder import (
     LADDER,
     Evidence,
@@ -136,6 +137,41 @@ def test_slopes_need_a_range_of_temperatures(degrees: float, tried: bool, model:
             assert item.reason == (None if tried else "temperature varies by less than 2 C")
         else:
             assert item.holdout is not None
+
+
+@pytest.mark.parametrize("hot", [(7,), (7, 8)], ids=["one posture", "two"])
+def test_slopes_need_more_than_one_hot_posture(hot: tuple[int, ...]) -> None:
+    """5. of the hostile run: an ordinary glitch took 20 000 steps in each fold, half a minute in all."""
+    held = spread(NINE, number=60)
+    tau = np.zeros(60)
+    tau[list(hot)] = 1.6, *[0.9] * (len(hot) - 1)
+    fixed = np.rint((tau - tau.mean()) * ONE).astype(np.int64)
+    glitched = PointSet(held.xyz, held.weights, held.windows, fixed, TemperatureScale(25_000, 64.0))
+    steps: list[int] = []
+
+    def counted(sets: Sequence[PointSet], model: Model) -> list[Fit]:
+        found = fixed32.fit_each(sets, model)
+        steps.extend(fit.iterations for fit in found)
+        return found
+
+    trials = {item.model: item for item in try_models(evidence(glitched), DEFAULT, counted)}
+    slopes = {name for name in trials if name.endswith("T")}
+    assert {trials[name].reason for name in slopes} == {"too few postures differ in temperature"}
+    assert all(trials[name].holdout is not None for name in trials.keys() - slopes)
+    assert max(steps) < 500
+
+
+def test_what_points_say_of_slopes_is_least_where_they_lie_in_a_plane() -> None:
+    flat = points(np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]))
+    tau = np.array([1, -1, 1, -1]) * ONE // 2
+    assert slope_information(replace(flat, tau=tau)) == pytest.approx(0, abs=1e-15)
+    axes = points(np.repeat(np.eye(3), 2, axis=0))
+    swing = np.array([1, -1, 2, -2, 3, -3]) * ONE // 4
+    assert slope_information(replace(axes, tau=swing)) == pytest.approx(2 / 6 / 16)
+    assert slope_information(replace(axes, tau=swing + ONE)) == pytest.approx(2 / 6 / 16)
+    posture = np.array([1, 1, 0, 0, 0, 0]) * ONE
+    assert slope_information(replace(axes, tau=posture)) == pytest.approx(0, abs=1e-15)
+    assert slope_information(axes) == 0
 
 
 def test_a_slope_that_follows_the_posture_is_not_believed() -> None:

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
-from accelcal_cli.core.results import Facts
+from accelcal_cli.core.results import Facts, Jumps
 from accelcal_cli.pipeline import survey as module
 from accelcal_cli.pipeline.survey import FactsObserver, with_clipping
 
@@ -73,6 +75,48 @@ def test_a_break_without_lost_time_is_no_gap() -> None:
 def test_an_empty_recording_has_no_times() -> None:
     facts = FactsObserver(RECORDING, RECORDING.lsb_per_g).result()
     assert (facts.samples, facts.first_us, facts.rate_hz) == (0, None, None)
+
+
+STEPS = [100_000, 100_000, 150_000, 150_001, 900_000, 0, -70_000, -(1 << 58), 1 << 58]
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(STEPS), st.booleans()), min_size=1, max_size=40),
+    st.lists(st.integers(0, 40), max_size=5),
+)
+def test_breaks_in_any_number_are_those_of_the_definition(
+    rows: list[tuple[int, bool]], cuts: list[int]
+) -> None:
+    times = np.array([step for step, _ in rows], object).cumsum()
+    assume(max(map(abs, times)) < 1 << 62)
+    breaks = [row for row, (_, broken) in enumerate(rows) if broken]
+    edges = [0, *(row for row in breaks if row), len(rows)]
+    facts = observed(times.astype(np.int64), breaks, sorted(min(cut, len(rows)) for cut in cuts))
+    span = sum(times[stop - 1] - times[start] for start, stop in itertools.pairwise(edges))
+    steps = sum(stop - start - 1 for start, stop in itertools.pairwise(edges))
+    assert facts.rate_hz == (steps * 1e6 / span if span > 0 and steps else None)
+    found = [(row, times[row - 1], times[row] - times[row - 1]) for row in edges[1:-1]]
+    jumps = [item for item in found if not 0 < item[2] / 1e6 * 10 <= 1.5]
+    assert [(gap.sample, gap.start_us, gap.seconds) for gap in facts.gaps] == [
+        (row, before, step / 1e6) for row, before, step in jumps
+    ]
+    ahead = [step for *_, step in jumps if step > 0]
+    assert facts.jumps == Jumps(len(ahead), sum(ahead), len(jumps) - len(ahead))
+
+
+def test_times_are_asked_for_once_however_many_breaks_there_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """28. of the hostile run: a break before every row cost 48 times the normal."""
+    asked: list[int] = []
+    times = StampClock.times
+
+    def counted(clock: StampClock, start: int, stop: int) -> np.ndarray:
+        asked.append(stop - start)
+        return times(clock, start, stop)
+
+    monkeypatch.setattr(StampClock, "times", counted)
+    facts = observed(np.arange(3000, dtype=np.int64) * 500_000, list(range(1, 3000)), [1000, 2000])
+    assert (facts.jumps.gaps, facts.jumps.gap_us) == (2999, 2999 * 500_000)
+    assert len(asked) < 10
 
 
 def test_lists_stay_bounded_and_say_so(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from accelcal_cli.core.points import WindowCounts
-from accelcal_cli.core.recording import Validity
+from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.segment import StillRule, still_rule
 from accelcal_cli.segment.segmenter import Segmenter
 from tests.segment.streams import Stream, naive, rows, segmented
@@ -176,3 +176,18 @@ def test_feeding_nothing_gives_nothing() -> None:
     (chunk,) = Stream(np.zeros((0, 3), np.int16)).chunks()
     assert [row for windows in segmenter.feed(chunk) for row in rows(windows)] == []
     assert segmenter.counts == WindowCounts()
+
+
+def test_runs_too_short_for_a_window_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = Stream(np.zeros((4000, 3), np.int16), tuple(range(1500, 3000)))
+    assert segmented(stream, 100, ANYTHING, [1000, 2000]) == naive(stream, 100, ANYTHING)
+    parts: list[tuple[int, int]] = []
+    part = Chunk.part
+
+    def counted(chunk: Chunk, start: int, stop: int) -> Chunk:
+        parts.append((start, stop))
+        return part(chunk, start, stop)
+
+    monkeypatch.setattr(Chunk, "part", counted)
+    segmented(stream, 100, ANYTHING, [1000, 2000])
+    assert len(parts) < 20

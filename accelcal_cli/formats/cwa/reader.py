@@ -7,9 +7,9 @@ What is wrong with sectors and between them goes to the problem log as events.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Mapping
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recordin
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import EventMaker, first_time
+from accelcal_cli.formats._pages.reader import EventMaker, first_time, missing_kind
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
 from accelcal_cli.formats.cwa.sector import SETTINGS, Header, SectorBlock, Settings
@@ -83,6 +83,15 @@ class SectorEvents(EventMaker):
                 else:
                     yield self.event(position, kind, int(samples[place]), amount)
 
+    def channels(self, block: SectorBlock, sample: int) -> Iterator[Event]:
+        """Sectors that lack a value of a channel."""
+        first_row = np.cumsum(block.rows) - block.rows
+        for name, column in block.channels.items():
+            if column.ndim == 1:
+                for place in np.flatnonzero(column[first_row] == paged.MISSING).tolist():
+                    row, rows = sample + int(first_row[place]), int(block.rows[place])
+                    yield self.event(int(block.position[place]), missing_kind(name), row, rows)
+
     def ending(self, raw: RawBlock, sample: int) -> Iterator[Event]:
         """An incomplete sector at the end, unless it is empty."""
         if not raw.broken and (paged.is_erased(raw.tail) or not any(raw.tail)):
@@ -129,11 +138,13 @@ class Scheme:
 
     Attributes:
         problems: what was found before any sample.
+        first_values: of channels that may lack values, the first measured one.
     """
 
     file: PagedFile
     settings: Settings
     problems: tuple[Problem, ...] = ()
+    first_values: Mapping[str, int | None] = field(default_factory=dict)
 
     def sectors(self, chunk_samples: int) -> int:
         """Sectors that make a chunk."""
@@ -172,6 +183,7 @@ class Assembler:
         self._linker = Linker(scheme.settings.rate, scheme.settings.rows)
         self._timeline = Timeline(scheme.settings.rate)
         self._log = ProblemLog(problems)
+        self._channels = paged.HeldChannels(scheme.first_values)
         self._waiting: deque[_Waiting] = deque()
         self._spans = NO_SPANS
         self._nothing, _ = sector.decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, scheme.settings)
@@ -194,6 +206,7 @@ class Assembler:
     def _place(self, block: SectorBlock, end_byte: int, events: list[Event]) -> None:
         links = self._linker.link(block)
         events += self._events.links(block, links, self._rows_in)
+        events += self._events.channels(block, self._rows_in)
         self._add_spans(self._timeline.feed(links))
         self._waiting.append(_Waiting(block, links.broken, end_byte))
         self._rows_in += int(block.rows.sum())
@@ -226,7 +239,7 @@ class Assembler:
             breaks=first_row[waiting.broken],
             problems=problems,
             used_bytes=sectors * SECTOR_BYTES,
-            **block.channels,
+            **self._channels.fill(block.channels),
         )
         self._rows_out += len(chunk)
         return chunk
@@ -272,7 +285,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
         problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
-    scheme = Scheme(file, settings, tuple(problems))
+    scheme = Scheme(file, settings, tuple(problems), sector.first_values(first, settings))
     device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
     return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)

@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Channels, Device
-from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
+from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, MISSING, NONSENSE, RATE
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
 SAMPLE_BYTES = 480
@@ -95,7 +95,7 @@ KINDS_WITHOUT_SAMPLES = [int.from_bytes(name, "little") for name in (b"UB", b"SI
 
 TEMPERATURE_MASK = 0x3FF
 NO_SENSOR = (0, TEMPERATURE_MASK)
-"""Readings at either end of the converter: nothing is fitted."""
+"""Readings at either end of the converter, which measure nothing; in the first sector: nothing is fitted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +305,8 @@ class SectorBlock:
         overflow: (p,) bool, the device lost samples before or in the sector.
         anchors: their times.
         counts: (n, 3) int16.
-        channels: of n rows each; a value that a sector has once stands in all of its rows.
+        channels: of n rows each; a value that a sector has once stands in all of its rows, and MISSING
+            where it has none.
     """
 
     position: NDArray[np.int64]
@@ -398,6 +399,11 @@ def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) ->
     )
 
 
+def first_values(sector: Any, settings: Settings) -> dict[str, int | None]:
+    """The first values of channels that later sectors may lack, by the first one (a scalar of SECTOR)."""
+    return {name: int(values[0]) for name, values in _measured(np.atleast_1d(sector), settings)}
+
+
 def _measured(sectors: Sectors, settings: Settings) -> Iterator[tuple[str, NDArray[Any]]]:
     """Channels of which a sector has one value, by name, (p,) each."""
     if settings.thermometer is not None:
@@ -460,9 +466,11 @@ class Thermometer:
     formula: str
 
     def temperature_mc(self, raw: NDArray[np.uint16]) -> NDArray[np.int32]:
-        """Thousandths of a degree C of temperature words, rounded to the nearest."""
+        """Thousandths of a degree C of temperature words, rounded to the nearest; MISSING at either end."""
         scaled = (raw & TEMPERATURE_MASK).astype(np.int32) * self.slope
-        return (scaled + self.divisor // 2) // self.divisor - np.int32(self.zero)
+        measured = (scaled + self.divisor // 2) // self.divisor - np.int32(self.zero)
+        ends = np.isin(raw & TEMPERATURE_MASK, NO_SENSOR)
+        return np.where(ends, np.int32(MISSING), measured) if ends.any() else measured
 
     @property
     def note(self) -> str:

@@ -29,7 +29,7 @@ from accelcal_cli.formats.hdf5 import file as h5
 from accelcal_cli.formats.hdf5.channels import Axes, Channel, dps_per_lsb, find_channels
 from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
 from accelcal_cli.formats.hdf5.description import Plan, Source, Timeline
-from accelcal_cli.formats.hdf5.rows import RowSelection, TrackRows
+from accelcal_cli.formats.hdf5.rows import REFUSE_ABOVE_BYTES, RowSelection, TrackRows
 from accelcal_cli.formats.hdf5.units import Scale
 
 LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
@@ -212,6 +212,7 @@ class Hdf5Reader(Reader):
     def __init__(self, plan: Plan) -> None:
         self.recording = plan.recording
         self._plan = plan
+        self._stored: dict[str, NDArray[np.int64] | None] = {}
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, from `chunk_samples` rows of the datasets at a time.
@@ -253,8 +254,9 @@ class Hdf5Reader(Reader):
         path = self.recording.path
         with h5.open_hdf5(path) as file, thread_pool(self.threads, "hdf5") as pool:
             with h5.explaining(path, self._plan.missing_bytes), h5.h5py_guard(path, "datasets"):
-                opened = partial(TrackRows, file, path=path, pool=pool)
+                opened = partial(TrackRows, file, path=path, pool=pool, stored=self._stored)
                 stream = _Stream(opened, self._plan, start, self._zone_of_stamps())
+                stream.refuse_unbounded(path)
             step = max(1, min(chunk_samples, PIECE_BYTES // stream.row_bytes))
             for row in range(start, stop, step):
                 yield stream.piece(row, min(row + step, stop), last=row + step >= stop)
@@ -283,7 +285,18 @@ class _Stream:
         self._last_time = 0
         self._running, self._with_its_zone = LocalStamps(zone), (FOLLOWED, WITH_ITS_ZONE.format(zone))
         sources = chain(self._accel, *self._channels.values(), self._stamps)
-        self.row_bytes = sum(source.row_bytes for source in sources)
+        self._sources = [*sources]
+        self.row_bytes = sum(source.row_bytes for source in self._sources)
+
+    def refuse_unbounded(self, path: Path) -> None:
+        """Raise UnreadableError for chunks that would take too much memory together."""
+        kept = sum(source.kept_bytes for source in self._sources)
+        if kept > REFUSE_ABOVE_BYTES:
+            raise UnreadableError(
+                f"its datasets are packed in chunks of {kept >> 20} MB together, too large to unpack at once",
+                path=path,
+                hint="repack it with `h5repack -l CHUNK=65536x3` (`CHUNK=65536` for one axis)",
+            )
 
     def piece(self, start: int, stop: int, last: bool) -> Chunk:
         """The usable ones among rows start..stop-1 of the datasets."""

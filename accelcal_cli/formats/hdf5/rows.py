@@ -29,6 +29,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats.hdf5.datasets import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, readable
+from accelcal_cli.formats.hdf5.storage import keeping_chunks, stored_chunks
 
 BLOCK_ROWS = 65_536
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
@@ -37,10 +38,18 @@ STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
 LEAST_BYTES, MOST_BYTES = 1 << 14, 1 << 22
 """Of smaller chunks h5py unpacks many in the time that one takes here; of larger ones few fit in memory."""
 
+MOST_CHUNKS = 4096
+"""At a time: the HDF5 library keeps a kilobyte and more of notes on each that it reads."""
+
 STREAM_ABOVE_BYTES = 16 << 20
-REFUSE_ABOVE_BYTES = 256 << 20
+REFUSE_ABOVE_BYTES = 128 << 20
+"""Of chunks that h5py unpacks whole, of all datasets together; at moments it takes three times as much."""
+
 PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
+LARGEST_NUMBER = 8
+"""Bytes; long doubles are larger, and no number of numpy's holds two of their halves."""
+
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
@@ -138,6 +147,8 @@ def unshuffled(raw: bytes, size: int) -> NDArray[Any]:
     Neighbours are put together two by two, so that each step works on whole numbers.
     """
     parts: NDArray[Any] = np.frombuffer(raw, np.uint8).reshape(size, -1)
+    if size > LARGEST_NUMBER:
+        return np.ascontiguousarray(parts.T).reshape(-1)
     while len(parts) > 1:
         wide = parts[1::2].astype(f"<u{2 * parts.itemsize}")
         wide <<= 8 * parts.itemsize
@@ -190,7 +201,7 @@ class DeflatedChunks:
     """Rows of a dataset whose chunks are packed with gzip, in order."""
 
     def __init__(self, dataset: Any, path: Path, axis: int, width: int, shuffled: bool) -> None:
-        self._dataset = dataset
+        self.dataset = dataset
         self._path = path
         self._axis = axis
         self._width = width
@@ -219,9 +230,9 @@ class DeflatedChunks:
     def _enter(self, chunk: int) -> None:
         """Place one stream at the beginning of each plane of a chunk."""
         self._chunk = self._row = -1
-        place = [0] * self._dataset.ndim
+        place = [0] * self.dataset.ndim
         place[self._axis] = chunk * self._chunk_rows
-        info = self._dataset.id.get_chunk_info_by_coord(tuple(place))
+        info = self.dataset.id.get_chunk_info_by_coord(tuple(place))
         if info.byte_offset is None or info.filter_mask:
             raise OSError("the chunk is absent or packed in another way")
         stream = PackedStream(self._path, info.byte_offset, info.size)
@@ -245,7 +256,7 @@ class DeflatedChunks:
         numbers = (self._axes, rows, self._width // self._axes)
         if self._bytes > 1:
             raw = np.moveaxis(raw.reshape(self._bytes, *numbers), 0, -1)
-        values = np.frombuffer(raw.tobytes(), self._dataset.dtype).reshape(numbers)
+        values = np.frombuffer(raw.tobytes(), self.dataset.dtype).reshape(numbers)
         return values.transpose(1, 0, 2).reshape(rows, self._width)
 
 
@@ -257,13 +268,21 @@ class TrackRows:
 
     Args:
         pool: unpacks ahead where it can; None if one thread does all.
+        stored: of datasets by path, what `stored_chunks` found, for the next who opens them.
 
     Raises:
         UnreadableError: the dataset's storage is of a kind that cannot be read in parts.
     """
 
-    def __init__(self, file: Any, track: Track, path: Path, pool: Executor | None = None) -> None:
-        self._dataset = file[track.path]
+    def __init__(
+        self,
+        file: Any,
+        track: Track,
+        path: Path,
+        pool: Executor | None = None,
+        stored: dict[str, NDArray[np.int64] | None] | None = None,
+    ) -> None:
+        self.dataset = file[track.path]
         self._track = track
         self._path = path
         self._pool = pool
@@ -272,15 +291,21 @@ class TrackRows:
         self._good = np.empty(0, np.bool_)
         self._chunk_rows, self._chunk_bytes = self._chunking()
         self._refuse_unreadable()
-        self._shuffled = gzip_shuffled(self._dataset, track.axis, track.width)
+        self._shuffled = gzip_shuffled(self.dataset, track.axis, track.width)
         streamed = self._has_filters() and self._chunk_bytes > STREAM_ABOVE_BYTES
         self._stream = self._open_stream() if streamed else None
         self._stored = None if self._stream else self._open_stored()
+        self._broken = -1
+        self.kept_bytes = self._chunk_bytes if streamed and self._stream is None else 0
+        if self.kept_bytes:
+            self.dataset = None
+            self.dataset = keeping_chunks(file, track.path, self.kept_bytes)
         self._has_holes = self._find_holes()
+        self._exist = self._find_existing({} if stored is None else stored)
 
     def _chunking(self) -> tuple[int, int]:
         """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
-        chunks = self._dataset.chunks
+        chunks = self.dataset.chunks
         if chunks is None:
             return 1, 0
         rows = int(chunks[self._track.axis])
@@ -288,16 +313,16 @@ class TrackRows:
         return rows, rows * wide * self._track.dtype.itemsize
 
     def _has_filters(self) -> bool:
-        return bool(self._dataset.id.get_create_plist().get_nfilters())
+        return bool(self.dataset.id.get_create_plist().get_nfilters())
 
     def _open_stored(self) -> StoredChunks | None:
         track = self._track
         if self._shuffled is None or not LEAST_BYTES <= self._chunk_bytes <= MOST_BYTES:
             return None
-        return StoredChunks(self._dataset, track.axis, track.width, self._shuffled, self._pool)
+        return StoredChunks(self.dataset, track.axis, track.width, self._shuffled, self._pool)
 
     def _open_stream(self) -> DeflatedChunks | None:
-        dataset, track, shuffled = self._dataset, self._track, self._shuffled
+        dataset, track, shuffled = self.dataset, self._track, self._shuffled
         if shuffled is not None and dataset.file.userblock_size == 0:
             return DeflatedChunks(dataset, self._path, track.axis, track.width, shuffled)
         if self._chunk_bytes > REFUSE_ABOVE_BYTES:
@@ -308,7 +333,7 @@ class TrackRows:
         return None
 
     def _refuse_unreadable(self) -> None:
-        dataset, track = self._dataset, self._track
+        dataset, track = self.dataset, self._track
         if dataset.external or dataset.is_virtual:
             raise self._refusal("keeps its values in other files", "copy it into one file with h5repack")
         if track.rows == 0 or self._is_unwritten():
@@ -322,7 +347,7 @@ class TrackRows:
     def _is_unwritten(self) -> bool:
         """Whether no value was ever written; a damaged index of chunks does not say."""
         try:
-            return bool(self._dataset.id.get_storage_size() == 0)
+            return bool(self.dataset.id.get_storage_size() == 0)
         except H5PY_ERRORS:
             return False
 
@@ -330,14 +355,20 @@ class TrackRows:
         return UnreadableError(f"dataset {self._track.path} {what}", path=self._path, hint=hint)
 
     def _find_holes(self) -> bool:
-        chunks = self._dataset.chunks
+        chunks = self.dataset.chunks
         if chunks is None:
             return False
-        expected = prod(-(-length // step) for length, step in zip(self._dataset.shape, chunks, strict=True))
+        expected = prod(-(-length // step) for length, step in zip(self.dataset.shape, chunks, strict=True))
         try:
-            return bool(self._dataset.id.get_num_chunks() != expected)
+            return bool(self.dataset.id.get_num_chunks() != expected)
         except H5PY_ERRORS:
             return True
+
+    def _find_existing(self, stored: dict[str, NDArray[np.int64] | None]) -> NDArray[np.int64] | None:
+        """Numbers of the chunks that exist, where some do not; None too if only each one's place tells."""
+        if self._has_holes and self.path not in stored:
+            stored[self.path] = stored_chunks(self.dataset, self._track.axis, self._columns())
+        return stored.get(self.path) if self._has_holes else None
 
     @property
     def path(self) -> str:
@@ -355,7 +386,7 @@ class TrackRows:
         row = start
         while row < stop:
             if not self._start <= row < self._stop:
-                self._load(*self._block(row))
+                self._load(*self.block(row))
             here = slice(row - self._start, min(stop, self._stop) - self._start)
             values.append(self._values[here])
             good.append(self._good[here])
@@ -364,16 +395,18 @@ class TrackRows:
             return values[0], good[0]
         return np.concatenate(values), np.concatenate(good)
 
-    def _block(self, row: int) -> tuple[int, int]:
+    def block(self, row: int) -> tuple[int, int]:
         """The rows to read together with this one: a multiple of the HDF5 chunk, or a part of it."""
         size = self._chunk_rows
         most = BLOCK_ROWS if self._stored is None else min(STORED_ROWS, STORED_BYTES // self.row_bytes)
         if size <= most:
-            step = size * (most // size)
+            side_by_side = 1 if self.dataset.chunks is None else len(self._columns())
+            chunks = most if self.dataset.chunks is None else max(1, MOST_CHUNKS // side_by_side)
+            step = size * min(most // size, chunks)
             start = row // step * step
             return start, min(start + step, self._track.rows)
         chunk = row // size * size
-        in_parts = self._stream is not None or not self._has_filters()
+        in_parts = self._stream is not None or self.kept_bytes or not self._has_filters()
         step = BLOCK_ROWS if in_parts else size
         start = chunk + (row - chunk) // step * step
         return start, min(start + step, chunk + size, self._track.rows)
@@ -382,12 +415,12 @@ class TrackRows:
         self._values, self._good = self._read(start, stop)
         self._start, self._stop = start, stop
         if self._stored is not None and stop < self._track.rows:
-            self._stored.begin(*self._block(stop))
+            self._stored.begin(*self.block(stop))
 
     def _read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
         """Rows, zero and marked where lost; what cannot be read is halved along chunk borders."""
         try:
-            values = self._fetch(start, stop)
+            values = self.fetch(start, stop)
             good = self._written(start, start + len(values))
         except H5PY_ERRORS:
             middle = self._middle(start, stop)
@@ -395,6 +428,7 @@ class TrackRows:
                 (values, good), (more, sound) = self._read(start, middle), self._read(middle, stop)
                 return np.concatenate((values, more)), np.concatenate((good, sound))
             values, good = np.empty((0, self._track.width), self._track.dtype), np.empty(0, np.bool_)
+            self._broken = start // self._chunk_rows
         lost = stop - start - len(values)
         if lost:
             values, good = np.pad(values, ((0, lost), (0, 0))), np.pad(good, (0, lost))
@@ -406,19 +440,26 @@ class TrackRows:
         half = start + max(1, (stop - start) // 2 // step) * step
         return half if half < stop and self._stream is None else None
 
-    def _fetch(self, start: int, stop: int) -> NDArray[Any]:
+    def fetch(self, start: int, stop: int) -> NDArray[Any]:
         if self._stream is not None:
             return self._stream.read(start, stop)
         if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
             return values
-        part = self._dataset[start:stop] if self._track.axis == 0 else self._dataset[:, start:stop].T
+        if self.kept_bytes and start // self._chunk_rows == self._broken:
+            raise OSError("the chunk could not be unpacked before")
+        part = self.dataset[start:stop] if self._track.axis == 0 else self.dataset[:, start:stop].T
         # A copy, so that what stays lies apart from what HDF5 needed for a moment and can use again.
         return np.array(part, order="C").reshape(-1, self._track.width)
 
     def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
         """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
         good = np.ones(stop - start, np.bool_)
-        if self._has_holes:
+        if self._exist is not None:
+            first, last = np.searchsorted(
+                self._exist, (start // self._chunk_rows, -(-stop // self._chunk_rows))
+            )
+            good = np.isin(np.arange(start, stop) // self._chunk_rows, self._exist[first:last])
+        elif self._has_holes:
             first = start // self._chunk_rows * self._chunk_rows
             for row in range(first, stop, self._chunk_rows):
                 if self.chunk_offset(row) is None:
@@ -430,24 +471,24 @@ class TrackRows:
 
         Where the row's columns are in several chunks: the first one's, None if any is missing.
         """
-        if self._dataset.chunks is None:
+        if self.dataset.chunks is None:
             return None
         offsets = []
         try:
             for column in self._columns():
-                place = [0] * self._dataset.ndim
+                place = [0] * self.dataset.ndim
                 place[self._track.axis] = row // self._chunk_rows * self._chunk_rows
                 if column:
                     place[1 - self._track.axis] = column
-                offsets.append(self._dataset.id.get_chunk_info_by_coord(tuple(place)).byte_offset)
+                offsets.append(self.dataset.id.get_chunk_info_by_coord(tuple(place)).byte_offset)
         except H5PY_ERRORS:
             return None
         return None if None in offsets else int(offsets[0])
 
     def _columns(self) -> range:
-        if self._dataset.ndim == 1:
+        if self.dataset.ndim == 1:
             return range(1)
-        return range(0, self._track.width, int(self._dataset.chunks[1 - self._track.axis]))
+        return range(0, self._track.width, int(self.dataset.chunks[1 - self._track.axis]))
 
 
 def nowhere(_row: int) -> None:

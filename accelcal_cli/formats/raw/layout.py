@@ -34,6 +34,9 @@ SEQUENCE_TYPES = {"uint8": 1, "uint16": 2, "uint32": 4}
 TIME_TYPES = {"uint32": 4}
 CHECKSUM_BYTES = {"crc32": 4, "crc16-ccitt": 2}
 
+LARGEST_COVERS = {"crc32": 1 << 24, "crc16-ccitt": 1 << 16}
+"""Bytes: a CRC-16 takes a step, and half a kilobyte of tables, for each; it is made for a few thousand."""
+
 STREAM_FRAMES = 256
 """An unbroken stream is taken in pages of so many frames."""
 
@@ -237,6 +240,10 @@ def check_covers(layout: Layout) -> None:
         )
     if crc.start < crc.offset + CHECKSUM_BYTES[crc.type] and crc.offset < crc.stop:
         raise ImpossibleError("page.crc.covers includes the checksum itself")
+    if crc.stop - crc.start > LARGEST_COVERS[crc.type]:
+        raise ImpossibleError(
+            f"page.crc.covers is {crc.stop - crc.start} bytes, {crc.type} at most {LARGEST_COVERS[crc.type]}"
+        )
 
 
 def check_apart(spans: list[Span]) -> None:

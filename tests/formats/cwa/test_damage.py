@@ -295,3 +295,20 @@ def test_nothing_of_the_format_is_an_error_with_a_place(tmp_path: Path) -> None:
     raw_file(path, [spoiled(page.to_bytes()) for page in pages()])
     with pytest.raises(UnreadableError, match="holds no intact data sector"):
         opened(path)
+
+
+@pytest.mark.parametrize("word", [0, 1023])
+def test_a_thermometer_at_the_end_of_its_converter_measures_nothing(tmp_path: Path, word: int) -> None:
+    """5. of the hostile run: such words became 250 C, whose slopes were then fitted for half a minute."""
+    whole = [replace(page, temperature=270 + k) for k, page in enumerate(pages())]
+    glitched = [replace(page, temperature=word) if k in (3, 4, 7) else page for k, page in enumerate(whole)]
+    warm = joined(read(written(tmp_path / "whole.cwa", whole))[0], "temperature_mc")
+    for chunk_samples in (80, 300, 8000):
+        chunks, breaks, problems = read(written(tmp_path / "a.cwa", glitched), chunk_samples)
+        assert (joined(chunks, "counts") == VALUES).all() and not breaks
+        expected = [warm[80 * k] for k in (0, 1, 2, 2, 2, 5, 6, 6, 8, 9)]
+        assert (joined(chunks, "temperature_mc") == np.repeat(expected, 80)).all()
+        assert [(code, offset, count) for code, offset, _, count in problems] == [
+            ("missing_value", 1024 + 3 * 512, 160),
+            ("missing_value", 1024 + 7 * 512, 80),
+        ]

@@ -12,9 +12,10 @@ import h5py
 import numpy as np
 import pytest
 
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
-from accelcal_cli.formats.hdf5 import HDF5
+from accelcal_cli.formats.hdf5 import HDF5, reader
 from accelcal_cli.formats.hdf5 import rows as hdf5_rows
 from accelcal_cli.formats.hdf5.datasets import Track
 from tests.formats.make_hdf5 import Read, about, joined, write
@@ -60,7 +61,7 @@ def by_h5py(path: Path, monkeypatch: pytest.MonkeyPatch) -> Read:
 
 @pytest.mark.parametrize("threads", [pytest.param(1, marks=pytest.mark.nightly), 2])
 @pytest.mark.parametrize("shuffle", [False, True])
-@pytest.mark.parametrize("dtype", ["<i2", ">i4", "<f4", "f8", ">i8"])
+@pytest.mark.parametrize("dtype", ["<i2", ">i4", "<f4", "f8", ">i8", "g"])
 @pytest.mark.parametrize("shape", ["wide", "transposed", "columns"])
 def test_chunks_are_unpacked_as_they_were_packed(
     path: Path, done: list[tuple[range, bool]], threads: int, shuffle: bool, dtype: str, shape: str
@@ -248,3 +249,69 @@ def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.Monke
         parts = [chunk.counts for chunk in reader.chunks(1 << 20)]
     assert max(map(len, parts)) == 1000
     assert (np.concatenate(parts) == counts()).all()
+
+
+def test_chunks_never_written_are_found_in_one_pass(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """14. of the hostile run: 210 000 chunks, asked for one by one, took half a minute."""
+    with h5py.File(path, "w") as file:
+        data = file.create_dataset("accel", (6000, 3), "i2", chunks=(10, 2), compression="gzip")
+        data.attrs.update(about())
+        for row in (*range(0, 6000, 200), 10):
+            data[row : row + 10] = counts()[row : row + 10]
+        data[400:410, :2] = 7
+        data[50:60, :2] = 7
+    asked: list[int] = []
+    offset = hdf5_rows.TrackRows.chunk_offset
+
+    def counted(self: hdf5_rows.TrackRows, row: int) -> int | None:
+        asked.append(row)
+        return offset(self, row)
+
+    monkeypatch.setattr(hdf5_rows.TrackRows, "chunk_offset", counted)
+    got = streamed(path)
+    rows = [row + k for row in sorted((*range(0, 6000, 200), 10)) for k in range(10)]
+    expected = counts()[rows]
+    expected[[rows.index(400 + k) for k in range(10)], :2] = 7
+    assert (got.counts == expected).all()
+    assert len(asked) < 100
+
+
+def test_small_chunks_are_read_a_few_thousand_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """14. of the hostile run: the HDF5 library's notes on 65 536 chunks took 700 MB."""
+    monkeypatch.setattr(hdf5_rows, "MOST_CHUNKS", 300)
+    read: list[int] = []
+    fetch = hdf5_rows.TrackRows.fetch
+
+    def counted(self: hdf5_rows.TrackRows, start: int, stop: int) -> np.ndarray:
+        read.append(stop - start)
+        return fetch(self, start, stop)
+
+    monkeypatch.setattr(hdf5_rows.TrackRows, "fetch", counted)
+    write(path, {"accel": counts()[:5000]}, about(), chunks=(5, 1))
+    assert (streamed(path).counts == counts()[:5000]).all()
+    assert max(read) == 500
+
+
+def test_large_chunks_of_other_filters_are_unpacked_once_and_read_in_parts(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hdf5_rows, "STREAM_ABOVE_BYTES", 1000)
+    monkeypatch.setattr(hdf5_rows, "BLOCK_ROWS", 1000)
+    write(path, {"accel": counts()}, about(), chunks=(CHUNK, 3), compression="lzf")
+    assert (streamed(path).counts == counts()).all()
+    with h5py.File(path) as file:
+        held = hdf5_rows.TrackRows(file, Track("/accel", ROWS, 3, 0, np.dtype("i2")), path)
+        assert held.kept_bytes == 6 * CHUNK
+        assert held.dataset.id.get_access_plist().get_chunk_cache()[1] > 6 * CHUNK
+        assert held.block(2500) == (2000, 3000)
+
+
+def test_chunks_that_are_too_large_together_are_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hdf5_rows, "STREAM_ABOVE_BYTES", 1000)
+    monkeypatch.setattr(reader, "REFUSE_ABOVE_BYTES", 5 * CHUNK)
+    with h5py.File(path, "w") as file:
+        for name, column in zip("xyz", counts().T, strict=True):
+            file.create_dataset(name, data=column, chunks=(CHUNK,), compression="lzf").attrs.update(about())
+    with pytest.raises(UnreadableError, match="too large to unpack at once") as error:
+        streamed(path)
+    assert "h5repack" in str(error.value.hint)

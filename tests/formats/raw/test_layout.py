@@ -253,3 +253,33 @@ def test_a_start_outside_the_years_1_to_9999_is_refused(tmp_path: Path, start: s
         load_layout(written(tmp_path, text))
     inside = start[:19] + "+00:00"
     assert load_layout(written(tmp_path, text.replace(start, inside))).start is not None
+
+
+@pytest.mark.parametrize(("size", "refused"), [(1 << 16, False), ((1 << 16) + 1, True)])
+def test_a_crc16_covers_no_more_than_it_can_be_made_for(tmp_path: Path, size: int, refused: bool) -> None:
+    """It takes a step and half a kilobyte of tables for each byte of a page: 8 GB for the largest one."""
+    text = f"""[dump]
+rate_hz = 100.0
+lsb_per_g = 256.0
+page_bytes = {size + 2}
+page_trailer_bytes = 2
+[fields]
+x = {{ offset = 0, type = "int16" }}
+y = {{ offset = 2, type = "int16" }}
+z = {{ offset = 4, type = "int16" }}
+[page]
+crc = {{ offset = {size}, type = "crc16-ccitt", covers = [0, {size}] }}
+"""
+    path = tmp_path / "a.layout.toml"
+    path.write_text(text)
+    if not refused:
+        assert load_layout(path).checksum is not None
+        return
+    with pytest.raises(UsageError, match=r"page.crc.covers is 65537 bytes, crc16-ccitt at most 65536"):
+        load_layout(path)
+    path.write_text(
+        text.replace("crc16-ccitt", "crc32")
+        .replace("page_trailer_bytes = 2", "page_trailer_bytes = 4")
+        .replace(f"page_bytes = {size + 2}", f"page_bytes = {size + 4}")
+    )
+    assert load_layout(path).checksum is not None
