@@ -441,6 +441,7 @@ class TrackRows:
         return half if half < stop and self._stream is None else None
 
     def fetch(self, start: int, stop: int) -> NDArray[Any]:
+        """Rows start..stop-1 from the file."""
         if self._stream is not None:
             return self._stream.read(start, stop)
         if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
