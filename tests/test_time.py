@@ -349,6 +349,10 @@ def test_local_times_that_an_hdf5_file_counts_from_1970_follow_a_change_where_th
     found = make_hdf5.read(path, 30, timezone=zone, force_timezone=True)
     assert (utc_us(found), found.codes, found.breaks) == (exact_us(times), ["clock_followed"], [])
     assert found.problems[0].message == f"the times follow a change of the clocks in {zone}"
+    datasets["time"] = datasets["time"] // 10**6
+    make_hdf5.write(path, datasets, make_hdf5.about(sample_rate=20.0, start_time=None))
+    found = make_hdf5.read(path, 30, timezone=zone, force_timezone=True)
+    assert (utc_us(found), found.codes, found.breaks) == (exact_us(times), ["clock_followed"], [])
 
 
 @pytest.mark.parametrize(

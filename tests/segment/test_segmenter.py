@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import weakref
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
+from types import FrameType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,11 +17,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from accelcal_cli.core.points import WindowCounts
-from accelcal_cli.core.recording import Chunk, Validity
+from accelcal_cli.core.recording import Validity
 from accelcal_cli.segment import StillRule, still_rule
 from accelcal_cli.segment.segmenter import Segmenter
 from tests.segment.streams import Stream, naive, rows, segmented
 
+TraceFunction = Callable[[FrameType, str, Any], Any]
 ANYTHING = StillRule((0, 1, 2), 1 << 40, None)
 RULES = st.builds(
     StillRule,
@@ -178,16 +183,25 @@ def test_feeding_nothing_gives_nothing() -> None:
     assert segmenter.counts == WindowCounts()
 
 
-def test_runs_too_short_for_a_window_cost_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    stream = Stream(np.zeros((4000, 3), np.int16), tuple(range(1500, 3000)))
-    assert segmented(stream, 100, ANYTHING, [1000, 2000]) == naive(stream, 100, ANYTHING)
-    parts: list[tuple[int, int]] = []
-    part = Chunk.part
+def lines_run(stream: Stream) -> int:
+    """How many lines of the segmenter a stream takes."""
+    lines = 0
 
-    def counted(chunk: Chunk, start: int, stop: int) -> Chunk:
-        parts.append((start, stop))
-        return part(chunk, start, stop)
+    def count(frame: FrameType, event: str, _: object) -> TraceFunction | None:
+        nonlocal lines
+        lines += event == "line"
+        return count if frame.f_code.co_filename == Segmenter.feed.__code__.co_filename else None
 
-    monkeypatch.setattr(Chunk, "part", counted)
-    segmented(stream, 100, ANYTHING, [1000, 2000])
-    assert len(parts) < 20
+    before = sys.gettrace()
+    sys.settrace(count)
+    try:
+        segmented(stream, 100, ANYTHING, [1000, 2000])
+    finally:
+        sys.settrace(before)
+    return lines
+
+
+def test_runs_too_short_for_a_window_cost_nothing() -> None:
+    few, many = (Stream(np.zeros((4000, 3), np.int16), tuple(range(1500, 3000, step))) for step in (90, 1))
+    assert segmented(many, 100, ANYTHING, [1000, 2000]) == naive(many, 100, ANYTHING)
+    assert 50 < lines_run(many) < 2 * lines_run(few) < 1000

@@ -12,12 +12,12 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
+from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace
 from accelcal_cli.formats.csv import times
 from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.table import Block, LineFile, ParsedTable, TableParser, lone_block
-from accelcal_cli.formats.csv.times import Pace
 from accelcal_cli.formats.csv.vendors import ExportDescription, export_description
 
 HEAD_BYTES = 1 << 20
@@ -62,8 +62,7 @@ class Detected:
         notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
         if roles.time is not None:
             notes.append(f"time: {column_name(dialect, roles.time)}")
-        if self.pace.stamp_period_us:
-            notes.append("several rows share a time stamp; they were spread evenly until the next one")
+        notes += self.pace.notes
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
         above = dialect.skipped - self.export.preamble - headings
         if above > 0:
@@ -189,7 +188,7 @@ def _scale(
 
 def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
     if cells.time_us is not None:
-        stamps = cells.time_us[cells.time_us > times.IMPOSSIBLE]
+        stamps = cells.time_us[cells.time_us > IMPOSSIBLE]
         if options.rate_hz is None and export.rate_hz is not None:
             return times.agreeing_pace(stamps, export.rate_hz, path)
         return times.find_pace(stamps, options.rate_hz, path)
@@ -224,5 +223,5 @@ def last_timestamp(parser: TableParser) -> int | None:
         stamps = parser.cells(lone_block(b"".join(whole), 1, 0)).time_us
     except UnreadableError:
         return None
-    usable = stamps is not None and len(stamps) and stamps[-1] > times.IMPOSSIBLE
+    usable = stamps is not None and len(stamps) and stamps[-1] > IMPOSSIBLE
     return int(stamps[-1]) if stamps is not None and usable else None

@@ -21,6 +21,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
+from accelcal_cli.formats._stamps import GAP_PERIODS
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
 from accelcal_cli.formats.csv.rows import (
     Fault,
@@ -28,12 +29,11 @@ from accelcal_cli.formats.csv.rows import (
     IdleFill,
     RowParser,
     Rows,
-    SharedStamps,
+    SpreadRows,
     block_bytes,
     joined,
 )
 from accelcal_cli.formats.csv.table import Block, LineFile
-from accelcal_cli.formats.csv.times import GAP_PERIODS
 
 SINGLE = 50
 """Problems of a kind that are given one by one."""
@@ -94,9 +94,9 @@ class CsvReader(Reader):
         """Rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
         row_parser = RowParser(detected.parser, detected.scale, detected.first_values)
-        stages: list[FollowedChanges | SharedStamps | IdleFill] = [*changes]
+        stages: list[FollowedChanges | SpreadRows | IdleFill] = [*changes]
         if detected.pace.stamp_period_us:
-            stages.append(SharedStamps(detected.pace))
+            stages.append(SpreadRows(detected.pace))
         if detected.export.repeats_idle:
             stages.append(IdleFill(round(detected.pace.rate_hz)))
         size = block_bytes(chunk_samples, detected.line_bytes)

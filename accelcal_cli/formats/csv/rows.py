@@ -1,7 +1,7 @@
 """Rows of a text file as counts, times and faults, block after block.
 
 `RowParser` makes rows of the parsed columns. `FollowedChanges` makes the times run on where they follow
-daylight saving. `SharedStamps` gives every row a time where several rows share a
+daylight saving. `SpreadRows` gives every row a time where several rows share a
 stamp, such as whole seconds; `IdleFill` marks what a device wrote while it slept. Rows of small blocks are
 then joined, since every stretch of rows costs the same afterwards, however short.
 """
@@ -20,13 +20,10 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
 from accelcal_cli.formats._idle import RepeatedSamples
+from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, Pace, SharedStamps
 from accelcal_cli.formats.csv.cells import Scale
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN
 from accelcal_cli.formats.csv.table import Block, ParsedTable, TableParser, lone_block
-from accelcal_cli.formats.csv.times import IMPOSSIBLE, NO_TIME, Pace
-
-LONGEST_GROUP = 4
-"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
 
 BLOCK_BYTES = 1 << 21
 """Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
@@ -190,75 +187,20 @@ class FollowedChanges:
         return replace(rows, time_us=times)
 
 
-class SharedStamps:
-    """Spreads the rows of each stamp evenly until the next stamp.
-
-    A group of rows is given on once the stamp after it is known, so that its times do not
-    depend on where the blocks of the file end.
-    """
+class SpreadRows:
+    """Gives rows that share a stamp times of their own (see `SharedStamps`)."""
 
     def __init__(self, pace: Pace) -> None:
-        self._period = pace.stamp_period_us
-        self._usual = pace.rows_per_stamp
+        self._stamps = SharedStamps(pace)
         self._waiting: Rows | None = None
-        self._before = NO_TIME
 
     def add(self, rows: Rows, last: bool) -> Rows:
         """Take the next rows; gives those whose times are settled (all, where these are the last)."""
+        assert rows.time_us is not None
+        times = self._stamps.add(rows.time_us, last)
         rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
-        stamps = self._filled(rows.time_us)
-        starts = self._starts(stamps)
-        ends = np.append(starts[1:], len(stamps))
-        settled = len(starts) if last else max(len(starts) - 1, 0)
-        cut = int(ends[settled - 1]) if settled else 0
-        times = stamps[:0]
-        if settled:
-            after = stamps[starts[settled]] if settled < len(starts) else NO_TIME
-            around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
-            times = self._spread(around, (ends - starts)[:settled])
-            self._before = int(around[-2])
-        self._waiting = None if last else replace(rows.part(cut, len(rows)), time_us=stamps[cut:])
-        return replace(rows.part(0, cut), time_us=times)
-
-    def _filled(self, stamps: NDArray[np.int64] | None) -> NDArray[np.int64]:
-        """Rows without a time belong to the group before them; they are left out later."""
-        if stamps is None or not len(stamps):
-            return np.empty(0, np.int64)
-        known = np.where(stamps <= IMPOSSIBLE, 0, np.arange(len(stamps)))
-        return stamps[np.maximum.accumulate(known)]
-
-    def _starts(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
-        """First row of every group."""
-        if not len(stamps):
-            return np.empty(0, np.int64)
-        changes = np.flatnonzero(np.diff(stamps)) + 1
-        starts = np.concatenate(([0], changes))
-        sizes = np.diff(np.append(starts, len(stamps)))
-        longest = LONGEST_GROUP * self._usual
-        if sizes.max() <= longest:
-            return starts
-        return np.concatenate(
-            [np.arange(start, start + size, longest) for start, size in zip(starts, sizes, strict=True)]
-        )
-
-    def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Times of the rows of groups with these stamps; `around` has one more at either end.
-
-        A short group beside a gap is the rest of a stamp's time, at the usual pace: its end
-        where the gap is before it, else its beginning.
-        """
-        steps = np.diff(around)
-        joined = (steps > 0) & (steps <= self._period * 3 // 2)
-        before, after = joined[:-1], joined[1:]
-        full = (sizes >= self._usual) | (before & after)
-        span = np.where(full & after, steps[1:], self._period)
-        parts = np.where(full, sizes, self._usual)
-        shift = np.where(~full & after, self._usual - sizes, 0)
-        group = np.repeat(np.arange(len(sizes)), sizes)
-        index = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
-        into = (2 * index * span[group] + parts[group]) // (2 * parts[group])
-        times: NDArray[np.int64] = around[1:-1][group] + into
-        return times
+        self._waiting = None if last else rows.part(len(times), len(rows))
+        return replace(rows.part(0, len(times)), time_us=times)
 
 
 class IdleFill:

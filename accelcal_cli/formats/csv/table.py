@@ -19,10 +19,11 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Channels, Closing
 from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._stamps import IMPOSSIBLE
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
 from accelcal_cli.formats.csv.dialect import Dialect, decode, split_line
-from accelcal_cli.formats.csv.times import IMPOSSIBLE, TimeFormat, floats
+from accelcal_cli.formats.csv.times import TimeFormat, floats
 
 PIECE_BYTES = 1 << 18
 """Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""

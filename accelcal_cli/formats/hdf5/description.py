@@ -16,6 +16,7 @@ from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
+from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, spread, stamp_pace
 from accelcal_cli.formats.hdf5 import datasets, units
 from accelcal_cli.formats.hdf5.channels import Axes, Channel
 from accelcal_cli.formats.hdf5.datasets import Group, Track
@@ -38,11 +39,20 @@ NO_COLUMN = "none"
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """A dataset of times. `coarse_us`: how far apart stamps are where several rows share one."""
+    """A dataset of times.
+
+    Attributes:
+        pace: by which rows that share a stamp are spread.
+        first_us, last_us: times of its first and last row that have one.
+        step_us: the mean step between rows; None if none goes forward.
+    """
 
     track: Track
     scale: StampScale
-    coarse_us: int = 0
+    pace: Pace
+    first_us: int
+    last_us: int
+    step_us: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,31 +103,37 @@ def spread_rows(file: Any, track: Track, path: Path, places: int = 5, each: int 
     return np.concatenate([good_rows(rows, start, min(start + each, track.rows)) for start in starts])
 
 
+def stored_stamps(rows: TrackRows, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
+    """Times (n,) of rows start..stop-1 [us], NO_TIME where they cannot be believed."""
+    values, good = rows.read(start, stop)
+    times, believable = scale.times(values[:, 0])
+    return np.where(good, np.where(believable, times, NO_TIME), LOST)
+
+
 def measured_stamps(
-    file: Any, track: Track, scale: StampScale, path: Path
-) -> tuple[Stamps, int, int, float | None]:
-    """A time dataset, its first and last times [us] and the mean step between samples [us].
+    file: Any, track: Track, scale: StampScale, stated_hz: float | None, path: Path
+) -> tuple[Stamps, float]:
+    """A time dataset, and the sampling rate: the stated one, or what its first rows show.
 
     Raises:
-        UnreadableError: its first rows hold no time at all.
+        UnreadableError: its first rows hold no time at all, or the rate cannot be worked with.
     """
     rows = TrackRows(file, track, path)
-    times = _believable(rows, scale, 0, min(track.rows, BLOCK_ROWS))
+    head = stored_stamps(rows, scale, 0, min(track.rows, BLOCK_ROWS))
+    times = head[head > LOST]
     if not len(times):
         raise UnreadableError(
             f"dataset {track.path} holds no plausible time",
             path=path,
             hint="ignore it with --time-column none and give --rate HZ",
         )
-    final = _believable(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows)
-    last = int(final[-1]) if len(final) else int(times[-1])
-    step, coarse = units.typical_step(times) or (None, 0)
-    return Stamps(track, scale, coarse), int(times[0]), max(last, int(times[0])), step
-
-
-def _believable(rows: TrackRows, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
-    times, good = scale.times(good_rows(rows, start, stop)[:, 0])
-    return times[good]
+    step = units.typical_step(times)
+    rate = checked_rate(units.nominal_rate(step) if stated_hz is None and step else stated_hz, path)
+    pace = stamp_pace(times, stated_hz, rate)
+    begin = spread(head, pace)
+    end = spread(stored_stamps(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows), pace)
+    first, last = int(begin[0]), int(end[-1] if len(end) else begin[-1])
+    return Stamps(track, scale, pace, first, max(last, first), step), rate
 
 
 def checked_rate(rate_hz: float | None, path: Path) -> float:
@@ -224,10 +240,7 @@ def _named(source: Source, name: str) -> Track:
 def _stamped(file: Any, track: Track, rate: float | None, start: Moment | None, path: Path) -> Timeline:
     """The timeline of a time dataset, absolute or counting from the start."""
     scale, since = _stamp_scale(file, track, rate, start, path)
-    stamps, first, last, step = measured_stamps(file, track, scale, path)
-    if rate is None and step is not None:
-        rate = units.nominal_rate(step)
-    period = 1 / rate if rate else 0.0
+    stamps, rate = measured_stamps(file, track, scale, rate, path)
     problem = Problem(
         "no_start_time",
         f"{readable(track.path)} counts from an unknown start; times count from 1970-01-01",
@@ -236,12 +249,13 @@ def _stamped(file: Any, track: Track, rate: float | None, start: Moment | None, 
     )
     return Timeline(
         rate,
-        first if since else None,
+        stamps.first_us if since else None,
         bool(since and since.is_utc),
         bool(since and since.had_offset),
         stamps,
-        (last - first) / MICROSECONDS + period,
+        (stamps.last_us - stamps.first_us) / MICROSECONDS + 1 / rate,
         () if since else (problem,),
+        stamps.pace.notes,
     )
 
 
@@ -289,6 +303,6 @@ def _unit_by_rate(head: Any, rate: float | None) -> str | None:
     for unit in units.PER_SECOND:
         times, _ = StampScale(unit).times(head)
         typical = units.typical_step(times) if len(head) > 1 else None
-        if rate and typical and abs(typical[0] * rate / MICROSECONDS - 1) < 0.05:
+        if rate and typical and abs(typical * rate / MICROSECONDS - 1) < 0.05:
             return unit
     return None

@@ -151,30 +151,28 @@ def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
 
 def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> Plan:
     accel_track = _track(file, sensor, layout.accel, path)
-    stamps, start, last, step = description.measured_stamps(
-        file, _track(file, sensor, TIME, path, accel_track), StampScale("us"), path
-    )
     settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
-    stated_hz = settings.number("Sample Rate", "SampleRate")
-    rate = options.rate_hz or stated_hz or (step and units.nominal_rate(step))
+    stated_hz = options.rate_hz or settings.number("Sample Rate", "SampleRate") or None
+    time_track = _track(file, sensor, TIME, path, accel_track)
+    stamps, rate = description.measured_stamps(file, time_track, StampScale("us"), stated_hz, path)
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     channels = _channels(file, sensor, layout, accel_track, path)
     recording = Recording(
         path=path,
         format="opal",
-        rate_hz=description.checked_rate(rate or None, path),
+        rate_hz=rate,
         lsb_per_g=accel.scale.lsb,
         total_bytes=path.stat().st_size,
         device=Device(
             "Opal", h5.readable(sensor.serial), settings.text("Firmware Version", "VersionString1")
         ),
         range_g=_range_g(file, accel_track),
-        start_us=start,
+        start_us=stamps.first_us,
         timezone="UTC",
-        duration_s=(last - start + (step or 0)) / MICROSECONDS,
+        duration_s=(stamps.last_us - stamps.first_us + (stamps.step_us or 0)) / MICROSECONDS,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=dps_per_lsb(channels),
-        notes=_notes(sensor, settings),
+        notes=_notes(sensor, settings) + stamps.pace.notes,
     )
     problems = description.header_problems(settings)
     missing = h5.missing_bytes(file, path)

@@ -17,19 +17,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core import recording
-from accelcal_cli.core.clock import Clock, StampClock, UniformClock, rate_fraction
-from accelcal_cli.core.daylight import FOLLOWED, LocalStamps
+from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
+from accelcal_cli.core.daylight import FOLLOWED
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording
 from accelcal_cli.formats._problems import ProblemLog, Run
+from accelcal_cli.formats._stamps import GAP_PERIODS
 from accelcal_cli.formats.hdf5 import description, units
 from accelcal_cli.formats.hdf5 import file as h5
 from accelcal_cli.formats.hdf5.channels import Axes, Channel, dps_per_lsb, find_channels
 from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
 from accelcal_cli.formats.hdf5.description import Plan, Source, Timeline
 from accelcal_cli.formats.hdf5.rows import REFUSE_ABOVE_BYTES, RowSelection, TrackRows
+from accelcal_cli.formats.hdf5.times import RowTimes
 from accelcal_cli.formats.hdf5.units import Scale
 
 LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
@@ -42,14 +44,11 @@ ZONE_NAMES = ("timezone", "time_zone", "tz")
 SINGLE = 100
 """Problems of a kind that are given one by one."""
 
-GAP_PERIODS = 3
 PIECE_BYTES = 16 << 20
 """Of the datasets' values at a time, however many samples are wanted: wide numbers take memory."""
 
-NO_TIME = ("missing_value", "rows without a believable time left out")
 AHEAD = ("clock_gap", "jumps forward of the times")
 BACK = ("clock_back", "jumps back of the times")
-WITH_ITS_ZONE = "the times follow a change of the clocks in {}"
 
 
 def open_recording(path: Path, options: ReadOptions) -> Hdf5Reader:
@@ -118,15 +117,8 @@ def _recording(
         duration_s=rows / rate if timeline.duration_s is None else timeline.duration_s,
         has_temperature="temperature_mc" in channels,
         gyro_dps_per_lsb=dps_per_lsb(channels),
-        notes=timeline.notes + notes + zone_notes + _shared(timeline),
+        notes=timeline.notes + notes + zone_notes,
     )
-
-
-def _shared(timeline: Timeline) -> tuple[str, ...]:
-    """Whether `time` does not tell the rows apart: nothing is made of such stamps."""
-    coarse_us = timeline.stamps.coarse_us if timeline.stamps else 0
-    text = f"several rows share each time stamp (stamps are {coarse_us / 1e6:g} s apart) and keep it"
-    return (text,) if coarse_us else ()
 
 
 def _range(attributes: h5.Attributes) -> float | None:
@@ -277,14 +269,14 @@ class _Stream:
         self._accel = [*map(opened, plan.accel.tracks)]
         self._channels = {name: [*map(opened, channel.tracks)] for name, channel in plan.channels.items()}
         self._before: Channels = {}
-        self._stamps = [opened(plan.stamps.track)] if plan.stamps else []
+        stamps = [opened(plan.stamps.track)] if plan.stamps else []
+        self._times = RowTimes(stamps[0], plan.stamps, start, zone) if plan.stamps else None
         problems = plan.problems if start == 0 else ()
         self._log = ProblemLog(problems, _message, SINGLE, by_end=True)
         self._sample = start
         self._last_row: int | None = None
         self._last_time = 0
-        self._running, self._with_its_zone = LocalStamps(zone), (FOLLOWED, WITH_ITS_ZONE.format(zone))
-        sources = chain(self._accel, *self._channels.values(), self._stamps)
+        sources = chain(self._accel, *self._channels.values(), stamps)
         self._sources = [*sources]
         self.row_bytes = sum(source.row_bytes for source in self._sources)
 
@@ -303,7 +295,7 @@ class _Stream:
         selection = RowSelection(start, stop, self.row_bytes)
         counts = self._plan.accel.values(self._accel, selection)
         channels = self._channel_values(selection)
-        times = self._times(selection)
+        times = None if self._times is None else self._times.next(selection)
         rows = selection.rows()
         clock = self._clock(times, rows, selection)
         breaks = self._breaks(times, rows, selection)
@@ -329,16 +321,6 @@ class _Stream:
             return ()
         what = f"the file is cut short: its last {missing} bytes are missing"
         return (Problem("truncated", what, total, self._sample + rows, missing),)
-
-    def _times(self, selection: RowSelection) -> NDArray[np.int64] | None:
-        if self._plan.stamps is None:
-            return None
-        times, believable = self._plan.stamps.scale.times(selection.read(self._stamps[0])[:, 0])
-        selection.leave_out(NO_TIME, ~believable)
-        rows = selection.rows()
-        times[rows], followed = self._running.running_on(times[rows])
-        selection.note(self._with_its_zone, rows[followed])
-        return times
 
     def _channel_values(self, selection: RowSelection) -> Channels:
         """All rows of each channel."""
@@ -383,8 +365,7 @@ class _Stream:
         selection: RowSelection,
     ) -> NDArray[np.bool_]:
         """Where the times jump; a problem unless lost rows explain it."""
-        coarse = self._plan.stamps.coarse_us if self._plan.stamps else 0
-        longest = GAP_PERIODS * 1_000_000 / self._plan.recording.rate_hz + coarse
+        longest = GAP_PERIODS * MICROSECONDS / self._plan.recording.rate_hz
         steps = np.diff(times, prepend=times[0] if self._last_row is None else self._last_time)
         self._last_time = int(times[-1])
         selection.note(AHEAD, rows[(steps > longest) & ~explained])

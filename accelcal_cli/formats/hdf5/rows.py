@@ -441,7 +441,7 @@ class TrackRows:
         return half if half < stop and self._stream is None else None
 
     def fetch(self, start: int, stop: int) -> NDArray[Any]:
-        """Rows start..stop-1 from the file."""
+        """Rows start..stop-1 at once, (n, width); fewer where a stream breaks off. Raises as h5py does."""
         if self._stream is not None:
             return self._stream.read(start, stop)
         if self._stored is not None and (values := self._stored.read(range(start, stop))) is not None:
@@ -514,10 +514,14 @@ class RowSelection:
     def read(self, source: TrackRows) -> NDArray[Any]:
         """All rows of a dataset (n, width); lost ones are zero and left out."""
         values, good = source.read(self.start, self.stop)
-        if not good.all():
-            kind = ("bad_page", f"rows lost in damaged or missing parts of {readable(source.path)}")
-            self.leave_out(kind, ~good, source.chunk_offset)
+        self.lose(source, ~good)
         return values
+
+    def lose(self, source: TrackRows, lost: NDArray[np.bool_]) -> None:
+        """Drop rows that a dataset has lost."""
+        if lost.any():
+            kind = ("bad_page", f"rows lost in damaged or missing parts of {readable(source.path)}")
+            self.leave_out(kind, lost, source.chunk_offset)
 
     def leave_out(self, kind: Kind, bad: NDArray[np.bool_], offset: Offset = nowhere) -> None:
         """Drop rows; those dropped before are not noted again."""

@@ -196,11 +196,8 @@ class StampScale:
         return times, believable & (times < LATEST_US)
 
 
-def typical_step(times: NDArray[np.int64]) -> tuple[float, int] | None:
-    """Mean step between samples [us] without gaps, and how coarse equal stamps are [us].
-
-    The second is 0 where stamps differ from each other. None if there is no step forward.
-    """
+def typical_step(times: NDArray[np.int64]) -> float | None:
+    """Mean step between samples [us] without gaps; None if there is no step forward."""
     changes = np.flatnonzero(np.diff(times)) + 1
     if len(changes) < 2:
         changes = np.array([0, len(times) - 1])
@@ -209,8 +206,7 @@ def typical_step(times: NDArray[np.int64]) -> tuple[float, int] | None:
         return None
     usual = float(np.median(steps[steps > 0]))
     regular = (steps > 0) & (steps <= 3 * usual)
-    coarse = usual if len(changes) < len(times) * 3 // 4 else 0
-    return float(steps[regular].sum() / rows[regular].sum()), int(coarse)
+    return float(steps[regular].sum() / rows[regular].sum())
 
 
 def nominal_rate(step_us: float) -> float:

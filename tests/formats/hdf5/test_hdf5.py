@@ -787,13 +787,3 @@ def test_times_since_1970_are_utc_whatever_the_attribute_names(path: Path) -> No
     found = read(path).recording
     assert (found.timezone, found.start_us) == ("UTC", START_US)
     assert "it names the time zone Europe/Berlin" in found.notes[-1]
-
-
-def test_rows_that_share_a_stamp_are_told(path: Path) -> None:
-    rows = len(counts())
-    write(
-        path, {"accel": counts(), "time": START_US // 10**6 + np.arange(rows) // 100}, about(start_time=None)
-    )
-    assert (
-        "several rows share each time stamp (stamps are 1 s apart) and keep it" in read(path).recording.notes
-    )

@@ -1,0 +1,212 @@
+"""How the rows of a table follow each other in time, and the times of rows that share a stamp.
+
+`shares_stamps` finds out whether several rows share each stamp, such as whole seconds; `SharedStamps` then
+gives every row a time of its own, wherever the pieces end in which the rows are read.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+
+NO_TIME, IMPOSSIBLE, LOST = -(1 << 62), -(1 << 62) + 1, -(1 << 62) + 2
+"""Stand for a missing time, for one that does not exist (30 February) or was before all recordings (the
+year 1), and for one in a lost part of the file; far enough from every real one to subtract without
+overflow."""
+
+GAP_PERIODS = 3
+"""A step of more sample periods is a gap."""
+
+LONGEST_GROUP = 4
+"""A group longer than this many usual ones is cut: a stopped clock must not fill the memory."""
+
+DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
+"""Rates that are no whole number, of devices in common use."""
+
+DISAGREEMENT = 1.2
+SHORTFALL = 0.2
+"""Groups of rows that miss the usual size by more lie beside a gap."""
+
+SPREAD = "several rows share a time stamp; they were spread evenly until the next one"
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """How the rows of a file follow each other in time.
+
+    Attributes:
+        rate_hz: rows a second.
+        stamp_period_us: time from one stamp to the next where several rows share a stamp and
+            must be spread; 0 where every row has its own.
+    """
+
+    rate_hz: float
+    stamp_period_us: int = 0
+
+    @property
+    def period_us(self) -> float:
+        """Time from one row to the next."""
+        return MICROSECONDS / self.rate_hz
+
+    @property
+    def rows_per_stamp(self) -> int:
+        """Rows that usually share a stamp."""
+        return max(1, round(self.rate_hz * self.stamp_period_us / MICROSECONDS))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is done to the times, for people."""
+        return (SPREAD,) if self.stamp_period_us else ()
+
+    def agrees(self, rate_hz: float) -> bool:
+        """Whether a rate that was stated can be the one that the times show."""
+        return 1 / DISAGREEMENT < rate_hz / self.rate_hz < DISAGREEMENT
+
+
+def _groups(stamps: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """First rows of the groups of equal stamps; sizes of all but the first and the last, which may be cut."""
+    starts = np.flatnonzero(np.diff(stamps, prepend=stamps[:1] - 1))
+    return starts, np.diff(starts)[1:]
+
+
+def shares_stamps(stamps: NDArray[np.int64]) -> bool:
+    """Whether several rows usually share a stamp."""
+    _, sizes = _groups(stamps)
+    return len(sizes) > 0 and bool(np.median(sizes) >= 2)
+
+
+def shared_pace(stamps: NDArray[np.int64]) -> Pace | None:
+    """The pace of rows of which several share each stamp; None if they show none."""
+    starts, sizes = _groups(stamps)
+    steps = np.diff(stamps[starts])[1:]
+    period = int(np.median(steps))
+    typical = float(np.median(sizes))
+    whole = np.abs(sizes - typical) <= max(1.0, SHORTFALL * typical)
+    usual = whole & (steps > 0) & (2 * steps <= GAP_PERIODS * period)
+    if period <= 0 or not usual.any():
+        return None
+    rate = float(sizes[usual].sum()) * MICROSECONDS / float(steps[usual].sum())
+    return Pace(nice_rate(rate), period)
+
+
+def only_stamp_period(stamps: NDArray[np.int64]) -> int:
+    """A second, where all rows there are share one or two whole-second stamps."""
+    shared = len(stamps) > 2 * len(_groups(stamps)[0]) and not (stamps % MICROSECONDS).any()
+    return MICROSECONDS if shared else 0
+
+
+def stamp_pace(stamps: NDArray[np.int64], stated_hz: float | None, rate_hz: float) -> Pace:
+    """The pace of rows whose rate is known.
+
+    Args:
+        stated_hz: a rate that outweighs what the stamps show, unless they deny it.
+        rate_hz: the rate where they show none.
+    """
+    shown = shared_pace(stamps) if shares_stamps(stamps) else None
+    if shown is None:
+        return Pace(rate_hz, only_stamp_period(stamps))
+    return shown if stated_hz is None or not shown.agrees(stated_hz) else replace(shown, rate_hz=stated_hz)
+
+
+def nice_rate(measured: float) -> float:
+    """The rate a device was probably set to, or the measured one where that is not clear.
+
+    Crystals and stamps in milliseconds miss a nominal rate by a few thousandths.
+    """
+    for rate in DEVICE_RATES:
+        if abs(measured - rate) < 0.0005 * rate:
+            return rate
+    for grid, tolerance in ((5.0, 0.005), (1.0, 0.0005)):
+        rate = grid * round(measured / grid)
+        if measured > 9.5 and abs(measured - rate) < tolerance * rate:
+            return rate
+    return float(f"{measured:.6g}")
+
+
+class SharedStamps:
+    """Spreads the rows of each stamp evenly until the next stamp.
+
+    The times of a group of rows are settled once the stamp after it is known, so that they do not depend on
+    where the pieces end in which the rows come.
+
+    Attributes:
+        longest: rows of which the last one settles the first, whatever their stamps.
+    """
+
+    def __init__(self, pace: Pace) -> None:
+        self._period = pace.stamp_period_us
+        self._usual = pace.rows_per_stamp
+        self.longest = LONGEST_GROUP * self._usual
+        self._waiting = np.empty(0, np.int64)
+        self._before = NO_TIME
+
+    def add(self, stamps: NDArray[np.int64], last: bool) -> NDArray[np.int64]:
+        """Take the stamps of the next rows; gives the times that are settled.
+
+        Args:
+            stamps: (n,) [us]. NO_TIME and IMPOSSIBLE count as the stamp before them, LOST as one by itself.
+            last: no rows follow.
+
+        Returns:
+            Times [us] of the rows that are settled (all, where these are the last), those that were left over
+            before first.
+        """
+        stamps = self._filled(np.concatenate((self._waiting, stamps)))
+        starts = self._starts(stamps)
+        ends = np.append(starts[1:], len(stamps))
+        settled = len(starts) if last else max(len(starts) - 1, 0)
+        self._waiting = stamps
+        if not settled:
+            return stamps[:0]
+        self._waiting = stamps[ends[settled - 1] :].copy()
+        after = stamps[starts[settled]] if settled < len(starts) else NO_TIME
+        around = np.concatenate(([self._before], stamps[starts[:settled]], [after]))
+        self._before = int(around[-2])
+        return self._spread(around, (ends - starts)[:settled])
+
+    def _filled(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Rows without a time belong to the group before them; they are left out later."""
+        known = np.where(stamps <= IMPOSSIBLE, 0, np.arange(len(stamps)))
+        return stamps[np.maximum.accumulate(known)]
+
+    def _starts(self, stamps: NDArray[np.int64]) -> NDArray[np.int64]:
+        """First row of every group."""
+        if not len(stamps):
+            return np.empty(0, np.int64)
+        changes = np.flatnonzero(np.diff(stamps)) + 1
+        starts = np.concatenate(([0], changes))
+        sizes = np.diff(np.append(starts, len(stamps)))
+        if sizes.max() <= self.longest:
+            return starts
+        return np.concatenate(
+            [np.arange(start, start + size, self.longest) for start, size in zip(starts, sizes, strict=True)]
+        )
+
+    def _spread(self, around: NDArray[np.int64], sizes: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Times of the rows of groups with these stamps; `around` has one more at either end.
+
+        A short group beside a gap is the rest of a stamp's time, at the usual pace: its end
+        where the gap is before it, else its beginning.
+        """
+        steps = np.diff(around)
+        joined = (steps > 0) & (steps <= self._period * 3 // 2)
+        before, after = joined[:-1], joined[1:]
+        full = (sizes >= self._usual) | (before & after)
+        span = np.where(full & after, steps[1:], self._period)
+        parts = np.where(full, sizes, self._usual)
+        shift = np.where(~full & after, self._usual - sizes, 0)
+        group = np.repeat(np.arange(len(sizes)), sizes)
+        index = np.arange(len(group)) - np.repeat(np.cumsum(sizes) - sizes, sizes) + shift[group]
+        into = (2 * index * span[group] + parts[group]) // (2 * parts[group])
+        times: NDArray[np.int64] = around[1:-1][group] + into
+        return times
+
+
+def spread(stamps: NDArray[np.int64], pace: Pace) -> NDArray[np.int64]:
+    """Times [us] of those of some rows (n,) that have one, spread if rows share them."""
+    times = SharedStamps(pace).add(stamps, last=True) if pace.stamp_period_us else stamps
+    return times[stamps > LOST]
