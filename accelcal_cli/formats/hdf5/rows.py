@@ -17,6 +17,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from functools import cached_property
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -417,13 +418,29 @@ class TrackRows:
 
     def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
         """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
-        good = np.ones(stop - start, np.bool_)
-        if self._has_holes:
-            first = start // self._chunk_rows * self._chunk_rows
-            for row in range(first, stop, self._chunk_rows):
-                if self.chunk_offset(row) is None:
-                    good[max(row - start, 0) : row - start + self._chunk_rows] = False
-        return good
+        if not self._has_holes:
+            return np.ones(stop - start, np.bool_)
+        size = self._chunk_rows
+        chunks = np.arange(start // size, -(-stop // size))
+        if self._present is None:
+            written = np.array([self.chunk_offset(chunk * size) is not None for chunk in chunks.tolist()])
+        else:
+            written = np.isin(chunks, self._present)
+        return np.repeat(written, size)[start % size :][: stop - start]
+
+    @cached_property
+    def _present(self) -> NDArray[np.int64] | None:
+        """Which HDF5 chunks exist, all columns of them, as numbers along the rows: the index is read once.
+
+        None where it cannot be, so that chunks must be asked for one by one.
+        """
+        found: list[int] = []
+        try:
+            self._dataset.id.chunk_iter(lambda info: found.append(info.chunk_offset[self._track.axis]))
+        except H5PY_ERRORS:
+            return None
+        first_rows, columns = np.unique(np.array(found, np.int64), return_counts=True)
+        return np.asarray(first_rows[columns == len(self._columns())] // self._chunk_rows)
 
     def chunk_offset(self, row: int) -> int | None:
         """Byte in the file of the HDF5 chunk that holds a row; None if there is none.
