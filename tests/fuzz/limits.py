@@ -1,0 +1,61 @@
+"""What a mutant may cost: time, and memory at its highest."""
+
+from __future__ import annotations
+
+import contextlib
+import resource
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+SECONDS = 5.0
+MEMORY_BYTES = 600 << 20
+CPU_SECONDS = 1.5
+"""What a mutant of few bytes may take of a processor."""
+
+CPU_SECONDS_PER_BYTE = 4e-6
+STATUS = Path("/proc/self/status")
+RESET = Path("/proc/self/clear_refs")
+RESET_PEAK = "5"
+
+
+class HangError(BaseException):
+    """A mutant takes too long; nothing that catches errors holds it up."""
+
+
+@contextmanager
+def limited(seconds: float) -> Iterator[None]:
+    """Raise HangError in a block that takes longer."""
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        raise HangError
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def forget_peak() -> None:
+    """Begin to measure the highest memory anew, where the system can."""
+    with contextlib.suppress(OSError):
+        RESET.write_text(RESET_PEAK)
+
+
+def peak_bytes() -> int:
+    """The highest memory of this process since `forget_peak`."""
+    with contextlib.suppress(OSError):
+        for line in STATUS.read_text().splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+def allowed_seconds(size: int) -> float:
+    """Processor time for a file of so many bytes."""
+    return CPU_SECONDS + size * CPU_SECONDS_PER_BYTE
