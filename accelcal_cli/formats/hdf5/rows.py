@@ -42,6 +42,9 @@ STREAM_ABOVE_BYTES = 16 << 20
 REFUSE_ABOVE_BYTES = 256 << 20
 PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
+MOST_CLAIMED = 200
+"""A dataset that claims more rows for each one that was written is not worth the time to go through it."""
+
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
@@ -278,6 +281,7 @@ class TrackRows:
         self._stream = self._open_stream() if streamed else None
         self._stored = None if self._stream else self._open_stored()
         self._has_holes = self._find_holes()
+        self._refuse_hardly_written()
 
     def _chunking(self) -> tuple[int, int]:
         """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
@@ -318,6 +322,16 @@ class TrackRows:
         if track.rows > size * HIGHEST_RATIO:
             raise self._refusal(
                 f"claims {track.rows} rows, more than the file can hold", "copy it again from its source"
+            )
+
+    def _refuse_hardly_written(self) -> None:
+        if not self._has_holes or self._present is None:
+            return
+        written = len(self._present) * self._chunk_rows
+        if written * MOST_CLAIMED < self._track.rows:
+            raise self._refusal(
+                f"claims {self._track.rows} rows, of which only {written} were ever written",
+                "copy it again from its source",
             )
 
     def _is_unwritten(self) -> bool:
@@ -386,7 +400,21 @@ class TrackRows:
             self._stored.begin(*self._block(stop))
 
     def _read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows, zero and marked where lost; what cannot be read is halved along chunk borders."""
+        """Rows, zero and marked where lost; what was never written is not read at the ends, which is slow."""
+        written = np.flatnonzero(self._written(start, stop)) if self._has_holes else range(stop - start)
+        if not len(written):
+            return np.zeros((stop - start, self._track.width), self._track.dtype), np.zeros(
+                stop - start, bool
+            )
+        before, end = int(written[0]), int(written[-1]) + 1
+        values, good = self._read_between(start + before, start + end)
+        behind = stop - start - end
+        if before or behind:
+            values, good = np.pad(values, ((before, behind), (0, 0))), np.pad(good, (before, behind))
+        return values, good
+
+    def _read_between(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows as `_read` gives them; what cannot be read is halved along chunk borders."""
         try:
             values = self._fetch(start, stop)
             good = self._written(start, start + len(values))

@@ -563,6 +563,19 @@ def test_many_chunks_that_were_never_written_are_not_asked_for_one_by_one(
     assert (len(asked) < 50) == listed
 
 
+def test_a_dataset_that_was_hardly_written_is_refused(path: Path) -> None:
+    """Else a file of few megabytes keeps a run busy for minutes with a thousand million rows."""
+    for rows in (20_000, 20_001):
+        with h5py.File(path, "w") as file:
+            dataset = file.create_dataset("accel", (rows, 3), "i2", chunks=(100, 3))
+            dataset.attrs.update(about())
+            dataset[:100] = counts()[:100]
+        if rows == 20_000:
+            assert len(read(path).counts) == 100
+    with pytest.raises(UnreadableError, match="claims 20001 rows, of which only 100 were ever written"):
+        read(path)
+
+
 @pytest.mark.parametrize("layout", [{}, {"chunks": (10, 3)}])
 def test_a_dataset_without_values_is_refused(path: Path, layout: dict[str, Any]) -> None:
     with h5py.File(path, "w") as file:
