@@ -1,6 +1,6 @@
 """`make fuzz`: tries mutants of all targets, or of those named, on all cores.
 
-ACCELCAL_FUZZ is the number of mutants of each format, ACCELCAL_FUZZ_SEED the seed, ACCELCAL_FUZZ_JOBS the
+ACCELCAL_FUZZ is the number of mutants of all formats, ACCELCAL_FUZZ_SEED the seed, ACCELCAL_FUZZ_JOBS the
 number of processes. What fails is kept in `fuzz_failures`.
 """
 
@@ -23,7 +23,7 @@ from tests.fuzz import engine
 from tests.fuzz.engine import Tally
 
 PART = 2000
-STUCK_S = 60.0
+STUCK_S = 90.0
 """A process that begins no mutant for so long is stuck where no Python code runs, and is ended."""
 
 POLL_S = 0.2
@@ -77,7 +77,7 @@ def parts(names: list[str]) -> deque[Part]:
     found = []
     for name in names:
         total = engine.number_of_mutants(name, engine.MUTANTS)
-        size = PART if name in engine.FORMATS else PART // 10
+        size = PART if name in engine.FORMATS else PART // 40
         found += [Part(name, range(at, min(total, at + size))) for at in range(0, total, size)]
     return deque(sorted(found, key=lambda part: part.numbers.start))
 

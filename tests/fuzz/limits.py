@@ -11,11 +11,17 @@ from pathlib import Path
 from types import FrameType
 
 SECONDS = 5.0
+FIT_SECONDS = 60.0
+"""What a command may take that fits points: those that do not determine a model take all iterations."""
+
 MEMORY_BYTES = 600 << 20
 CPU_SECONDS = 1.5
 """What a mutant of few bytes may take of a processor."""
 
 CPU_SECONDS_PER_BYTE = 4e-6
+CPU_SECONDS_PER_ROW = 4e-6
+"""Rows may be many more than bytes: a device that sleeps has a row for each sample that it did not take."""
+
 STATUS = Path("/proc/self/status")
 RESET = Path("/proc/self/clear_refs")
 RESET_PEAK = "5"
@@ -56,6 +62,6 @@ def peak_bytes() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
-def allowed_seconds(size: int) -> float:
-    """Processor time for a file of so many bytes."""
-    return CPU_SECONDS + size * CPU_SECONDS_PER_BYTE
+def allowed_seconds(size: int, rows: int) -> float:
+    """Processor time for a file of so many bytes that gives so many rows."""
+    return CPU_SECONDS + size * CPU_SECONDS_PER_BYTE + rows * CPU_SECONDS_PER_ROW

@@ -56,10 +56,17 @@ class Mutant:
 
 @dataclass(frozen=True)
 class Rows:
-    """What a reader gave: all rows that are not filled in, in g, and whether it told of anything wrong."""
+    """What a reader gave.
+
+    Attributes:
+        values: (n, 3) in g, of rows that are not filled in.
+        told: whether it told of anything wrong.
+        number: of all rows.
+    """
 
     values: np.ndarray
     told: bool
+    number: int = 0
 
 
 def keys(values: np.ndarray) -> list[bytes]:

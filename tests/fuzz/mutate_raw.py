@@ -207,7 +207,7 @@ def mutant(random: Random) -> Mutant:
         what = changed(parts, random, page_changes(plan))
         data = head + b"".join(parts)
         if random.random() < 0.1:
-            data = data[: random.randrange(len(data))]
+            data = data[: random.randrange(1, 2 + len(data))]
         return Mutant(data, f"{plan} {what}", truth(plan, data), layout=plan.text().encode())
     if choice < 0.65:
         data = blind(head + b"".join(parts), random)

@@ -116,7 +116,7 @@ def gathered(chunks: list[Chunk], reader: Reader) -> Rows:
     own = [c.counts if c.validity is None else c.counts[c.validity != Validity.FILLED] for c in chunks]
     counts = np.concatenate([np.empty((0, 3), np.int32), *own])
     told = any(chunk.problems for chunk in chunks) or any(NOT_USED in note for note in recording.notes)
-    return Rows(counts / recording.lsb_per_g, told)
+    return Rows(counts / recording.lsb_per_g, told, sum(map(len, chunks)))
 
 
 def look_round(reader: Reader) -> None:

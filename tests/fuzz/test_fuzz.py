@@ -140,9 +140,14 @@ def test_the_oracle_of_problems() -> None:
 
 
 def test_parts_cover_every_mutant_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "MUTANTS", 4500)
-    found = [part for part in fuzz_main.parts(["cwa", "points"]) if part.name == "cwa"]
-    assert sorted(number for part in found for number in part.numbers) == list(range(4500))
+    monkeypatch.setattr(engine, "MUTANTS", 40_000)
+    parts = fuzz_main.parts(list(engine.NAMES))
+    found = [part for part in parts if part.name == "cwa"]
+    assert len(found) > 1
+    wanted = engine.number_of_mutants("cwa", 40_000)
+    assert sorted(number for part in found for number in part.numbers) == list(range(wanted))
+    formats = sum(len(part.numbers) for part in parts if part.name in engine.FORMATS)
+    assert 40_000 - len(engine.FORMATS) <= formats <= 40_000
 
 
 def test_the_decoder_of_sectors_agrees_with_the_bytes() -> None:
