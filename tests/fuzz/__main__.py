@@ -79,7 +79,7 @@ def parts(names: list[str]) -> deque[Part]:
         total = engine.number_of_mutants(name, engine.MUTANTS)
         size = PART if name in engine.FORMATS else PART // 40
         found += [Part(name, range(at, min(total, at + size))) for at in range(0, total, size)]
-    return deque(sorted(found, key=lambda part: part.numbers.start))
+    return deque(sorted(found, key=lambda part: part.numbers.start / part.numbers.stop))
 
 
 def ended(worker: Worker, queue: deque[Part], seed: int) -> Tally | None:
@@ -122,6 +122,7 @@ def run(names: list[str], seed: int, jobs: int) -> dict[str, Tally]:
                 shutil.rmtree(worker.folder, ignore_errors=True)
                 tallies[worker.part.name].add(tally)
                 print(*tally.failures, sep="\n", end="\n" if tally.failures else "", flush=True)
+                print(f"{worker.part.name}: {tallies[worker.part.name].mutants} mutants", file=sys.stderr)
         time.sleep(POLL_S)
     return tallies
 
