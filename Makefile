@@ -40,8 +40,9 @@ nightly: $(READY)
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m nightly
 	ACCELCAL_HYPOTHESIS=searching $(BIN)/python -m pytest -n auto --dist loadfile -m 'not nightly'
 
+# ACCELCAL_FUZZ mutants of all formats together, and one in a hundred as many of each kind of our own files
 fuzz: $(READY)
-	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-10000} $(BIN)/python -m tests.formats.fuzz
+	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-100000} $(BIN)/python -m tests.fuzz
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -141,9 +141,9 @@ def _table_parser(
     if roles.time is None:
         return TableParser(path, dialect, roles, None)
     dialect = _with_date_order(block, dialect, roles.time, export, options, path)
-    cells, line = dialect.cells(roles.time), dialect.skipped + 1
+    cells = zip(dialect.cells(roles.time), dialect.lines, strict=True)
     rate_hz = options.rate_hz or export.rate_hz
-    time = times.find_time_format(cells, roles.time_unit_us, rate_hz, path, line)
+    time = times.find_time_format(list(cells), roles.time_unit_us, rate_hz, path)
     return TableParser(path, dialect, roles, time)
 
 

@@ -126,6 +126,7 @@ class Dialect:
         names: of the columns, None if no line names them.
         units: from a line of units below the names, None if there is none.
         sample: cells of the first rows.
+        lines: of the sample's rows.
         skipped: lines before the first row.
         offset: byte at which the first row begins.
         bare_returns: lines end with a carriage return alone.
@@ -136,6 +137,7 @@ class Dialect:
     names: tuple[str, ...] | None
     units: tuple[str, ...] | None
     sample: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
     skipped: int
     offset: int
     bare_returns: bool
@@ -250,10 +252,11 @@ class _Layout:
         if first is None:
             return None
         names, units = self._names(first)
-        sample = _rows(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser)
-        whole = tuple(tuple(row) for row in sample if len(row) == len(self.kinds))
+        sample = _numbered(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
+        whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
+        lines, rows = zip(*whole, strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
-        return Dialect(self.normaliser, self.kinds, names, units, whole, first, offset, False)
+        return Dialect(self.normaliser, self.kinds, names, units, rows, lines, first, offset, False)
 
     def _first_row(self) -> int | None:
         """The first of three rows that follow each other, or of the last ones."""
@@ -298,9 +301,14 @@ class _Layout:
 
 def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:
     """The cells of all lines that are not blank, as they are written."""
+    return [row for _, row in _numbered(raw_lines, normaliser, 1)]
+
+
+def _numbered(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> list[tuple[int, list[str]]]:
+    """These cells, each row with its line; `first` is that of the first."""
     plain = replace(normaliser, decimal_comma=False, slash_dates=False)
-    lines = [split_line(decode(plain(line)).rstrip("\r\n"), normaliser.delimiter) for line in raw_lines]
-    return [line for line in lines if line]
+    rows = [split_line(decode(plain(line)).rstrip("\r\n"), normaliser.delimiter) for line in raw_lines]
+    return [(line, row) for line, row in enumerate(rows, first) if row]
 
 
 def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[Kind, ...]:

@@ -118,7 +118,8 @@ class TimeFormat:
         if self.unit_us is None:
             whole = filled(column.cast(pa.int64()), np.int64, EMPTY_NS)
             return np.where(whole == EMPTY_NS, NO_TIME, (whole + 500) // 1000)
-        values = np.rint((floats(column) - self.epoch_day) * self.unit_us)
+        with np.errstate(over="ignore"):
+            values = np.rint((floats(column) - self.epoch_day) * self.unit_us)
         usable = (values >= FIRST_US) & (values <= LAST_US)
         other = np.where(np.isnan(values), NO_TIME, IMPOSSIBLE)
         return np.where(usable, np.where(usable, values, 0).astype(np.int64), other)
@@ -144,20 +145,24 @@ class TimeFormat:
 
 
 def find_time_format(
-    cells: Sequence[str], unit_us: float | None, rate_hz: float | None, path: Path, line: int
+    cells: Sequence[tuple[str, int]], unit_us: float | None, rate_hz: float | None, path: Path
 ) -> TimeFormat:
     """How the first cells of the time column are written; `unit_us` is what its name says.
+
+    Args:
+        cells: at least one, with their lines.
 
     Raises:
         UnreadableError: they can be read in more than one way, or are no times.
     """
-    filled = [cell.strip() for cell in cells if cell.strip() not in MISSING]
-    numbers = [value for cell in filled if (value := number_of(cell)) is not None]
+    filled = [(text, line) for cell, line in cells if (text := cell.strip()) not in MISSING]
+    numbers = [value for cell, _ in filled if (value := number_of(cell)) is not None]
     if numbers and len(numbers) == len(filled):
         return _number_format(numbers, unit_us, rate_hz, path)
-    stamps = [STAMP.fullmatch(cell) for cell in filled]
-    if None in stamps or not stamps:
-        wrong = next((cell for cell, stamp in zip(filled, stamps, strict=True) if stamp is None), "")
+    stamps = [(STAMP.fullmatch(cell), cell, line) for cell, line in filled]
+    zones = [bool(stamp["zone"]) for stamp, _, _ in stamps if stamp]
+    if not zones or len(zones) < len(stamps):
+        wrong, line = next(((cell, line) for stamp, cell, line in stamps if stamp is None), ("", cells[0][1]))
         raise UnreadableError(
             f"the time {wrong!r} is not written as 2024-03-04 12:34:56.789",
             path=path,
@@ -165,16 +170,15 @@ def find_time_format(
             hint="rewrite the times that way, with the date and the time of day in one column, or give "
             "--time-column none and --rate",
         )
-    zones = {bool(stamp and stamp["zone"]) for stamp in stamps}
-    if len(zones) == 2:
+    if len(set(zones)) == 2:
         raise UnreadableError(
             "some times have a zone and some do not",
             path=path,
-            line=line,
+            line=filled[zones.index(min(set(zones), key=zones.count))][1],
             hint="write all of them with Z or an offset, or none",
         )
-    offsets = any(stamp and stamp["zone"] not in (None, "Z") for stamp in stamps)
-    return TimeFormat(None, zoned=zones == {True}, has_offsets=offsets)
+    offsets = any(stamp and stamp["zone"] not in (None, "Z") for stamp, _, _ in stamps)
+    return TimeFormat(None, zoned=zones[0], has_offsets=offsets)
 
 
 def _number_format(

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
 from accelcal_cli.formats.hdf5 import description, units
@@ -150,10 +150,10 @@ def _choose(sensors: list[Sensor], wanted: str | None, path: Path) -> Sensor:
 
 
 def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOptions) -> Plan:
-    accel_track = _track(file, sensor, layout.accel, path)
+    accel_track = _track(file, sensor, layout.accel, path, 3)
     settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
     stated_hz = options.rate_hz or settings.number("Sample Rate", "SampleRate") or None
-    time_track = _track(file, sensor, TIME, path, accel_track)
+    time_track = _track(file, sensor, TIME, path, 1, accel_track)
     stamps, rate = description.measured_stamps(file, time_track, StampScale("us"), stated_hz, path)
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     channels = _channels(file, sensor, layout, accel_track, path)
@@ -179,25 +179,21 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
     return Plan(recording, accel_track.rows, accel, stamps, channels, problems, missing)
 
 
-def _track(file: Any, sensor: Sensor, name: str, path: Path, beside: Track | None = None) -> Track:
-    """A dataset of the sensor, as long as another one."""
+def _track(
+    file: Any, sensor: Sensor, name: str, path: Path, width: int, beside: Track | None = None
+) -> Track:
+    """A dataset of the sensor with so many numbers a row, as long as another one."""
     full = f"{sensor.group}/{name}"
     node = file.get(full)
     track = as_track(f"/{full}", node) if hasattr(node, "shape") else None
-    if track is None or (beside is not None and track.rows != beside.rows):
+    if track is None or track.width != width or (beside is not None and track.rows != beside.rows):
+        shape = counted(width, "number")
         raise UnreadableError(
-            f"dataset {full} is missing or does not have one row for each sample",
+            f"dataset {full} is missing or does not have one row of {shape} for each sample",
             path=path,
             hint="export the recording again with the vendor's software",
         )
     return track
-
-
-def _optional(file: Any, sensor: Sensor, name: str, path: Path, beside: Track) -> Track | None:
-    try:
-        return _track(file, sensor, name, path, beside)
-    except UnreadableError:
-        return None
 
 
 def _units(file: Any, track: Track, usual: str) -> str:
@@ -219,11 +215,13 @@ def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Pat
     """The channels beside the acceleration that can be read."""
     found: dict[str, Channel] = {}
     for name, (dataset, usual_unit) in layout.channels.items():
-        track, rule = _optional(file, sensor, dataset, path, accel), CHANNELS[name]
-        if track is not None and track.width == rule.width:
-            channel = rule.find(file, (track,), path, _units(file, track, usual_unit))
-            if not isinstance(channel, str):
-                found[name] = channel
+        try:
+            track = _track(file, sensor, dataset, path, CHANNELS[name].width, accel)
+        except UnreadableError:
+            continue
+        channel = CHANNELS[name].find(file, (track,), path, _units(file, track, usual_unit))
+        if not isinstance(channel, str):
+            found[name] = channel
     return found
 
 

@@ -50,6 +50,9 @@ SMALLEST_LOSS_ROWS = 16
 LARGEST_NUMBER = 8
 """Bytes; long doubles are larger, and no number of numpy's holds two of their halves."""
 
+MOST_CLAIMED = 200
+"""A dataset that claims more rows for each one that was written is not worth the time to go through it."""
+
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
 
@@ -302,6 +305,7 @@ class TrackRows:
             self.dataset = keeping_chunks(file, track.path, self.kept_bytes)
         self._has_holes = self._find_holes()
         self._exist = self._find_existing({} if stored is None else stored)
+        self._refuse_hardly_written()
 
     def _chunking(self) -> tuple[int, int]:
         """Rows of one HDF5 chunk, and bytes of all chunks side by side that hold them."""
@@ -342,6 +346,16 @@ class TrackRows:
         if track.rows > size * HIGHEST_RATIO:
             raise self._refusal(
                 f"claims {track.rows} rows, more than the file can hold", "copy it again from its source"
+            )
+
+    def _refuse_hardly_written(self) -> None:
+        if not self._has_holes or self._exist is None:
+            return
+        written = len(self._exist) * self._chunk_rows
+        if written * MOST_CLAIMED < self._track.rows:
+            raise self._refusal(
+                f"claims {self._track.rows} rows, of which only {written} were ever written",
+                "copy it again from its source",
             )
 
     def _is_unwritten(self) -> bool:
@@ -418,7 +432,21 @@ class TrackRows:
             self._stored.begin(*self.block(stop))
 
     def _read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-        """Rows, zero and marked where lost; what cannot be read is halved along chunk borders."""
+        """Rows, zero and marked where lost; what was never written is not read at the ends, which is slow."""
+        written = np.flatnonzero(self._written(start, stop)) if self._has_holes else range(stop - start)
+        if not len(written):
+            return np.zeros((stop - start, self._track.width), self._track.dtype), np.zeros(
+                stop - start, bool
+            )
+        before, end = int(written[0]), int(written[-1]) + 1
+        values, good = self._read_between(start + before, start + end)
+        behind = stop - start - end
+        if before or behind:
+            values, good = np.pad(values, ((before, behind), (0, 0))), np.pad(good, (before, behind))
+        return values, good
+
+    def _read_between(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows as `_read` gives them; what cannot be read is halved along chunk borders."""
         try:
             values = self.fetch(start, stop)
             good = self._written(start, start + len(values))
@@ -454,18 +482,17 @@ class TrackRows:
 
     def _written(self, start: int, stop: int) -> NDArray[np.bool_]:
         """Which rows lie in chunks that exist; HDF5 makes others up from a fill value."""
-        good = np.ones(stop - start, np.bool_)
-        if self._exist is not None:
-            first, last = np.searchsorted(
-                self._exist, (start // self._chunk_rows, -(-stop // self._chunk_rows))
+        if not self._has_holes:
+            return np.ones(stop - start, np.bool_)
+        size = self._chunk_rows
+        chunks = np.arange(start // size, -(-stop // size))
+        if self._exist is None:
+            written = np.array([self.chunk_offset(chunk * size) is not None for chunk in chunks.tolist()])
+        else:
+            written = np.isin(
+                chunks, self._exist[slice(*np.searchsorted(self._exist, chunks[[0, -1]] + [0, 1]))]
             )
-            good = np.isin(np.arange(start, stop) // self._chunk_rows, self._exist[first:last])
-        elif self._has_holes:
-            first = start // self._chunk_rows * self._chunk_rows
-            for row in range(first, stop, self._chunk_rows):
-                if self.chunk_offset(row) is None:
-                    good[max(row - start, 0) : row - start + self._chunk_rows] = False
-        return good
+        return np.repeat(written, size)[start % size :][: stop - start]
 
     def chunk_offset(self, row: int) -> int | None:
         """Byte in the file of the HDF5 chunk that holds a row; None if there is none.

@@ -119,7 +119,7 @@ class FrameValues:
             zeros = [int(field.zero) for field in self._axes]
             return self._whole(records, AXES, zeros, self._axis_ranges, faulty)
         columns = [
-            (self._raw(records, name).astype(np.float64) - field.zero) / self._layout.lsb_per_g
+            (self._raw_float(records, name) - field.zero) / self._layout.lsb_per_g
             for name, field in zip(AXES, self._axes, strict=True)
         ]
         return on_grid(columns, LARGEST_G, 1 / FLOAT_LSB_PER_G, faulty)
@@ -136,7 +136,7 @@ class FrameValues:
             zeros = [-rate_zero(field) for field in self._rates]
             return self._whole(records, GYRO, zeros, self._rate_ranges, faulty)
         columns = [
-            self._raw(records, name).astype(np.float64) * field.scale + field.zero
+            self._raw_float(records, name) * field.scale + field.zero
             for name, field in zip(GYRO, self._rates, strict=True)
         ]
         return on_grid(columns, LARGEST_DPS, FLOAT_DPS_PER_LSB, faulty)
@@ -144,11 +144,16 @@ class FrameValues:
     def _single(self, records: NDArray[np.void], name: str) -> NDArray[np.int32]:
         """A field of CHANNEL_FIELDS as its channel, (n,)."""
         field, (_, per_unit, largest) = self._layout.fields[name], CHANNEL_FIELDS[name]
-        raw = self._raw(records, name).astype(np.float64)
+        raw = self._raw_float(records, name)
         values = (raw * field.scale + field.zero) * per_unit
         measured = np.abs(values) <= largest
         whole = np.rint(np.where(measured, values, 0))
         return np.where(measured, whole, paged.MISSING).astype(np.int32)
+
+    def _raw_float(self, records: NDArray[np.void], name: str) -> NDArray[np.float64]:
+        """One field as floats, (n,); a NaN of any kind, of which numpy would warn, stays one."""
+        with np.errstate(invalid="ignore"):
+            return self._raw(records, name).astype(np.float64)
 
     def _raw(self, records: NDArray[np.void], name: str) -> NDArray[Any]:
         """One field as numbers, (n,)."""

@@ -250,3 +250,31 @@ def test_a_z_can_be_overruled_by_force_and_an_offset_cannot(tmp_path: Path) -> N
     assert (forced.timezone, forced.start_us) == ("Europe/Berlin", START_US)
     with pytest.raises(UsageError, match="--force-timezone cannot replace"):
         with_times(tmp_path, [cell + "+05:00" for cell in cells], **zone)
+
+
+@pytest.mark.parametrize(
+    ("cell", "message"),
+    [
+        ("10000-01-01", "is not written as"),
+        ("9e11", "is not written as"),
+        ("2024-03-04T00:00:00Z", "have a zone"),
+    ],
+)
+@pytest.mark.parametrize("line", [2, 3, 9, 150])
+def test_an_error_names_the_line_of_the_odd_time(tmp_path: Path, cell: str, message: str, line: int) -> None:
+    """Blank lines count; the first row is blamed only where it is the odd one."""
+    rows = [f"{stamp(20_000 * k)},0.{k % 7},0.1,0.9" for k in range(170)]
+    lines = ["time,x,y,z", *rows[:5], "", *rows[5:]]
+    lines[line - 1] = f"{cell},0.1,0.2,0.3"
+    with pytest.raises(UnreadableError, match=message) as caught:
+        read(written(tmp_path, "\n".join(lines) + "\n"))
+    assert caught.value.line == line
+
+
+def test_a_time_too_large_for_any_number_is_told_without_a_warning(tmp_path: Path) -> None:
+    """A library's warning would reach the terminal."""
+    rows = [f"{1_709_510_400 + k / 50:.2f},0.{k % 7},0.1,0.9" for k in range(300)]
+    rows[250] = "1e308,0.1,0.2,0.3"
+    found = read(written(tmp_path, "\n".join(["t,x,y,z", *rows]) + "\n"))
+    assert len(found.counts) == 299
+    assert found.problems

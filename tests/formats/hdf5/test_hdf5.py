@@ -17,6 +17,7 @@ from accelcal_cli.formats import find_format
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
 from accelcal_cli.formats.hdf5.file import heaps_are_sound, readable
+from accelcal_cli.formats.hdf5.rows import TrackRows
 from tests.cli.run import run
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_hdf5 import START, START_US, about, even_times, joined, read, write
@@ -540,6 +541,39 @@ def test_chunks_that_were_never_written_are_not_made_up(path: Path) -> None:
     got = read(path)
     assert (got.counts == counts()[np.r_[0:100, 300:ROWS]]).all()
     assert (got.breaks, [item.count for item in got.problems]) == ([100], [200])
+
+
+@pytest.mark.parametrize("listed", [True, False])
+def test_many_chunks_that_were_never_written_are_not_asked_for_one_by_one(
+    path: Path, monkeypatch: pytest.MonkeyPatch, listed: bool
+) -> None:
+    """A file of few bytes may claim a hundred thousand; where they cannot be listed, each is asked for."""
+    with h5py.File(path, "w") as file:
+        dataset = file.create_dataset("accel", (20_000, 3), "i2", chunks=(10, 1))
+        dataset.attrs.update(about())
+        dataset[:100], dataset[300:ROWS] = counts()[:100], counts()[300:]
+        dataset[500:510, :2] = 1
+    asked, ask = [], TrackRows.chunk_offset
+    monkeypatch.setattr(TrackRows, "chunk_offset", lambda self, row: asked.append(row) or ask(self, row))
+    if not listed:
+        monkeypatch.setattr(_hdf5_rows, "stored_chunks", lambda *_of: None)
+    got = read(path)
+    assert (got.counts == counts()[np.r_[0:100, 300:ROWS]]).all()
+    assert (got.breaks, [item.count for item in got.problems]) == ([100], [200, 20_000 - ROWS])
+    assert (len(asked) < 50) == listed
+
+
+def test_a_dataset_that_was_hardly_written_is_refused(path: Path) -> None:
+    """Else a file of few megabytes keeps a run busy for minutes with a thousand million rows."""
+    for rows in (20_000, 20_001):
+        with h5py.File(path, "w") as file:
+            dataset = file.create_dataset("accel", (rows, 3), "i2", chunks=(100, 3))
+            dataset.attrs.update(about())
+            dataset[:100] = counts()[:100]
+        if rows == 20_000:
+            assert len(read(path).counts) == 100
+    with pytest.raises(UnreadableError, match="claims 20001 rows, of which only 100 were ever written"):
+        read(path)
 
 
 @pytest.mark.parametrize("layout", [{}, {"chunks": (10, 3)}])

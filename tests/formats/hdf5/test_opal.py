@@ -131,6 +131,18 @@ def test_a_sensor_without_times_or_acceleration_is_refused(path: Path, gone: str
         read(path, sensor="XI-000001")
 
 
+@pytest.mark.parametrize(("name", "width"), [("Accelerometer", 1), ("Time", 3)])
+def test_a_dataset_with_too_few_or_too_many_columns_is_refused(path: Path, name: str, width: int) -> None:
+    """It was taken, and broke the reading in its midst."""
+    with h5py.File(path, "a") as file:
+        group = file["Sensors/XI-000002"]
+        values = np.repeat(group["Time"][:].astype(np.int64)[:, None], width, axis=1)
+        del group[name]
+        group.create_dataset(name, data=values if width > 1 else values[:, 0] % 7)
+    with pytest.raises(UnreadableError, match="one row of"):
+        read(path, sensor="XI-000002")
+
+
 @pytest.mark.parametrize("gone", ["Gyroscope", "Temperature", "Configuration"])
 def test_what_is_not_needed_may_be_absent(path: Path, gone: str) -> None:
     with h5py.File(path, "a") as file:

@@ -169,6 +169,15 @@ def test_unusable_floats_are_left_out_with_a_break(tmp_path: Path, chunk_samples
     assert sum(count for *_, count in problems(chunks)) == len(bad)
 
 
+def test_a_signalling_nan_is_left_out_without_a_warning(tmp_path: Path) -> None:
+    """Converting one warns, which would reach the terminal."""
+    rows = np.full((300, 3), 0.5, "<f4")
+    bits = rows.view("<u4")
+    bits[7, 1] = 0x7F800001
+    found = all_of(opened(tmp_path, rows.tobytes(), dump() + xyz("float32", 4)))
+    assert len(found[0]) == 299
+
+
 def test_temperature_and_gyroscope(tmp_path: Path) -> None:
     fields = """temperature = { offset = 6, type = "int16", per_unit = 0.0078125, zero = 25.0 }
 gx = { offset = 8, type = "int16", per_unit = 0.061 }

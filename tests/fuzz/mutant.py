@@ -1,0 +1,161 @@
+"""A damaged file, what it truly holds, and how the rows that a reader gives are held against that."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from random import Random
+from typing import TypeVar
+
+import numpy as np
+
+from accelcal_cli.core.formats import ReadOptions
+
+GRID = 4096.0
+"""Rows are compared in units of 1/4096 g."""
+
+Item = TypeVar("Item")
+Records = list[bytes]
+Change = Callable[[Records, Random], None]
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Rows of a damaged file, by a decoder that has nothing of the package.
+
+    Attributes:
+        sure: (n, 3) in g; where a reader leaves one out, it says so.
+        possible: (m, 3) in g, in the order of the file: all that a reader may give.
+        damaged: how many places of the file are neither sound nor unused; a reader says so.
+    """
+
+    sure: np.ndarray
+    possible: np.ndarray
+    damaged: int = 0
+
+
+@dataclass(frozen=True)
+class Mutant:
+    """A damaged file.
+
+    Attributes:
+        what: the changes, for people.
+        truth: None where nobody can tell what the file holds.
+        layout: text of the file beside it that says how to read it.
+        sound_lines: lines below the first in which nothing is wrong; an error names none of them.
+    """
+
+    data: bytes
+    what: str
+    truth: Truth | None = None
+    options: ReadOptions = field(default_factory=ReadOptions)
+    layout: bytes | None = None
+    sound_lines: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Rows:
+    """What a reader gave.
+
+    Attributes:
+        values: (n, 3) in g, of rows that are not filled in.
+        told: whether it told of anything wrong.
+        number: of all rows.
+    """
+
+    values: np.ndarray
+    told: bool
+    number: int = 0
+
+
+def keys(values: np.ndarray) -> list[bytes]:
+    """Something to compare for each row."""
+    grid = np.rint(np.asarray(values, float) * GRID).astype(np.int64)
+    joined: list[bytes] = np.ascontiguousarray(grid).view("V24").ravel().tolist()
+    return joined
+
+
+def verdict(rows: Rows, truth: Truth) -> tuple[str | None, int]:
+    """What is wrong with the rows, and how many were lost and told."""
+    if truth.damaged and not rows.told:
+        return f"SILENTLY LOST: {truth.damaged} damaged places, and no problem told", 0
+    given, possible, sure = keys(rows.values), keys(truth.possible), keys(truth.sure)
+    if given == sure:
+        return None, 0
+    invented = Counter(given) - Counter(possible)
+    if invented:
+        return f"INVENTED: {invented.total()} of {len(given)} rows are not in the file", 0
+    lost = (Counter(sure) - Counter(given)).total()
+    if lost and not rows.told:
+        return f"SILENTLY LOST: {lost} of {len(sure)} rows, and no problem told", 0
+    if not is_part(given, possible):
+        return "ORDER: rows come in another order than in the file", 0
+    return None, lost
+
+
+def is_part(given: Sequence[bytes], whole: Sequence[bytes]) -> bool:
+    """Whether items stand in another sequence in the same order."""
+    rest = iter(whole)
+    return all(item in rest for item in given)
+
+
+def stretch(records: Records, random: Random, sizes: Sequence[int] = (1, 1, 2, 4)) -> slice:
+    """A few records anywhere."""
+    at = random.randrange(len(records))
+    return slice(at, min(len(records), at + random.choice(sizes)))
+
+
+def swap(records: Records, random: Random) -> None:
+    """Two records change places."""
+    one, two = (random.randrange(len(records)) for _ in range(2))
+    records[one], records[two] = records[two], records[one]
+
+
+def duplicate(records: Records, random: Random) -> None:
+    """Some records come again, anywhere."""
+    at = random.randrange(len(records) + 1)
+    records[at:at] = records[stretch(records, random)]
+
+
+def delete(records: Records, random: Random) -> None:
+    """Some records are missing."""
+    del records[stretch(records, random)]
+
+
+def reverse(records: Records, random: Random) -> None:
+    """Some records come in reverse order."""
+    where = stretch(records, random, (2, 3, 100))
+    records[where] = records[where][::-1]
+
+
+def rotate(records: Records, random: Random) -> None:
+    """What was written round a ring: the end comes first."""
+    at = random.randrange(len(records))
+    records[:] = records[at:] + records[:at]
+
+
+ORDER: tuple[Change, ...] = (swap, duplicate, delete, reverse, rotate)
+"""Changes of which records a file holds, and in which order; each record stays sound."""
+
+
+def flip(record: bytes, random: Random) -> bytes:
+    """One bit of a record is wrong."""
+    at = random.randrange(len(record))
+    return record[:at] + bytes([record[at] ^ 1 << random.randrange(8)]) + record[at + 1 :]
+
+
+def changed(records: Records, random: Random, changes: Sequence[Change], most: int = 4) -> str:
+    """Change records a few times; gives the names of what was done."""
+    names = []
+    for _ in range(random.randint(1, most)):
+        if len(records) > 1:
+            change = random.choice(changes)
+            change(records, random)
+            names.append(change.__name__)
+    return " ".join(names)
+
+
+def together(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Rows (n, 3) put together, also none at all."""
+    return np.concatenate([np.empty((0, 3)), *parts])
