@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from collections.abc import Iterable
+from functools import cache
 from types import ModuleType
 from typing import Any, Protocol, TypeVar
 
@@ -24,11 +25,17 @@ def find_plugins(package: str, folder: Iterable[str], attribute: str) -> list[An
 
     A module binds one item, or a tuple of them.
     """
-    names = [info.name for info in pkgutil.iter_modules(folder) if not info.name.startswith("_")]
+    names = [name for name in _modules(tuple(folder)) if not name.startswith("_")]
     found = [
         item for name in names for item in _items(importlib.import_module(f"{package}.{name}"), attribute)
     ]
     return sorted(found, key=lambda item: str(item.name))
+
+
+@cache
+def _modules(folder: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the modules in a package's folder, listed once."""
+    return tuple(info.name for info in pkgutil.iter_modules(folder))
 
 
 def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
@@ -39,7 +46,7 @@ def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
 def find_plugin(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
     """`attribute` of the one module that is called like the item, `_` for hyphens; None if there is none."""
     module = name.replace("-", "_")
-    if module.startswith("_") or module not in {info.name for info in pkgutil.iter_modules(folder)}:
+    if module.startswith("_") or module not in _modules(tuple(folder)):
         return None
     items = _items(importlib.import_module(f"{package}.{module}"), attribute)
     return next((item for item in items if item.name == name), None)
