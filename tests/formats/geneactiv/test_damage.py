@@ -239,3 +239,13 @@ def test_many_problems_are_few_records(tmp_path: Path) -> None:
     assert sum(count for *_, count in problems) == 125
     assert len(breaks) == 124
     assert everything(opened(path), 300) == everything(opened(path), 10**6)
+
+
+@pytest.mark.parametrize("old", [b"\n", b"\nSequence", b"Recorded Data\n"])
+def test_a_first_page_with_odd_line_ends_is_not_a_part_of_the_header(tmp_path: Path, old: bytes) -> None:
+    """It was passed over without a word."""
+    data = texts()
+    data[0] = data[0].replace(old, old.replace(b"\n", b"\r")) + b"\n"
+    chunks, _, problems = read(raw_file(tmp_path / "a.bin", data))
+    assert np.array_equal(joined(chunks, "counts"), without(0))
+    assert [(code, offset) for code, offset, *_ in problems] == [("bad_page", len(HEAD))]
