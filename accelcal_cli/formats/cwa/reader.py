@@ -58,6 +58,7 @@ LAST_SECTORS = 64
 START_SAMPLES = 8192
 COPY_AGAIN = "copy it again from the device"
 NO_HEADER = "the header at the start of the file is damaged; settings were taken from the data sectors"
+HALF_HEADER = "the second half of the header is missing; the data sectors that stand there are read"
 NO_START = "the device's clock was not set: times count from the recording's start"
 
 
@@ -281,7 +282,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     file = paged.paged_file(path, header.data_start, SECTOR_BYTES)
     first, position = first_sector(file, header)
     settings = sector.settings_of(first, header.hardware)
-    problems = [] if header.intact else [Problem("damaged_header", NO_HEADER, 0, 0)]
+    problems = list(header_problems(header))
     clock_set = bool(sector.anchors(np.atleast_1d(first), settings).known[0])
     if not clock_set:
         problems.append(Problem("no_start_time", NO_START, file.offset(position), 0))
@@ -289,6 +290,14 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     device = header.device if header.intact else sector.device_of_sector(settings, int(first["fraction"]))
     notes = _notes(scheme, header)
     return CwaReader(describe(scheme, device, options, clock_set, notes), scheme)
+
+
+def header_problems(header: Header) -> Iterator[Problem]:
+    """What of the header is not there."""
+    if not header.intact:
+        yield Problem("damaged_header", NO_HEADER, 0, 0)
+    if header.halved:
+        yield Problem("damaged_header", HALF_HEADER, SECTOR_BYTES, 0)
 
 
 def first_sector(file: PagedFile, header: Header) -> tuple[Any, int]:

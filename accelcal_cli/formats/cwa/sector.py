@@ -206,6 +206,7 @@ class Header:
     Attributes:
         data_start: where the first data sector lies, bytes.
         intact: whether the file begins with a header at all.
+        halved: whether data begin where its second half should be.
         device: all None if it does not.
         rate: the configured one, None if unset.
         hardware: the hardware type it declares, None if the header is lost.
@@ -216,10 +217,11 @@ class Header:
     device: Device = NO_DEVICE
     rate: Fraction | None = None
     hardware: int | None = None
+    halved: bool = False
 
 
 def parse_header(head: bytes) -> Header:
-    """Look at the beginning of a file; without a header, the data may begin at once."""
+    """Look at the beginning of a file; without a header, or all of it, the data may begin earlier."""
     if not head.startswith(HEADER_MAGIC) or len(head) < HEADER_BYTES:
         starts = (start for start in (0, SECTOR_BYTES) if head.startswith(SECTOR_MAGIC, start))
         return Header(next(starts, HEADER_BYTES), False)
@@ -231,7 +233,10 @@ def parse_header(head: bytes) -> Header:
         serial=None if number in (0, UNSET_WORD) else str(number),
         firmware=None if firmware == UNSET_BYTE else str(firmware),
     )
-    return Header(HEADER_BYTES, True, device, None if rate in (0, UNSET_BYTE) else rate_of(rate), hardware)
+    halved = head.startswith(SECTOR_MAGIC, SECTOR_BYTES)
+    start = SECTOR_BYTES if halved else HEADER_BYTES
+    configured = None if rate in (0, UNSET_BYTE) else rate_of(rate)
+    return Header(start, True, device, configured, hardware, halved)
 
 
 def device_of_sector(settings: Settings, fraction: int) -> Device:

@@ -227,6 +227,25 @@ def test_the_oldest_format_has_no_checksum_and_its_rate_in_hertz(tmp_path: Path)
     assert times_of(chunks).tolist() == (START_US + 12_500 * np.arange(800)).tolist()
 
 
+def test_a_sector_in_the_place_of_half_the_header_is_read_and_told(tmp_path: Path) -> None:
+    """Found by `make fuzz`: 512 bytes of the header lost, and with them, in silence, the first sector."""
+    half, data = header()[:512], [page.to_bytes() for page in pages()]
+    chunks, breaks, problems = read(raw_file(tmp_path / "a.cwa", data, half))
+    assert (joined(chunks, "counts") == VALUES).all()
+    assert (breaks, problems) == ([], [("damaged_header", 512, 0, 1)])
+    assert np.abs(times_of(chunks) - (START_US + SAMPLE_US * np.arange(800))).max() <= 31
+    whole = opened(raw_file(tmp_path / "whole.cwa", data)).recording
+    found = opened(tmp_path / "a.cwa").recording
+    assert (found.device, found.notes, found.start_us) == (whole.device, whole.notes, whole.start_us)
+
+
+def test_a_damaged_sector_in_the_place_of_half_the_header_is_told(tmp_path: Path) -> None:
+    data = [page.to_bytes() for page in pages()]
+    chunks, _, problems = read(raw_file(tmp_path / "a.cwa", [spoiled(data[0]), *data[1:]], header()[:512]))
+    assert (joined(chunks, "counts") == without(0)).all()
+    assert problems == [("damaged_header", 512, 0, 1), ("checksum", 512, 0, 1)]
+
+
 @every_byte
 def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Path, step: int) -> None:
     whole = written(tmp_path / "whole.cwa", pages()[:3]).read_bytes()
