@@ -31,6 +31,7 @@ from accelcal_cli.formats.hdf5.channels import Axes, Channel, dps_per_lsb, find_
 from accelcal_cli.formats.hdf5.datasets import Track, all_tracks, chosen_axes, find_accel
 from accelcal_cli.formats.hdf5.description import Plan, Source, Timeline
 from accelcal_cli.formats.hdf5.rows import REFUSE_ABOVE_BYTES, RowSelection, TrackRows
+from accelcal_cli.formats.hdf5.storage import Stored
 from accelcal_cli.formats.hdf5.times import RowTimes
 from accelcal_cli.formats.hdf5.units import Scale
 
@@ -204,7 +205,7 @@ class Hdf5Reader(Reader):
     def __init__(self, plan: Plan) -> None:
         self.recording = plan.recording
         self._plan = plan
-        self._stored: dict[str, NDArray[np.int64] | None] = {}
+        self._stored: dict[str, Stored | None] = {}
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, from `chunk_samples` rows of the datasets at a time.

@@ -29,7 +29,13 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 from accelcal_cli.formats.hdf5.datasets import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, readable
-from accelcal_cli.formats.hdf5.storage import keeping_chunks, stored_chunks
+from accelcal_cli.formats.hdf5.storage import (
+    Stored,
+    chunk_info,
+    keeping_chunks,
+    refuse_impossible,
+    stored_chunks,
+)
 
 BLOCK_ROWS = 65_536
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
@@ -283,7 +289,7 @@ class TrackRows:
         track: Track,
         path: Path,
         pool: Executor | None = None,
-        stored: dict[str, NDArray[np.int64] | None] | None = None,
+        stored: dict[str, Stored | None] | None = None,
     ) -> None:
         self.dataset = file[track.path]
         self._track = track
@@ -304,7 +310,9 @@ class TrackRows:
             self.dataset = None
             self.dataset = keeping_chunks(file, track.path, self.kept_bytes)
         self._has_holes = self._find_holes()
-        self._exist = self._find_existing({} if stored is None else stored)
+        self._known = {} if stored is None else stored
+        index = self._index() if self._has_holes else None
+        self._exist = None if index is None else index.written
         self._refuse_hardly_written()
 
     def _chunking(self) -> tuple[int, int]:
@@ -378,11 +386,11 @@ class TrackRows:
         except H5PY_ERRORS:
             return True
 
-    def _find_existing(self, stored: dict[str, NDArray[np.int64] | None]) -> NDArray[np.int64] | None:
-        """Numbers of the chunks that exist, where some do not; None too if only each one's place tells."""
-        if self._has_holes and self.path not in stored:
-            stored[self.path] = stored_chunks(self.dataset, self._track.axis, self._columns())
-        return stored.get(self.path) if self._has_holes else None
+    def _index(self) -> Stored | None:
+        """What is known of all chunks; None where only each one's place tells."""
+        if self.path not in self._known:
+            self._known[self.path] = stored_chunks(self.dataset, self._track.axis, self._columns())
+        return self._known[self.path]
 
     @property
     def path(self) -> str:
@@ -476,6 +484,9 @@ class TrackRows:
             return values
         if self.kept_bytes and start // self._chunk_rows == self._broken:
             raise OSError("the chunk could not be unpacked before")
+        if self.dataset.chunks is not None:
+            rows = range(start, stop)
+            refuse_impossible(self.dataset, self._track.axis, self._columns(), rows, self._index())
         part = self.dataset[start:stop] if self._track.axis == 0 else self.dataset[:, start:stop].T
         # A copy, so that what stays lies apart from what HDF5 needed for a moment and can use again.
         return np.array(part, order="C").reshape(-1, self._track.width)
@@ -501,14 +512,9 @@ class TrackRows:
         """
         if self.dataset.chunks is None:
             return None
-        offsets = []
+        row, axis = row // self._chunk_rows * self._chunk_rows, self._track.axis
         try:
-            for column in self._columns():
-                place = [0] * self.dataset.ndim
-                place[self._track.axis] = row // self._chunk_rows * self._chunk_rows
-                if column:
-                    place[1 - self._track.axis] = column
-                offsets.append(self.dataset.id.get_chunk_info_by_coord(tuple(place)).byte_offset)
+            offsets = [chunk_info(self.dataset, axis, row, at).byte_offset for at in self._columns()]
         except H5PY_ERRORS:
             return None
         return None if None in offsets else int(offsets[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -531,6 +532,56 @@ def test_a_checksum_of_hdf5_is_heeded(path: Path) -> None:
     got = read(path)
     assert (got.counts == counts()[:450]).all()
     assert (got.codes, got.breaks) == (["bad_page"], [])
+
+
+PACKINGS: dict[str, dict[str, Any]] = {
+    "plain": {},
+    "checksum": {"fletcher32": True},
+    "shuffle": {"shuffle": True},
+    "gzip": {"compression": "gzip", "shuffle": True},
+    "gzip checksum": {"compression": "gzip", "fletcher32": True},
+    "lzf that packs nothing": {"compression": "lzf"},
+    "scaled": {"scaleoffset": 0},
+}
+
+
+def resize(path: Path, row: int, size: int) -> None:
+    """Change the size of a chunk of 50 rows in the index, beside which its row and place stand."""
+    with h5py.File(path, "r") as file:
+        [info] = [
+            info for k in range(10) if (info := file["accel"].id.get_chunk_info(k)).chunk_offset[0] == row
+        ]
+    data = bytearray(path.read_bytes())
+    at = data.index(struct.pack("<QQQQ", row, 0, 0, info.byte_offset)) - 8
+    assert struct.unpack_from("<I", data, at)[0] == info.size
+    struct.pack_into("<I", data, at, size)
+    path.write_bytes(data)
+
+
+@pytest.mark.parametrize("listed", [True, False])
+@pytest.mark.parametrize("packing", PACKINGS)
+def test_a_chunk_of_an_impossible_size_is_lost(
+    path: Path, monkeypatch: pytest.MonkeyPatch, packing: str, listed: bool
+) -> None:
+    """Found by `make fuzz`: HDF5 read beyond a chunk too short for its checksum, and the process died."""
+    if not listed:
+        monkeypatch.setattr(_hdf5_rows, "stored_chunks", lambda *_of: None)
+    for size in (0, 1, 3):
+        write(path, {"accel": counts()}, about(), chunks=(50, 3), **PACKINGS[packing])
+        assert (read(path).counts == counts()).all()
+        resize(path, 200, size)
+        got = read(path)
+        assert (got.counts == np.delete(counts(), np.s_[200:250], axis=0)).all()
+        assert (got.codes, got.breaks) == (["bad_page"], [200])
+
+
+@pytest.mark.parametrize("packing", ["plain", "shuffle", "lzf that packs nothing"])
+def test_rows_that_a_short_chunk_does_not_hold_are_not_made_up(path: Path, packing: str) -> None:
+    """HDF5 fills such a chunk up with what lies in memory."""
+    for size in (299, 150, 301):
+        write(path, {"accel": counts()}, about(), chunks=(50, 3), **PACKINGS[packing])
+        resize(path, 200, size)
+        assert (read(path).counts == np.delete(counts(), np.s_[200:250], axis=0)).all()
 
 
 def test_chunks_that_were_never_written_are_not_made_up(path: Path) -> None:
