@@ -28,7 +28,7 @@ def calibrated(capsys: Capture, path: Path, folder: Path, *words: object) -> dic
         (NIGHT, "calibrated", "9"),
         pytest.param("gt3x_link_30hz_3h.gt3x", "calibrated", "9", marks=pytest.mark.nightly),
         ("gt3x_waist_30hz_30min.gt3x", "calibrated", "9"),
-        ("gt3x_old_neo_30hz_10min.gt3x", "reduced_model", "3"),
+        ("gt3x_old_neo_30hz_10min.gt3x", "calibrated", "9"),
         ("gt3x_link_100hz_36min.gt3x", "refused", None),
         ("gt3x_ism_disabled.gt3x", "refused", None),
         ("gt3x_ism_enabled.gt3x", "refused", None),

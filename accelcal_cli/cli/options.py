@@ -20,6 +20,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import (
     DEFAULT,
+    NO_PRIOR,
     PROFILES,
     RANGE_RULES,
     STILLNESS,
@@ -164,7 +165,7 @@ _READING = [
 _METHOD = _settings_options(
     "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g"
 )
-_FITTING = _settings_options("optimizer", "model", "temperature")
+_FITTING = _settings_options("optimizer", "model", "prior", "temperature")
 _GRAVITY = _settings_options("latitude", "altitude_m")
 
 _CHUNK = click.option(
@@ -260,11 +261,33 @@ def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Sett
     """Settings with what the user said of the fit, the place and the damage that is tolerated.
 
     Raises:
-        UsageError: there is no such optimizer, or an altitude without a latitude.
+        UsageError: there is no such optimizer, the prior does not go with the rest, or an altitude without a
+            latitude.
     """
     changed = with_given(chosen, values)
-    named_optimizer(changed.optimizer)
-    return replace(changed, temperature=changed.temperature and not values["no_temperature"])
+    prior = _prior(changed, values["prior"])
+    return replace(changed, temperature=changed.temperature and not values["no_temperature"], prior=prior)
+
+
+def _prior(chosen: Settings, given: str | None) -> str:
+    """The prior: the one given, else the default where there can be one."""
+    why = _why_no_prior(chosen)
+    if given is None:
+        return chosen.prior if why is None else NO_PRIOR
+    if given != NO_PRIOR and why is not None:
+        raise UsageError(
+            f"--prior {given} does not go with {why}", hint="omit one of them, or use --prior none"
+        )
+    return given
+
+
+def _why_no_prior(chosen: Settings) -> str | None:
+    """The option that leaves no room for a prior."""
+    if chosen.profile != DEFAULT.profile:
+        return f"--profile {chosen.profile}"
+    if named_optimizer(chosen.optimizer).fit_penalized is None:
+        return f"--optimizer {chosen.optimizer}"
+    return None if chosen.model == "auto" else f"--model {chosen.model}"
 
 
 def with_given(chosen: AnySettings, values: dict[str, Any]) -> AnySettings:

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.report import sphere_columns
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
 WORDS = {
@@ -58,6 +59,7 @@ def show_result(report: dict[str, Any], source: Path, written: Path | None, valu
         "ci95_low_mg": low,
         "ci95_high_mg": high,
         "improvement_percent": holdout.get("improvement_percent"),
+        **sphere_columns(report),
     }
     show_row(row | (judged if calibration else dict.fromkeys(judged)), source, written, values)
 
@@ -90,14 +92,20 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """What became of a recording, and how certain the error is that was left."""
     parts = [f"{source}: {WORDS.get(row['outcome'], row['outcome'])}"]
     before, after, high = row["before_mg"], row["after_mg"], row["ci95_high_mg"]
+    sphere, widest = row.get("sphere_mg"), row.get("sphere_high_mg")
     if row["model"] is not None:
         parts[0] += f" (model {row['model']})"
-    if after is not None:
+    if after is not None and sphere is not None:
+        shown = f"{figure(row['sphere_low_mg'])} to {figure(widest)}"
+        parts.append(f"{figure(before)} mg before, {figure(after)} mg after where it has been")
+        parts.append(f"{figure(sphere)} mg over the whole sphere (95 % interval {shown})")
+    elif after is not None:
         low = figure(row["ci95_low_mg"])
         parts.append(
             f"{figure(before)} mg before, {figure(after)} mg after (95 % interval {low} to {figure(high)})"
         )
-        if high >= before:
+    if after is not None:
+        if max(high, widest or 0) >= before:
             parts.append("this may be no better than the raw data, whose error lies within the interval")
     elif before is not None:
         parts.append(f"{figure(before)} mg")

@@ -199,6 +199,39 @@ class Fit:
 
 
 @dataclass(frozen=True, slots=True)
+class Penalty:
+    """What is added to the weighted sum of (|a|^2 - 1)^2: sum over j of strength_j (p_j - centre_j)^2.
+
+    Attributes:
+        centre: twelve fixed-point parameters.
+        strength: twelve integers in units of 2**-PENALTY_BITS of a weight of 1.
+    """
+
+    centre: tuple[int, ...]
+    strength: tuple[int, ...]
+
+
+PENALTY_BITS = 40
+
+
+@dataclass(frozen=True, slots=True)
+class PenalizedFit:
+    """The minimum of the objective with a penalty, and what lies around it.
+
+    Attributes:
+        mean_square: weighted mean of (|a|^2 - 1)^2 there.
+        curvature: weighted mean of J^T J, where J is d(|a|^2 - 1)/dp of the free parameters.
+    """
+
+    fit: Fit
+    mean_square: float
+    curvature: tuple[tuple[float, ...], ...]
+
+
+PenalizedFitter = Callable[[PointSet, Model, Penalty, tuple[int, ...]], PenalizedFit]
+
+
+@dataclass(frozen=True, slots=True)
 class Optimizer:
     """One optimizer, bound as OPTIMIZER in each file of `optimize/`.
 
@@ -207,6 +240,7 @@ class Optimizer:
         fit: (points, model, settings) -> Fit; `settings` are the optimizer's own numbers.
         fit_each: the same of several sets of points at a time, all with temperatures or none, with the
             same results as one by one; None if it would not be faster.
+        fit_penalized: (points, model, penalty, start) -> PenalizedFit; None if it fits without a prior only.
         settings: profile name -> those numbers.
         models: names of the models it can fit.
         arithmetic: what its operations cost on a microcontroller depends on it.
@@ -221,6 +255,7 @@ class Optimizer:
     arithmetic: Arithmetic = "float"
     needs: str | None = None
     fit_each: Callable[[Sequence[PointSet], Model, Any], list[Fit]] | None = None
+    fit_penalized: PenalizedFitter | None = None
 
     def fits(self, sets: Sequence[PointSet], model: Model, settings: Any) -> list[Fit]:
         """A fit of each set; raises what `fit` raises for one of them."""

@@ -7,7 +7,7 @@ from enum import StrEnum
 from math import fsum
 
 from accelcal_cli.core.daylight import ZoneChange
-from accelcal_cli.core.points import Calibration, Fit
+from accelcal_cli.core.points import Calibration, Fit, Penalty
 from accelcal_cli.core.recording import Problem
 
 
@@ -88,6 +88,23 @@ class Coverage:
 
 
 @dataclass(frozen=True, slots=True)
+class SphereError:
+    """mean | |a| - 1 g | over all directions, whether the wrist has been there or not [mg].
+
+    Attributes:
+        ci95: 2.5 % for a wrist that spends an unknown share of its time where it has been, to 97.5 % for one
+            that goes everywhere.
+        worst_direction: the expected error in the direction where it is largest.
+        worst_direction_at: that direction, a unit vector of the true acceleration.
+    """
+
+    mean: float
+    ci95: tuple[float, float]
+    worst_direction: float
+    worst_direction_at: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Trial:
     """One model of the ladder.
 
@@ -95,12 +112,14 @@ class Trial:
         holdout: its held-out error, None if it could not be fitted.
         reason: why it was not eligible, None if it was.
         fit: to all points, where there is one.
+        prior: name of the prior it was fitted with; None: without.
     """
 
     model: str
     holdout: Holdout | None
     reason: str | None
     fit: Fit | None = None
+    prior: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +134,13 @@ class FitErrors:
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """The verdict on a recording, with all that supports it; calibration is None if refused."""
+    """The verdict on a recording, with all that supports it; calibration is None if refused.
+
+    Attributes:
+        candidate: what was fitted with a prior, also if it is not good enough to be the calibration.
+        penalty: the prior as the fit had it; None without one.
+        sphere: error of the calibration over all directions; sphere_before: of the raw values.
+    """
 
     outcome: Outcome
     message: str
@@ -126,6 +151,10 @@ class Judgement:
     holdout: Holdout | None = None
     fit_errors: FitErrors | None = None
     standard_errors: tuple[float, ...] | None = None
+    candidate: Calibration | None = None
+    penalty: Penalty | None = None
+    sphere: SphereError | None = None
+    sphere_before: SphereError | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -125,6 +125,9 @@ RANGE_RULES = tuple(
 """Those that limit max - min."""
 
 
+NO_PRIOR = "none"
+
+
 @dataclass(frozen=True, slots=True)
 class Settings:
     """What decides the result, besides the recording. All of it is in the report.
@@ -133,6 +136,8 @@ class Settings:
         profile: `default`, or `paper` for F's procedure (docs/evaluation.md says what is added to it).
         optimizer: as in `--optimizer`.
         model: `auto`, or the model (9, 6, 3) the user insists on.
+        prior: what is known of sensors before any point is seen (docs/prior.md): `population`, or `none`:
+            the simplest model that held-out postures support.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
         stillness: rule of stillness, a key of STILLNESS, which sets the next five.
         segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:
@@ -178,6 +183,15 @@ class Settings:
         "auto",
         option=Option("--model", "Parameters to fit; auto lets the held-out error decide."),
         choices=("auto", "9", "6", "3"),
+    )
+    prior: str = setting(
+        NO_PRIOR,
+        option=Option(
+            "--prior",
+            "What is known of sensors beforehand, see docs/prior.md; none: held-out error picks a model.",
+            default="population; none with --model, --profile paper, and optimizers that know no prior",
+        ),
+        choices=("population", NO_PRIOR),
     )
     temperature: bool = setting(
         True, option=Option("--no-temperature", "Do not use the recording's temperature.")
@@ -371,6 +385,6 @@ def with_stillness(settings: Settings, name: str) -> Settings:
     return replace(settings, stillness=name, **STILLNESS[name])
 
 
-DEFAULT = Settings()
-PAPER = replace(with_stillness(DEFAULT, "range"), profile="paper", temperature=False, min_distance_g=0.2)
+DEFAULT = Settings(prior="population")
+PAPER = replace(with_stillness(Settings(), "range"), profile="paper", temperature=False, min_distance_g=0.2)
 PROFILES = {"default": DEFAULT, "paper": PAPER}

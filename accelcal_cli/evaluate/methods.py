@@ -18,10 +18,11 @@ from accelcal_cli.core.errors import AccelcalError, UnreadableError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, Calibration
 from accelcal_cli.core.results import Judgement
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.output.files import parsed
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
-from accelcal_cli.pipeline.survey import Fitting, Procedure, fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
 
 TRUTH_SUFFIX = ".truth.json"
 TABLE_3_OF_F = (
@@ -71,7 +72,7 @@ def compare(
     """
     procedure = collected(path, options, settings, progress)
     for name in optimizers:
-        yield _row(path, procedure, replace(settings, optimizer=name))
+        yield _row(path, procedure, replace(settings, optimizer=name, prior=NO_PRIOR))
 
 
 def collected(path: Path, options: ReadOptions, settings: Settings, progress: ProgressMaker) -> Procedure:

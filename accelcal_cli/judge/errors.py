@@ -110,15 +110,19 @@ def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> 
     covariance = np.asarray(variance * np.linalg.inv(weighted.T @ weighted), np.float64)
     errors = np.zeros(12)
     errors[free] = np.sqrt(np.diag(covariance))
-    worst = _worst_direction(parameters, free, covariance)
+    worst = worst_direction_mg(parameters, free, covariance)
     return Uncertainty(tuple(errors.tolist()), float(singular[0] / singular[-1]), worst)
 
 
-def _worst_direction(parameters: tuple[int, ...], free: list[int], covariance: Floats) -> float:
-    """A standard error of |a|^2 is twice that of |a|."""
+def worst_direction_mg(parameters: tuple[int, ...], free: list[int], covariance: Floats) -> float:
+    """Largest standard error of |a| over directions of the sphere [mg].
+
+    Args:
+        covariance: of the free parameters.
+    """
     rows = jacobian(directions(), None, parameters)[:, free]
     variances = np.einsum("ni,ij,nj->n", rows, covariance, rows)
-    return float(500 * np.sqrt(variances.max()))
+    return float(500 * np.sqrt(variances.max()))  # a standard error of |a|^2 is twice that of |a|
 
 
 @cache

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
+from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.results import Coverage, Holdout, Trial
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge import errors
@@ -35,6 +35,22 @@ LEAST_INFORMATION = 2.0**-14
 that it walks on for thousands of steps, to slopes that mean nothing."""
 
 _COARSE_BITS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fitting:
+    """How points are fitted and judged.
+
+    Attributes:
+        fit: the optimizer with its numbers for the settings' profile.
+        models: names of the models that it can fit.
+        penalized: the optimizer with a prior; None where the settings have none.
+    """
+
+    settings: Settings
+    fit: FitFunction
+    models: tuple[str, ...] = LADDER
+    penalized: PenalizedFitter | None = None
 
 
 def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:

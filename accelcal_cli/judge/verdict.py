@@ -16,15 +16,25 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import IDENTITY, MODELS, Calibration, Fit, PointSet, in_standard_g
+from accelcal_cli.core.points import (
+    IDENTITY,
+    MODELS,
+    Calibration,
+    Fit,
+    PenalizedFitter,
+    PointSet,
+    in_standard_g,
+)
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PAPER, Settings
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
-from accelcal_cli.judge.model_ladder import LADDER, Evidence, FitFunction, Sample, postures
+from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
+from accelcal_cli.judge.posterior import POPULATION, posterior
 from accelcal_cli.judge.rest import picture
+from accelcal_cli.judge.sphere import sphere_error
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
@@ -50,31 +60,35 @@ SEEN = "own points, which are among those that were fitted"
 
 def judge(
     points: PointSet,
-    settings: Settings,
-    fit: FitFunction,
-    models: tuple[str, ...] = LADDER,
+    how: Fitting,
     why_none: str = NO_STILLNESS,
     label: NDArray[np.int64] | None = None,
 ) -> Judgement:
-    """Choose a model by posture-blocked held-out error, fit it to all points, and say so.
+    """The most probable calibration, or the model that posture-blocked held-out error chooses.
+
+    With a prior all parameters that the points speak of are fitted, and the ladder of models is tried for
+    comparison; without one, or with a model that the user insists on, the ladder decides.
 
     Args:
         points: calibration points of one recording.
-        fit: the optimizer.
-        models: names of the models that it can fit.
         why_none: the reason, where there are no points.
         label: (n,) posture numbers, where they are known; else found by direction.
     """
+    settings = how.settings
     label = postures(points, settings.posture_degrees) if label is None else label
     coverage = coverage_of(points, label)
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, coverage, ())
     number = coverage.distinct_orientations
-    if number < settings.min_postures:
-        text = f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
+    needed = settings.min_postures if how.penalized is None else FEWEST_POSTURES
+    if number < needed:
+        text = f"stillness in only {counted(number, 'posture')}, at least {needed} are needed"
         return Judgement(Outcome.REFUSED, f"{text}; {LONGER}", coverage, ())
     blocks = model_ladder.temperature_blocks(points, label, settings.temperature_block_c)
-    trials = model_ladder.try_models(Evidence(Sample(points, label, blocks), coverage, models), settings, fit)
+    sample = Sample(points, label, blocks)
+    trials = model_ladder.try_models(Evidence(sample, coverage, how.models), settings, how.fit)
+    if how.penalized is not None:
+        return _most_probable(sample, trials, coverage, settings, how.penalized)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, coverage, settings)
     verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
@@ -83,13 +97,82 @@ def judge(
     return _complete(verdict, chosen.model, chosen.fit, points, label, settings.gravity)
 
 
+def _most_probable(
+    sample: Sample,
+    trials: tuple[Trial, ...],
+    coverage: Coverage,
+    settings: Settings,
+    penalized: PenalizedFitter,
+) -> Judgement:
+    """The verdict on the fit with a prior, by its error over the whole sphere."""
+    points, label = sample.points, sample.label
+    name = "9T" if _warm_and_cool(points, settings) else "9"
+    try:
+        known = posterior(points, coverage.distinct_orientations, MODELS[name], POPULATION, penalized)
+        holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
+    except DivergedError:
+        return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
+    fitted = known.found.fit
+    verdict = Judgement(
+        Outcome.REFUSED,
+        "",
+        coverage,
+        (*trials, Trial(name, holdout, None, fitted, settings.prior)),
+        holdout=holdout,
+        candidate=_calibration(name, fitted, points, settings.gravity),
+        sphere=sphere_error(points, label, known, fitted.parameters),
+        sphere_before=sphere_error(points, label, known, IDENTITY),
+    )
+    outcome, text = _outcome_of_sphere(verdict, settings)
+    verdict = replace(verdict, outcome=outcome, message=text)
+    if outcome is Outcome.ALREADY_GOOD:
+        return replace(verdict, sphere=verdict.sphere_before)
+    if outcome is Outcome.REFUSED:
+        return verdict
+    completed = _complete(verdict, name, fitted, points, label, settings.gravity)
+    errors = _in_standard_g(known.standard_errors(), settings.gravity)
+    worst = replace(completed.coverage, worst_direction_mg=known.worst_direction_mg())
+    return replace(completed, standard_errors=errors, coverage=worst, penalty=known.penalty)
+
+
+def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> tuple[Outcome, str]:
+    """The outcome of the fit with a prior, and why."""
+    sphere, holdout = verdict.sphere, verdict.holdout
+    assert sphere is not None and holdout is not None and verdict.sphere_before is not None
+    raw, *_, fitted = verdict.trials
+    if model_ladder.choose((raw, fitted)) is raw:
+        text = _no_better(holdout)
+        if verdict.sphere_before.mean < settings.max_error_mg:
+            return Outcome.ALREADY_GOOD, text
+        return Outcome.REFUSED, f"{text}; {_missing(verdict.coverage, settings)}"
+    low, high = sphere.ci95
+    everywhere = f"{sphere.mean:.1f} mg over the whole sphere (95 %: {low:.1f} to {high:.1f})"
+    if sphere.mean >= settings.max_error_mg:
+        text = (
+            f"what the points leave open is too much: {everywhere}, {settings.max_error_mg:g} mg is the limit"
+        )
+        return Outcome.REFUSED, f"{text}; {_missing(verdict.coverage, settings)}"
+    return Outcome.CALIBRATED, f"model {fitted.model}: {_change(holdout)} on {_unseen(holdout)}; {everywhere}"
+
+
+def _missing(coverage: Coverage, settings: Settings) -> str:
+    """What a recording lacks whose points leave too much open."""
+    number = coverage.distinct_orientations
+    if number < settings.min_postures:
+        return f"there is stillness in only {counted(number, 'posture')}; {LONGER}"
+    return _advice(coverage, settings)
+
+
+def _warm_and_cool(points: PointSet, settings: Settings) -> bool:
+    """Whether the points have temperatures from which slopes can be told."""
+    return model_ladder.temperature_range_c(points) >= settings.min_temperature_range_c
+
+
 def judge_paper(
     fit_points: PointSet,
     control_points: PointSet,
     missing: tuple[list[str], list[str]],
-    settings: Settings,
-    fit: FitFunction,
-    models: tuple[str, ...] = LADDER,
+    how: Fitting,
 ) -> Judgement:
     """F's procedure: nine parameters from the full first set, judged on the second (eq. 21).
 
@@ -101,6 +184,7 @@ def judge_paper(
     Args:
         missing: names of the subsets that are not full, of the first set and of the second.
     """
+    settings = how.settings
     coverage = coverage_of(fit_points, postures(fit_points, settings.posture_degrees))
     first, second = missing
     if len(control_points) >= FEWEST_CONTROL_POINTS and not settings.min_distance_g:
@@ -108,9 +192,9 @@ def judge_paper(
     if first or second:
         text = f"{_wanting(first, second, settings)}; profile paper needs all nine, profile default does not"
         return Judgement(Outcome.REFUSED, text, coverage, ())
-    name = "9" if "9" in models else "6"
+    name = "9" if "9" in how.models else "6"
     try:
-        (fitted,) = fit((fit_points,), MODELS[name])
+        (fitted,) = how.fit((fit_points,), MODELS[name])
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, ())
     known = uncertainty(fit_points, fitted.parameters, MODELS[name])
@@ -158,24 +242,32 @@ def _complete(
     Args:
         fit: of the model to the points, whose posture numbers are `label`.
     """
-    scale = points.temperature if MODELS[model].has_temperature else None
-    local_g = gravity.local_g()
     before, after = (
         mean(list(per_posture(deviations_mg(points, p), points.weights, label).values()))
         for p in (IDENTITY, fit.parameters)
     )
     completed = replace(
         verdict,
-        calibration=Calibration(model, in_standard_g(fit.parameters, local_g), scale, gravity),
+        calibration=_calibration(model, fit, points, gravity),
         fit=fit,
         fit_errors=FitErrors(len(points), len(set(label.tolist())), before, after),
     )
     precision = uncertainty(points, fit.parameters, MODELS[model])
     if precision is None:
         return completed
-    errors = precision.standard_errors
-    scaled = (*errors[:6], *(value * float(local_g) for value in errors[6:]))
-    return replace(completed, coverage=_with(verdict.coverage, precision), standard_errors=scaled)
+    errors = _in_standard_g(precision.standard_errors, gravity)
+    return replace(completed, coverage=_with(verdict.coverage, precision), standard_errors=errors)
+
+
+def _calibration(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
+    """What a fit to points makes of raw values, in standard g."""
+    scale = points.temperature if MODELS[model].has_temperature else None
+    return Calibration(model, in_standard_g(fit.parameters, gravity.local_g()), scale, gravity)
+
+
+def _in_standard_g(errors: tuple[float, ...], gravity: Gravity) -> tuple[float, ...]:
+    """Standard errors of parameters whose offsets and slopes were in units of local gravity."""
+    return (*errors[:6], *(value * float(gravity.local_g()) for value in errors[6:]))
 
 
 def _chosen(trials: tuple[Trial, ...], settings: Settings) -> Trial:
@@ -215,10 +307,14 @@ def _no_model(
     if all(trial.holdout is None for trial in trials if trial.model != "0"):
         why = trials[1].reason if len(trials) > 1 else None
         return Outcome.REFUSED, f"no model could be tried: {why}; {_advice(coverage, settings)}"
-    text = f"no model improves on the {holdout.before.mean:.1f} mg of the raw data on postures it did not see"
+    text = _no_better(holdout)
     if holdout.before.mean < settings.max_error_mg:
         return Outcome.ALREADY_GOOD, text
     return Outcome.REFUSED, f"{text}; {_advice(coverage, settings)}"
+
+
+def _no_better(holdout: Holdout) -> str:
+    return f"no model improves on the {holdout.before.mean:.1f} mg of the raw data on postures it did not see"
 
 
 def _why_reduced(chosen: Trial, trials: tuple[Trial, ...]) -> str:

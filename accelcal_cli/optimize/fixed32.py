@@ -1,11 +1,6 @@
 """F's gradient descent in 32-bit fixed point: integers from the points to the coefficients.
 
-Objective: the weighted mean of (|a|^2 - 1)^2 (F eq. 12 without the square root; the mean, not the
-printed sum, for which the published learning rates diverge with 18 points). Start at the ideal sensor.
-Farago, Maczak, Gingl 2024, section II.C.
-
-Values have 29 fraction bits in 32 (core.fixed); products have 58 in 64. Sums of products are kept exact
-or are given head room for 8192 points. Every narrowing is checked, nothing wraps.
+From the ideal sensor down the objective of `_objective32`. Farago, Maczak, Gingl 2024, section II.C.
 """
 
 from __future__ import annotations
@@ -14,165 +9,35 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, checked, narrow, rounded_quotient
-from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Fit, Model, Operations, Optimizer, PointSet
-
-VALUE_LIMIT = 2 * ONE
-RESIDUAL_LIMIT = ONE
-MAX_POINTS = 8192
-_LOW_HALF = (1 << FRACTION_BITS) - 1
-_WEIGHT_BITS = WEIGHT_ONE.bit_length() - 1
-_HEAD_ROOM_BITS = 10
-_ROWS = [0, 1, 2, 1, 2, 2]
-_COLUMNS = [0, 1, 2, 0, 0, 1]
-"""Of the entries of K, in the order of the parameters."""
+from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
+from accelcal_cli.core.points import (
+    IDENTITY,
+    Fit,
+    Model,
+    Operations,
+    Optimizer,
+    PointSet,
+)
+from accelcal_cli.optimize._objective32 import (
+    LEAST_SCALE,
+    RISE_TOLERANCE_BITS,
+    Stack,
+    cost,
+    evaluate,
+    gradients,
+    operations_of,
+    stacked,
+)
+from accelcal_cli.optimize._penalized32 import fit_penalized
 
 RATE_BITS = 24
-RISE_TOLERANCE_BITS = 12
-"""A rise of the cost counts from one part in 4096: below that it can be rounding."""
-
 SMALL_STEP = 1
 """Steps of at most so many least significant bits are taken without momentum."""
 
-LEAST_SCALE = ONE // 4
-"""No accelerometer is so far off: a smaller scale means that the points do not determine it."""
-
 RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
 """F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stack:
-    """Several sets of points side by side, as many columns as the largest has points.
-
-    A smaller set is filled up with its first point, of no weight: it adds nothing to any sum.
-
-    Attributes:
-        xyz: (3, k, n).
-        weights: (k, n).
-        tau: (k, n), or None without temperatures.
-        number: (k,) points of each set.
-        weight: (k,) sum of the weights of each.
-    """
-
-    xyz: Fixed
-    weights: NDArray[np.int64]
-    tau: Fixed | None
-    number: list[int]
-    weight: list[int]
-
-    def select(self, rows: list[int]) -> Stack:
-        """Some of the sets."""
-        tau = None if self.tau is None else self.tau[rows]
-        number, weight = [self.number[row] for row in rows], [self.weight[row] for row in rows]
-        return Stack(self.xyz[:, rows], self.weights[rows], tau, number, weight)
-
-
-def stacked(sets: Sequence[PointSet]) -> Stack:
-    """Sets of points, none empty, side by side; all have temperatures, or none.
-
-    Raises:
-        FixedPointOverflowError: one has more than MAX_POINTS points.
-    """
-    number = [len(points) for points in sets]
-    width = max(number)
-    if width > MAX_POINTS:
-        raise FixedPointOverflowError(f"{width} points are more than the {MAX_POINTS} that sums hold")
-    place = np.arange(width)
-    real = place < np.array(number)[:, np.newaxis]
-    filled = [(points, np.where(own, place, 0)) for points, own in zip(sets, real, strict=True)]
-    xyz = np.stack([points.xyz[rows].T for points, rows in filled], axis=1)
-    weights = np.stack([points.weights[rows] for points, rows in filled]) * real
-    taus = [points.tau[rows] for points, rows in filled if points.tau is not None]
-    tau = np.stack(taus) if taus else None
-    return Stack(xyz, weights, tau, number, [int(weight) for weight in weights.sum(axis=1)])
-
-
-@dataclass(frozen=True, slots=True)
-class State:
-    """The model at one set of parameters for each set of points: u = v + o + s tau, a = K u, r = |a|^2 - 1.
-
-    Attributes:
-        shifted, calibrated: u and a, (3, k, n).
-        residual: (k, n).
-    """
-
-    shifted: Fixed
-    calibrated: Fixed
-    residual: Fixed
-
-
-def evaluate(stack: Stack, parameters: Fixed) -> State:
-    """Apply (k, 12) parameters to k sets of points, or to the only one (F eq. 7-9).
-
-    It takes 9 additions and 9 multiplications a point.
-
-    Raises:
-        FixedPointOverflowError: a parameter, a point or a residual leaves its range.
-    """
-    p = checked(parameters, "a parameter", VALUE_LIMIT).T[..., np.newaxis]
-    shifted = stack.xyz + p[6:9]
-    if stack.tau is not None:
-        shifted += narrow(p[9:] * stack.tau)
-    checked(shifted, "a shifted point", VALUE_LIMIT)
-    products = p[:3] * shifted
-    products[1] += p[3] * shifted[0]
-    products[2] += p[4] * shifted[0] + p[5] * shifted[1]
-    calibrated = checked(narrow(products), "a calibrated point", VALUE_LIMIT)
-    squared = calibrated[0] ** 2 + calibrated[1] ** 2 + calibrated[2] ** 2
-    residual = checked(narrow(squared - (ONE << FRACTION_BITS)), "a residual", RESIDUAL_LIMIT)
-    return State(shifted, calibrated, residual)
-
-
-def cost(stack: Stack, state: State) -> list[int]:
-    """Exact weighted sums of squared residuals, one for each set of parameters.
-
-    The unit is 2**-(58 + weight bits); squares are summed in two halves so that nothing is lost.
-    It takes an addition and a multiplication a point.
-    """
-    squares = state.residual**2
-    high = ((squares >> FRACTION_BITS) * stack.weights).sum(axis=1)
-    low = ((squares & _LOW_HALF) * stack.weights).sum(axis=1)
-    return [(top << FRACTION_BITS) + rest for top, rest in zip(high.tolist(), low.tolist(), strict=True)]
-
-
-def gradients(stack: Stack, state: State, parameters: list[list[int]]) -> list[list[int]]:
-    """Gradient of the weighted mean of r^2 of each set, twelve fixed-point integers (29 fraction bits).
-
-    Chain rule on F eq. 7-9: d/dk_ij = 4 mean(r a_i u_j); d/do = 4 K^T mean(r a); d/ds the same
-    with r a tau. It takes 9 additions and 10 multiplications a point.
-    """
-    weighted = narrow(state.residual * stack.weights, _WEIGHT_BITS)
-    force = narrow(weighted * state.calibrated)
-    scale = _sums_of_products(force.take(_ROWS, 0), state.shifted.take(_COLUMNS, 0))
-    plain = force.sum(axis=2).T.tolist()
-    heated = [[0, 0, 0]] * len(plain) if stack.tau is None else _sums_of_products(force, stack.tau)
-    return list(map(_gradient, scale, plain, heated, parameters, stack.weight))
-
-
-def _gradient(scale: list[int], plain: list[int], heated: list[int], k: list[int], weight: int) -> list[int]:
-    sums = scale + _turned_back(k, plain) + _turned_back(k, heated)
-    return [rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums]
-
-
-def _sums_of_products(left: Fixed, right: Fixed) -> list[list[int]]:
-    """Sums over the points of left * right in units of 2**-29, with head room for MAX_POINTS, by set."""
-    totals = narrow(left * right, _HEAD_ROOM_BITS).sum(axis=2)
-    found: list[list[int]] = (totals.T >> (FRACTION_BITS - _HEAD_ROOM_BITS)).tolist()
-    return found
-
-
-def _turned_back(k: list[int], force: list[int]) -> list[int]:
-    """K^T times a vector."""
-    x, y, z = force
-    return [
-        (k[0] * x + k[3] * y + k[4] * z) >> FRACTION_BITS,
-        (k[1] * y + k[5] * z) >> FRACTION_BITS,
-        (k[2] * z) >> FRACTION_BITS,
-    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,13 +99,6 @@ def _rates(settings: Settings) -> list[int]:
     return [round(settings.rates[name] * (1 << RATE_BITS)) for name in groups for _ in range(3)]
 
 
-def _operations(points: int, costs: int, gradients: int = 0, others: int = 0) -> Operations:
-    """Those of so many costs and gradients of so many points, and others that come in pairs."""
-    return Operations(
-        (10 * costs + 9 * gradients) * points + others, (10 * costs + 10 * gradients) * points + others
-    )
-
-
 def _forward(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
     """F's iteration to the letter, set by set: forward differences, fixed rates, so many iterations."""
     return [_forward_of_one(stacked((points,)), model, settings) for points in sets]
@@ -265,7 +123,7 @@ def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
         if settings.keep_history:
             history.append(tuple(p.tolist()))
     costs, updates = number * len(probes), number * (len(model.free) // 3)
-    operations = _operations(stack.number[0], costs, others=updates)
+    operations = operations_of(stack.number[0], costs, others=updates)
     return Fit(tuple(p.tolist()), number, "iterations", operations, tuple(history))
 
 
@@ -366,7 +224,7 @@ class _Descent:
 
     def found(self, parameters: list[int], iterations: int) -> Fit:
         """What came of it."""
-        operations = _operations(self.points, self.costs, self.gradients)
+        operations = operations_of(self.points, self.costs, self.gradients)
         return Fit(tuple(parameters), iterations, self.stop, operations, tuple(self.history))
 
 
@@ -400,6 +258,7 @@ OPTIMIZER = Optimizer(
     title="gradient descent in 32-bit fixed point (Farago, Maczak, Gingl 2024)",
     fit=fit,
     fit_each=fit_each,
+    fit_penalized=fit_penalized,
     settings={"default": DEFAULT, "paper": PAPER},
     arithmetic="integer",
 )

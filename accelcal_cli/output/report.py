@@ -23,6 +23,7 @@ from accelcal_cli.core.operations import predicted_seconds
 from accelcal_cli.core.points import (
     FIRST_NAMES,
     PARAMETER_NAMES,
+    PENALTY_BITS,
     UPPER_NAMES,
     WEIGHT_ONE,
     Arithmetic,
@@ -40,6 +41,7 @@ from accelcal_cli.output.report_schema import fault, report_schema
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
 SCHEMA_VERSION = 2
+SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg")
 LARGEST_BYTES = 64 << 20
 """A report has some thousand entries at most; what is longer is none."""
 
@@ -170,7 +172,31 @@ def trial_json(trial: results.Trial) -> dict[str, Any]:
         "after_mg": None if holdout is None else round(holdout.after.mean, 4),
         "compared_mg": None if holdout is None else round(holdout.compared_mg(), 4),
         "reason": trial.reason,
+        **({} if trial.prior is None else {"prior": trial.prior}),
     }
+
+
+def sphere_json(verdict: Judgement) -> dict[str, Any] | None:
+    """The `sphere_mg` object; None where nothing is known of the whole sphere."""
+    sphere, before = verdict.sphere, verdict.sphere_before
+    if sphere is None or before is None:
+        return None
+    return {
+        "mean": significant(sphere.mean),
+        "ci95": [significant(value) for value in sphere.ci95],
+        "worst_direction": significant(sphere.worst_direction),
+        "worst_direction_at": [round(value, 4) for value in sphere.worst_direction_at],
+        "before": significant(before.mean),
+    }
+
+
+def sphere_columns(report: dict[str, Any]) -> dict[str, float | None]:
+    """What tables and the terminal say of a report's `sphere_mg`, by column."""
+    sphere = report.get("sphere_mg")
+    if sphere is None:
+        return dict.fromkeys(SPHERE_COLUMNS)
+    values = (sphere["mean"], *sphere["ci95"], sphere["worst_direction"])
+    return dict(zip(SPHERE_COLUMNS, values, strict=True))
 
 
 def rest_json(rest: results.Rest) -> dict[str, Any] | None:
@@ -339,6 +365,7 @@ def document(
         "outcome": str(verdict.outcome),
         "message": verdict.message,
         "calibration": calibration_json(verdict, data.optimizer),
+        "sphere_mg": sphere_json(verdict),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
         "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),
@@ -475,7 +502,7 @@ def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
     verdict = data.judgement
     if verdict.calibration is None or verdict.fit is None:
         return None
-    scale = points.temperature
+    scale, penalty = points.temperature, verdict.penalty
     return {
         "accelcal_version": __version__,
         "sha256": data.sha256,
@@ -488,6 +515,7 @@ def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:
         "temperatures": None if points.tau is None else points.tau.tolist(),
         "temperature_reference_mc": None if scale is None else scale.reference_mc,
         "temperature_span_c": None if scale is None else scale.span_c,
+        "penalty": None if penalty is None else {"fraction_bits": PENALTY_BITS, **asdict(penalty)},
         "parameters": dict(zip(PARAMETER_NAMES, verdict.fit.parameters, strict=True)),
         "iterations": verdict.fit.iterations,
         "stop": verdict.fit.stop,

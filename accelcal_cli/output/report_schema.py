@@ -39,6 +39,8 @@ LATER = {
     "file_health.lost_percent": "0.1.0",
     "file_health.rest": "0.2.0",
     "holdout.improvement_factor": "0.2.0",
+    "settings.prior": "0.2.0",
+    "sphere_mg": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",
 }
 """Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""

@@ -17,11 +17,11 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.formats import unused_options
 from accelcal_cli.judge.errors import coverage
-from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
@@ -47,6 +47,12 @@ class Inspection:
     whole: bool
 
 
+def quick_fitting(settings: Settings) -> Fitting:
+    """The fitting of the settings' optimizer, with the default one's where there is a prior."""
+    ladder = fitting(replace(settings, prior=NO_PRIOR))
+    return ladder if settings.prior == NO_PRIOR else replace(ladder, penalized=fitting(DEFAULT).penalized)
+
+
 def inspect(
     path: Path, options: ReadOptions, settings: Settings, *, full: bool, several: bool = False
 ) -> Inspection:
@@ -61,7 +67,7 @@ def inspect(
     unused = unused_options(path, options) if several else ()
     with open_marked(path, options, unused=unused) as reader:
         recording = reader.recording
-        fitter, method = fitting(settings), make_method(recording, settings)
+        fitter, method = quick_fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         observer = FactsObserver(recording, method.rest_lsb)
         survey(pieces, method.segmenter, (observer, method.procedure))

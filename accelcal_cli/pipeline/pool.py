@@ -110,10 +110,11 @@ def _misfits(fitted: _Fitted, settings: Settings) -> dict[_Part, str]:
 
 
 def _why_misfit(part: _Part, verdict: Judgement, settings: Settings) -> str | None:
-    if verdict.calibration is None or verdict.holdout is None:
+    fitted = verdict.calibration or verdict.candidate
+    if fitted is None or verdict.holdout is None:
         return None
     points, degrees = part.collector.points(), settings.posture_degrees
-    holdout = held_out(points, verdict.calibration, settings.gravity, degrees, SEEN)
+    holdout = held_out(points, fitted, settings.gravity, degrees, SEEN)
     return None if holdout is None else worse(holdout, verdict.holdout.after.median, settings.max_error_mg)
 
 

@@ -21,14 +21,23 @@ from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.rest import RestSums
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.daylight import FOLLOWED, ZoneChange, zone_changes
+from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
-from accelcal_cli.core.points import Optimizer, PointSet, WindowCounts, Windows, joined_windows
+from accelcal_cli.core.points import (
+    Fit,
+    Model,
+    Optimizer,
+    PointSet,
+    WindowCounts,
+    Windows,
+    joined_windows,
+)
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps, SampleCounts
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import NO_PRIOR, Settings
 from accelcal_cli.formats import open_recording
-from accelcal_cli.judge.model_ladder import FitFunction
+from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.judge.verdict import FAR_FROM_1_G, NO_STILLNESS, judge, judge_paper
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
@@ -59,25 +68,18 @@ class Observer:
         raise NotImplementedError
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitting:
-    """How points are fitted and judged.
-
-    Attributes:
-        fit: the optimizer with its numbers for the settings' profile.
-        models: names of the models that it can fit.
-    """
-
-    settings: Settings
-    fit: FitFunction
-    models: tuple[str, ...]
-
-
 def fitting(settings: Settings) -> Fitting:
-    """The fitting of the settings; raises UsageError for an unknown optimizer."""
+    """The fitting of the settings; raises UsageError for an optimizer that is unknown or knows no prior."""
     optimizer = named_optimizer(settings.optimizer)
     numbers = _numbers(optimizer, settings)
-    return Fitting(settings, lambda sets, model: optimizer.fits(sets, model, numbers), optimizer.models)
+    penalized = None if settings.prior == NO_PRIOR else optimizer.fit_penalized
+    if penalized is None and settings.prior != NO_PRIOR:
+        raise UsageError(f"optimizer {optimizer.name} fits without a prior only", hint="add --prior none")
+
+    def fit(sets: Sequence[PointSet], model: Model) -> list[Fit]:
+        return optimizer.fits(sets, model, numbers)
+
+    return Fitting(settings, fit, optimizer.models, penalized)
 
 
 def optimizer_json(settings: Settings) -> dict[str, Any]:
@@ -159,7 +161,7 @@ class CellProcedure(Procedure):
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.result(), how.settings, how.fit, how.models, self._why_none(how.settings))
+        return judge(self.result(), how, self._why_none(how.settings))
 
     def _why_none(self, settings: Settings) -> str:
         """Why there are no points, if there are none."""
@@ -197,7 +199,7 @@ class PaperProcedure(Procedure):
         """Fit the first set, judge by the second."""
         first, second = self.collector.fit, self.collector.control
         missing = first.missing(), second.missing()
-        return judge_paper(first.points(), second.points(), missing, how.settings, how.fit, how.models)
+        return judge_paper(first.points(), second.points(), missing, how)
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""

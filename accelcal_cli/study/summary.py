@@ -19,6 +19,7 @@ from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output.files import csv_text, replacing, write_text
+from accelcal_cli.output.report import SPHERE_COLUMNS, sphere_columns
 from accelcal_cli.study.records import FAILED, Item
 
 DEVICE = ("model", "serial", "firmware")
@@ -42,6 +43,7 @@ COLUMNS = (
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
+    *SPHERE_COLUMNS,
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
@@ -105,7 +107,7 @@ def _errors(report: dict[str, Any]) -> dict[str, Any]:
     if report["calibration"] is None:
         return before
     after = {"after_mg": holdout["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
-    return before | after | {"improvement_percent": holdout["improvement_percent"]}
+    return before | after | {"improvement_percent": holdout["improvement_percent"]} | sphere_columns(report)
 
 
 def _coverage(report: dict[str, Any]) -> dict[str, Any]:

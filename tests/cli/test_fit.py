@@ -92,11 +92,19 @@ def test_points_that_cannot_be_fitted_are_refused_and_nothing_is_written(
     tmp_path: Path, capsys: Capture, g: np.ndarray, said: str
 ) -> None:
     path = rows(tmp_path / "points.csv", g)
-    ran = run(capsys, "fit", path, "-o", tmp_path / "out.json")
+    ran = run(capsys, "fit", path, "-o", tmp_path / "out.json", "--prior", "none")
     assert ran.code == 4
     assert said in ran.err and ran.err.count("\n") == 1
     assert ran.lines[0].split("\t")[1:3] == ["refused", "-"]
     assert not (tmp_path / "out.json").exists()
+
+
+def test_with_a_prior_points_in_a_plane_are_refused_too(tmp_path: Path, capsys: Capture) -> None:
+    """Nothing is known of the axis across the plane but what sensors are like: 35 mg of offset and more."""
+    ran = run(capsys, "fit", rows(tmp_path / "points.csv", flat() * 1.02))
+    assert ran.code == 4
+    assert "mg over the whole sphere" in ran.err or "no model improves" in ran.err
+    assert "there is no stillness with z below -0.3 g, z above 0.3 g" in ran.err
 
 
 def test_a_value_that_is_no_number_is_an_error_with_its_line(tmp_path: Path, capsys: Capture) -> None:

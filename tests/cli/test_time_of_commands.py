@@ -89,7 +89,7 @@ def test_study_with_borrow(tmp_path: Path, start: str, words: tuple[str, ...], z
     (tmp_path / "in").mkdir()
     week(tmp_path / "in/good.raw", warm=True, start=start)
     few(tmp_path / "in/short.raw", start)
-    ran = study_in(tmp_path, "--borrow", *words, jobs=1)
+    ran = study_in(tmp_path, "--prior", "none", "--borrow", *words, jobs=1)
     assert ran.code == 0, ran.err
     assert {line["path"]: line["outcome"] for line in rows(tmp_path / "out")}["short.raw"] == "borrowed"
     for name in ("good", "short"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -50,7 +51,9 @@ def rows_of(path: Path, *names: str, settings=DEFAULT) -> list[Row]:
 def test_the_default_s_row_is_what_calibrate_says(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     (row,) = rows_of(path, "fixed32")
-    report = calibrate(plan([path], None, None)[0], Request(report_only=True)).report
+    report = calibrate(
+        plan([path], None, None)[0], Request(settings=replace(DEFAULT, prior="none"), report_only=True)
+    ).report
     held, made = report["holdout"], report["calibration"]["optimizer"]
     assert (row.outcome, row.model) == (report["outcome"], report["calibration"]["model"])
     assert (row.points, row.postures) == (held["points"], held["postures"])

@@ -12,7 +12,7 @@ from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture, uncertainty
-from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.optimize import ellipsoid, fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
@@ -27,9 +27,11 @@ from tests.optimize.oracle import (
     random_directions,
 )
 
+LADDER_ONLY = replace(DEFAULT, prior="none")
+
 
 def test_no_points_are_refused() -> None:
-    found = judge(points(np.empty((0, 3))), DEFAULT, fast_fits)
+    found = judge(points(np.empty((0, 3))), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert found.message.startswith("no still window was found; record longer")
     assert found.calibration is None and found.holdout is None and found.trials == ()
@@ -38,7 +40,7 @@ def test_no_points_are_refused() -> None:
 @pytest.mark.parametrize(("number", "text"), [(1, "only 1 posture,"), (8, "only 8 postures,")])
 def test_too_few_postures_are_refused(number: int, text: str) -> None:
     held, _ = clusters(directions(number), NINE, width=0.02)
-    found = judge(held, DEFAULT, fast_fits)
+    found = judge(held, Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert text in found.message and "at least 9 are needed" in found.message
     assert found.calibration is None and found.coverage.cells == len(held)
@@ -46,12 +48,12 @@ def test_too_few_postures_are_refused(number: int, text: str) -> None:
 
 def test_nine_postures_are_enough() -> None:
     held, _ = clusters(directions(9), NINE, width=0.02)
-    assert judge(held, DEFAULT, fast_fits).trials
+    assert judge(held, Fitting(LADDER_ONLY, fast_fits)).trials
 
 
 def test_a_misaligned_sensor_is_calibrated_with_all_evidence() -> None:
     held = spread(NINE)
-    found = judge(held, DEFAULT, fixed32.fit_each)
+    found = judge(held, Fitting(LADDER_ONLY, fixed32.fit_each))
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.fit is not None and found.fit_errors is not None
     assert found.calibration.model == "9" and found.calibration.temperature is None
@@ -75,7 +77,7 @@ def test_a_misaligned_sensor_is_calibrated_with_all_evidence() -> None:
 
 def test_a_sensor_that_warms_is_calibrated_with_slopes() -> None:
     held = spread(WARM, warm=True)
-    found = judge(held, DEFAULT, fixed32.fit_each)
+    found = judge(held, Fitting(LADDER_ONLY, fixed32.fit_each))
     assert (found.outcome, found.calibration is not None) == (Outcome.CALIBRATED, True)
     assert found.calibration.model == "9T" and found.calibration.temperature == held.temperature
     assert found.calibration.slope_g_per_c() == pytest.approx(WARM[9:] / 4.0, abs=5e-4)
@@ -83,7 +85,7 @@ def test_a_sensor_that_warms_is_calibrated_with_slopes() -> None:
 
 @pytest.mark.parametrize(("p", "model"), [(OFFSET, "3"), (SIX, "6")])
 def test_a_smaller_model_says_why(p: np.ndarray, model: str) -> None:
-    found = judge(spread(p), DEFAULT, fast_fits)
+    found = judge(spread(p), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == model
     omitted = "scale and misalignment are" if model == "3" else "misalignment is"
@@ -97,13 +99,13 @@ def one_sided(p: np.ndarray, noise: float = 0.001) -> PointSet:
 
 
 def test_a_model_reduced_by_coverage_names_the_missing_side() -> None:
-    found = judge(one_sided(OFFSET), DEFAULT, fast_fits)
+    found = judge(one_sided(OFFSET), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.message.endswith("scale and misalignment are left out: no stillness with z below -0.3 g")
 
 
 def test_a_good_sensor_is_left_alone() -> None:
-    found = judge(spread(IDEAL), DEFAULT, fast_fits)
+    found = judge(spread(IDEAL), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.ALREADY_GOOD
     assert found.calibration is not None and found.calibration.parameters == IDENTITY
     assert "no model improves on the" in found.message
@@ -111,7 +113,7 @@ def test_a_good_sensor_is_left_alone() -> None:
 
 def test_a_sensor_that_nothing_helps_is_refused() -> None:
     noisy = spread(IDEAL, noise=0.06)
-    found = judge(noisy, DEFAULT, fast_fits)
+    found = judge(noisy, Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert found.calibration is None and found.holdout is not None
     assert "no model improves" in found.message and "record longer" in found.message
@@ -119,23 +121,23 @@ def test_a_sensor_that_nothing_helps_is_refused() -> None:
 
 def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
     scaled = np.array([0.85, 0.85, 0.85, 0, 0, 0, 0, 0, 0, 0, 0, 0])
-    found = judge(spread(scaled, noise=0.03), DEFAULT, fast_fits)
+    found = judge(spread(scaled, noise=0.03), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.holdout is not None and found.holdout.after.mean >= 10
     assert "10 mg is the limit" in found.message and f"{found.holdout.after.mean:.1f} mg" in found.message
-    lenient = judge(spread(scaled, noise=0.03), replace(DEFAULT, max_error_mg=60.0), fast_fits)
+    lenient = judge(spread(scaled, noise=0.03), Fitting(replace(LADDER_ONLY, max_error_mg=60.0), fast_fits))
     assert lenient.calibration is not None
 
 
 def test_a_refusal_names_the_sides_that_are_missing() -> None:
-    found = judge(one_sided(IDEAL, noise=0.06), DEFAULT, fast_fits)
+    found = judge(one_sided(IDEAL, noise=0.06), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert "there is no stillness with z below -0.3 g" in found.message
 
 
 @pytest.mark.parametrize("model", ["3", "6", "9"])
 def test_a_model_can_be_forced(model: str) -> None:
-    found = judge(spread(NINE), replace(DEFAULT, model=model, max_error_mg=50.0), fast_fits)
+    found = judge(spread(NINE), Fitting(replace(LADDER_ONLY, model=model, max_error_mg=50.0), fast_fits))
     assert found.calibration is not None and found.calibration.model == model
     assert found.message.startswith(f"model {model} as asked for: ")
     assert [trial.model for trial in found.trials] == ["0", model]
@@ -143,7 +145,7 @@ def test_a_model_can_be_forced(model: str) -> None:
 
 
 def test_a_forced_model_that_does_not_improve_is_refused() -> None:
-    found = judge(spread(IDEAL, number=40, noise=0.005), replace(DEFAULT, model="9"), fast_fits)
+    found = judge(spread(IDEAL, number=40, noise=0.005), Fitting(replace(LADDER_ONLY, model="9"), fast_fits))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.message.startswith("model 9 as asked for does not improve: ")
 
@@ -155,16 +157,18 @@ def overflowing() -> PointSet:
 
 
 def test_points_out_of_range_are_no_traceback_but_a_reason() -> None:
-    found = judge(overflowing(), DEFAULT, fixed32.fit_each)
+    found = judge(overflowing(), Fitting(LADDER_ONLY, fixed32.fit_each))
     reasons = {trial.model: trial.reason for trial in found.trials}
     assert reasons["9"] == "the fit diverges: the points do not determine it"
-    forced = judge(overflowing(), replace(DEFAULT, model="9"), fixed32.fit_each)
+    forced = judge(overflowing(), Fitting(replace(LADDER_ONLY, model="9"), fixed32.fit_each))
     assert forced.outcome is Outcome.REFUSED
     assert forced.message == "model 9 cannot be fitted: the fit diverges: the points do not determine it"
 
 
 def test_a_verdict_can_be_repeated() -> None:
-    assert judge(spread(NINE), DEFAULT, fixed32.fit_each) == judge(spread(NINE), DEFAULT, fixed32.fit_each)
+    assert judge(spread(NINE), Fitting(LADDER_ONLY, fixed32.fit_each)) == judge(
+        spread(NINE), Fitting(LADDER_ONLY, fixed32.fit_each)
+    )
 
 
 FULL: tuple[list[str], list[str]] = ([], [])
@@ -179,13 +183,13 @@ def two_sets(p: np.ndarray) -> tuple[PointSet, PointSet]:
 
 def test_the_paper_needs_every_subset() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, (["xn", "z0"], ["xp"]), PAPER, fast_fits)
+    found = judge_paper(fitted, control, (["xn", "z0"], ["xp"]), Fitting(PAPER, fast_fits))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.message.startswith(
         "subsets without two points that are at least 0.2 g from all others: xn z0;"
     )
     as_before = judge_paper(
-        fitted, control, (["xn", "z0"], ["xp"]), replace(PAPER, min_distance_g=0.0), fast_fits
+        fitted, control, (["xn", "z0"], ["xp"]), Fitting(replace(PAPER, min_distance_g=0.0), fast_fits)
     )
     assert as_before.message.startswith("subsets without two points: xn z0;")
 
@@ -193,7 +197,7 @@ def test_the_paper_needs_every_subset() -> None:
 def test_point_1_the_paper_needs_every_subset_of_the_control_points_too() -> None:
     """A few control points see a few directions only: 3 of them claimed 0.4 mg where 2.2 mg were true."""
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, ([], ["xp", "y0"]), PAPER, fast_fits)
+    found = judge_paper(fitted, control, ([], ["xp", "y0"]), Fitting(PAPER, fast_fits))
     assert found.outcome is Outcome.REFUSED and found.calibration is None
     assert found.message.startswith(
         "control subsets without two points that are at least 0.2 g from all others: xp y0;"
@@ -201,12 +205,14 @@ def test_point_1_the_paper_needs_every_subset_of_the_control_points_too() -> Non
     any_distance = replace(PAPER, min_distance_g=0.0)
     for number, outcome in ((1, Outcome.REFUSED), (2, Outcome.CALIBRATED)):
         few = control.select(np.arange(number))
-        assert judge_paper(fitted, few, ([], ["xp"]), any_distance, fast_fits).outcome is outcome, "as before"
+        assert judge_paper(fitted, few, ([], ["xp"]), Fitting(any_distance, fast_fits)).outcome is outcome, (
+            "as before"
+        )
 
 
 def test_the_paper_fits_nine_parameters_and_judges_by_the_second_set() -> None:
     fitted, control = two_sets(NINE)
-    found = judge_paper(fitted, control, FULL, PAPER, fast_fits)
+    found = judge_paper(fitted, control, FULL, Fitting(PAPER, fast_fits))
     assert found.outcome is Outcome.CALIBRATED
     assert found.calibration is not None and found.holdout is not None
     p = fast_fit(fitted, MODELS["9"]).parameters
@@ -223,7 +229,7 @@ def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_t
     p = fast_fit(fitted, MODELS["9"]).parameters
     known = uncertainty(fitted, p, MODELS["9"])
     assert known is not None and known.worst_direction_mg > 10 > 10 * deviations_mg(control, p).mean()
-    found = judge_paper(fitted, control, FULL, PAPER, fast_fits)
+    found = judge_paper(fitted, control, FULL, Fitting(PAPER, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert found.calibration is None and found.holdout is None
     worst = f"in some directions it would be uncertain by {known.worst_direction_mg:.0f} mg"
@@ -232,19 +238,19 @@ def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_t
     assert found.coverage.worst_direction_mg == known.worst_direction_mg
     assert (found.coverage.cells, found.coverage.distinct_orientations) == (18, 6)
     limit = replace(PAPER, max_error_mg=known.worst_direction_mg)
-    assert judge_paper(fitted, control, FULL, limit, fast_fits).outcome is Outcome.REFUSED, (
+    assert judge_paper(fitted, control, FULL, Fitting(limit, fast_fits)).outcome is Outcome.REFUSED, (
         "from the limit on"
     )
     limit = replace(PAPER, max_error_mg=known.worst_direction_mg * 1.001)
-    assert judge_paper(fitted, control, FULL, limit, fast_fits).outcome is Outcome.CALIBRATED
+    assert judge_paper(fitted, control, FULL, Fitting(limit, fast_fits)).outcome is Outcome.CALIBRATED
 
 
 def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
-    settings, fit = replace(DEFAULT, optimizer="ellipsoid"), one_by_one(ellipsoid.fit)
-    found = judge(spread(NINE), replace(settings, max_error_mg=50.0), fit, ellipsoid.MODELS)
+    settings, fit = replace(LADDER_ONLY, optimizer="ellipsoid"), one_by_one(ellipsoid.fit)
+    found = judge(spread(NINE), Fitting(replace(settings, max_error_mg=50.0), fit, ellipsoid.MODELS))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.message.endswith("misalignment is left out: optimizer ellipsoid fits no misalignment")
-    forced = judge(spread(NINE), replace(settings, model="9"), fit, ellipsoid.MODELS)
+    forced = judge(spread(NINE), Fitting(replace(settings, model="9"), fit, ellipsoid.MODELS))
     assert forced.outcome is Outcome.REFUSED
     assert forced.message == "model 9 cannot be fitted: optimizer ellipsoid fits no misalignment"
 
@@ -252,7 +258,7 @@ def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() 
 def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
     fitted, control = two_sets(NINE)
     settings = replace(PAPER, optimizer="ellipsoid", max_error_mg=50.0)
-    found = judge_paper(fitted, control, FULL, settings, one_by_one(ellipsoid.fit), ellipsoid.MODELS)
+    found = judge_paper(fitted, control, FULL, Fitting(settings, one_by_one(ellipsoid.fit), ellipsoid.MODELS))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == "6"
     assert "optimizer ellipsoid fits no misalignment" in found.message
@@ -261,7 +267,7 @@ def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_b
 def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:
     turn = np.linspace(0, 2 * np.pi, 60, endpoint=False)
     flat = np.stack([np.cos(turn), np.sin(turn), 0 * turn], axis=1)
-    found = judge(points(flat), DEFAULT, fast_fits)
+    found = judge(points(flat), Fitting(LADDER_ONLY, fast_fits))
     assert found.outcome is Outcome.REFUSED
     assert found.message.startswith("no model could be tried: no stillness with z beyond +-0.3 g")
 
@@ -269,19 +275,22 @@ def test_a_sensor_that_no_model_could_be_tried_on_is_not_called_good() -> None:
 def test_postures_that_are_known_are_taken_as_they_are() -> None:
     held = spread(NINE)
     label = np.arange(len(held), dtype=np.int64) % 12
-    found = judge(held, DEFAULT, fast_fits, label=label)
+    found = judge(held, Fitting(LADDER_ONLY, fast_fits), label=label)
     assert found.holdout is not None and found.holdout.postures == 12
-    few = judge(held, DEFAULT, fast_fits, label=label % 3)
+    few = judge(held, Fitting(LADDER_ONLY, fast_fits), label=label % 3)
     assert few.message.startswith("stillness in only 3 postures")
 
 
 def test_results_are_in_standard_g_where_the_place_is_known() -> None:
-    place = replace(DEFAULT, latitude=0.0, altitude_m=2000.0)
+    place = replace(LADDER_ONLY, latitude=0.0, altitude_m=2000.0)
     g = float(place.gravity.local_g())
     d = directions(150)
     standard = points(measured(NINE, d * g) + 0.001 * np.random.default_rng(3).standard_normal(d.shape))
     local = PointSet(np.rint(standard.xyz / g).astype(np.int64), standard.weights, standard.windows)
-    found, plain = judge(local, place, fixed32.fit_each), judge(local, DEFAULT, fixed32.fit_each)
+    found, plain = (
+        judge(local, Fitting(place, fixed32.fit_each)),
+        judge(local, Fitting(LADDER_ONLY, fixed32.fit_each)),
+    )
     assert found.calibration is not None and plain.calibration is not None
     assert found.calibration.gravity == place.gravity
     assert np.array_equal(found.calibration.gain(), plain.calibration.gain())

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from accelcal_cli.core import fixed
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, PointSet
-from accelcal_cli.optimize import fixed32
+from accelcal_cli.optimize import _objective32, fixed32
 from tests.judge.made import NINE, spread
 from tests.optimize.oracle import (
     directions,
@@ -147,8 +148,9 @@ def floating(tree: ast.Module) -> list[str]:
 TABLES = {"RATES_OF_F", "PAPER", "DEFAULT", "OPTIMIZER"}
 
 
-def test_no_float_takes_part_outside_the_tables_of_settings() -> None:
-    tree = ast.parse(Path(fixed32.__file__).read_text("utf-8"))
+@pytest.mark.parametrize("module", [fixed32, _objective32], ids=lambda module: module.__name__)
+def test_no_float_takes_part_outside_the_tables_of_settings(module: ModuleType) -> None:
+    tree = ast.parse(Path(str(module.__file__)).read_text("utf-8"))
     tables = [
         node
         for node in tree.body

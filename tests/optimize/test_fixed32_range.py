@@ -14,7 +14,7 @@ from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
 from accelcal_cli.core.fixed import LIMIT, ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, Fit, PointSet
 from accelcal_cli.optimize import fixed32
-from accelcal_cli.optimize.fixed32 import MAX_POINTS, cost, evaluate, gradients, stacked
+from accelcal_cli.optimize._objective32 import MAX_POINTS, cost, evaluate, gradients, stacked
 from tests.optimize.oracle import directions, measured, points, random_directions
 
 SHORT = replace(fixed32.DEFAULT, max_iterations=60, keep_history=True)

@@ -10,6 +10,7 @@ import pytest
 
 from accelcal_cli.core.points import Fit, Model, PointSet
 from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.report import calibration_json
@@ -25,7 +26,7 @@ def described(name: str) -> dict[str, Any]:
         return optimizer.fits(sets, model, optimizer.settings["default"])
 
     found = calibration_json(
-        judge(spread(NINE), DEFAULT, fit, optimizer.models),
+        judge(spread(NINE), Fitting(replace(DEFAULT, prior="none"), fit, optimizer.models)),
         optimizer_json(replace(DEFAULT, optimizer=optimizer.name)),
     )
     assert found is not None

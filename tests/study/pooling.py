@@ -11,7 +11,8 @@ from tests.cli.studies import study_in
 
 
 def study(here: Path, *words: object, out: str = "out", pool: bool = True, jobs: int = 2) -> Ran:
-    more = ["--pool", "device"] if pool else []
+    """Without a prior, so that few postures are not enough; tests may give `--prior` again."""
+    more = ["--prior", "none", *(["--pool", "device"] if pool else [])]
     return study_in(here, *more, *words, out=out, jobs=jobs)
 
 

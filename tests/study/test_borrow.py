@@ -35,14 +35,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def out(folder: Path) -> Path:
     out = folder.parent / "out"
-    assert run_in(folder, "study", folder, "-d", out, "-j", 1, "--borrow").code == 1
+    assert run_in(folder, "study", folder, "-d", out, "-j", 1, "--prior", "none", "--borrow").code == 1
     return out
 
 
 @pytest.fixture(scope="module")
 def plain(folder: Path) -> Path:
     out = folder.parent / "plain"
-    assert run_in(folder, "study", folder, "-d", out, "-j", 2).code == 1
+    assert run_in(folder, "study", folder, "-d", out, "-j", 2, "--prior", "none").code == 1
     return out
 
 
@@ -51,7 +51,7 @@ def line(out: Path, name: str) -> dict[str, str]:
 
 
 def study(capsys: Capture, folder: Path, out: Path, *words: object) -> Ran:
-    return run(capsys, "study", folder, "-d", out, "-j", 2, *words)
+    return run(capsys, "study", folder, "-d", out, "-j", 2, "--prior", "none", *words)
 
 
 def test_the_nearest_one_lends_and_the_error_is_that_of_the_recordings_own_windows(

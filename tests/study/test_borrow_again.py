@@ -42,7 +42,7 @@ def here(base: Path, tmp_path: Path) -> Path:
 
 
 def study(here: Path, *words: object, out: str = "out", borrow: bool = True) -> Ran:
-    return study_in(here, *(["--borrow"] if borrow else []), *words, out=out)
+    return study_in(here, "--prior", "none", *(["--borrow"] if borrow else []), *words, out=out)
 
 
 def write(path: Path, day: str, **more: object) -> Path:

@@ -64,7 +64,7 @@ def here(base: Path, tmp_path: Path) -> Path:
 
 def test_a_pool_is_what_one_long_recording_would_be(base: Path) -> None:
     """Windows end where poses do, so that the long recording has the very windows of its four parts."""
-    assert run_in(base, "calibrate", base / "whole.raw", "-d", base / "alone").code == 0
+    assert run_in(base, "calibrate", base / "whole.raw", "-d", base / "alone", "--prior", "none").code == 0
     whole, made = report(base / "alone", "whole"), pool_of(base / "out")
     for name in ("outcome", "message", "calibration", "holdout", "coverage", "models_tried"):
         assert made[name] == whole[name]

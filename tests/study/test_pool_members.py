@@ -45,14 +45,15 @@ def test_the_errors_on_its_own_windows_are_those_of_an_independent_calculation(t
         assert (row["own_outcome"], row["pool_recordings"]) == ("refused", "3")
 
 
-def test_a_recording_that_contradicts_the_others_is_left_out(tmp_path: Path) -> None:
+@pytest.mark.parametrize("prior", ["none", "population"])
+def test_a_recording_that_contradicts_the_others_is_left_out(tmp_path: Path, prior: str) -> None:
     """A perfect sensor with the serial of another: each would put 30 mg of error on the other."""
     (tmp_path / "in").mkdir()
     values, _ = rest(directions(120), seed=5)
     for number in range(3):
         write_device(tmp_path / f"in/{number}.raw", values[number * 40 * 750 : (number + 1) * 40 * 750])
     write_device(tmp_path / "in/swapped.raw", perfect())
-    assert study(tmp_path).code == 1
+    assert study(tmp_path, "--prior", prior).code == 1
     made = pool_of(tmp_path / "out")
     (odd,) = made["pool"]["left_out"]
     assert odd["path"] == "in/swapped.raw"
@@ -61,7 +62,7 @@ def test_a_recording_that_contradicts_the_others_is_left_out(tmp_path: Path) -> 
     assert (row["path"], row["outcome"], row["pool"]) == ("swapped.raw", "refused", "")
     own = report(tmp_path / "out", "swapped")["message"]
     assert row["message"] == f"{own}; not pooled: left out of the pool: {odd['reason']}"
-    assert study(tmp_path, "--exclude", "swapped*", out="without").code == 0
+    assert study(tmp_path, "--prior", prior, "--exclude", "swapped*", out="without").code == 0
     assert pool_of(tmp_path / "without")["calibration"] == made["calibration"]
 
 

@@ -1,0 +1,127 @@
+"""The error of a calibration over the whole sphere, also where the wrist has not been.
+
+Held-out postures say how wrong a calibration is where the wrist has been. What it would be in every direction
+follows from the posterior: sensors are drawn from it, and each is calibrated and held against 1 g.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from math import erf, exp, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import PointSet
+from accelcal_cli.core.results import SphereError
+from accelcal_cli.judge.errors import directions, jacobian, quantile
+from accelcal_cli.judge.posterior import Posterior
+
+DRAWS = 1000
+SEED = 20181
+TAIL = 0.025
+LARGEST_RATIO = 6.0
+"""Beyond so many standard deviations noise does not change a mean error."""
+
+Floats = NDArray[np.float64]
+
+
+def sphere_error(
+    points: PointSet, label: NDArray[np.int64], known: Posterior, parameters: tuple[int, ...]
+) -> SphereError:
+    """Mean | |a| - 1 g | of a calibration over all directions, at the points' mean temperature.
+
+    The interval allows for where the wrist will go: its low end (2.5 %) is for one that spends an unknown
+    share of its time in the postures where it has been, its high end (97.5 %) for one that goes everywhere.
+
+    Args:
+        points: those that the posterior is of; label is the posture number of each, (n,).
+        parameters: twelve fixed-point integers of the calibration that is judged: those of the posterior, of
+            a simpler model, or of the ideal sensor.
+    """
+    best = known.found.fit.parameters
+    everywhere = _raw_directions(best)
+    noise, drawn = _drawn(known)
+    errors = _mean_error(_deviations(everywhere, known, parameters, drawn), noise)
+    visited = _mean_error(_deviations(_posture_means(points, label), known, parameters, drawn), noise)
+    of_directions, of_draws = errors.mean(axis=0), errors.mean(axis=1)
+    worst = int(of_directions.argmax())
+    share = _normal()[1][:, 0]
+    partly = share * visited.mean(axis=1) + (1 - share) * of_draws
+    low = min(quantile(sorted(draws.tolist()), TAIL) for draws in (partly, of_draws))
+    high = quantile(sorted(of_draws.tolist()), 1 - TAIL)
+    x, y, z = directions()[worst].tolist()
+    interval = 1000 * low, 1000 * high
+    return SphereError(
+        1000 * float(of_directions.mean()), interval, 1000 * float(of_directions[worst]), (x, y, z)
+    )
+
+
+def _raw_directions(parameters: tuple[int, ...]) -> Floats:
+    """What a sensor with these errors measures at rest in all directions, (162, 3) in g."""
+    p = [value / ONE for value in parameters]
+    true = directions()
+    x = true[:, 0] / p[0]
+    y = (true[:, 1] - p[3] * x) / p[1]
+    z = (true[:, 2] - p[4] * x - p[5] * y) / p[2]
+    return np.stack([x - p[6], y - p[7], z - p[8]], axis=1)
+
+
+def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
+    """Raw mean of each posture, (postures, 3) in g."""
+    g = points.xyz_g()
+    rows = [np.average(g[label == key], axis=0, weights=points.weights[label == key]) for key in set(label)]
+    return np.asarray(rows)
+
+
+def _drawn(known: Posterior) -> tuple[Floats, Floats]:
+    """Noise of each draw, (DRAWS, 1) in g, and its free parameters less the best ones, (DRAWS, free).
+
+    The noise is drawn by the cube-root approximation of a chi-squared variable (Wilson, Hilferty 1931).
+    """
+    normal, _ = _normal()
+    share = 2 / (9 * known.freedom)
+    ratio = np.maximum(1 - share + normal[:, :1] * sqrt(share), 0.1) ** 3
+    covariance = np.array(known.covariance)
+    free = normal[:, 1 : 1 + len(covariance)] @ np.linalg.cholesky(covariance).T
+    return known.noise_g / np.sqrt(ratio), free
+
+
+@cache
+def _normal() -> tuple[Floats, Floats]:
+    """Standard normal numbers, (DRAWS, 13), and numbers from 0 to 1, (DRAWS, 1); always the same."""
+    random = np.random.RandomState(SEED)
+    return random.standard_normal((DRAWS, 13)), random.uniform(size=(DRAWS, 1))
+
+
+def _deviations(raw: Floats, known: Posterior, parameters: tuple[int, ...], drawn: Floats) -> Floats:
+    """|a| - 1 of a calibration in each direction for each drawn sensor, to first order, (DRAWS, n) in g."""
+    best = known.found.fit.parameters
+    free = list(known.model.free)
+    slope = jacobian(raw, None, best) / 2
+    a = _lengths(raw, parameters)
+    return np.asarray((a - _lengths(raw, best))[np.newaxis] - drawn @ slope[:, free].T)
+
+
+def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
+    """|a| of raw vectors, (n,)."""
+    p = [value / ONE for value in parameters]
+    x, y, z = (raw[:, axis] + p[6 + axis] for axis in range(3))
+    ax, ay, az = p[0] * x, p[3] * x + p[1] * y, p[4] * x + p[5] * y + p[2] * z
+    return np.asarray(np.sqrt(ax * ax + ay * ay + az * az))
+
+
+def _mean_error(deviations: Floats, noise: Floats) -> Floats:
+    """Mean of |d + noise| for each deviation d: that of a folded normal distribution."""
+    ratio = np.abs(deviations) / noise
+    places, values = _folded()
+    return np.asarray(np.where(ratio < LARGEST_RATIO, np.interp(ratio, places, values), ratio) * noise)
+
+
+@cache
+def _folded() -> tuple[Floats, Floats]:
+    """Mean of |t + a standard normal number| for t from 0 to LARGEST_RATIO."""
+    places = np.linspace(0, LARGEST_RATIO, 601)
+    means = [sqrt(2 / pi) * exp(-t * t / 2) + t * erf(t / sqrt(2)) for t in places.tolist()]
+    return places, np.array(means)

@@ -1,0 +1,154 @@
+"""The objective in fixed point with a penalty, by Gauss-Newton steps.
+
+Objective, gradient and parameters are integers, and a step is taken only if it lowers the exact sum. Floating
+point only proposes steps, in an order that never changes (core.linear).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
+from accelcal_cli.core.fixed import FRACTION_BITS, narrow, rounded_quotient
+from accelcal_cli.core.linear import inverse
+from accelcal_cli.core.points import (
+    PENALTY_BITS,
+    WEIGHT_ONE,
+    Fit,
+    Model,
+    PenalizedFit,
+    Penalty,
+    PointSet,
+)
+from accelcal_cli.optimize._objective32 import (
+    COLUMNS,
+    LEAST_SCALE,
+    RISE_TOLERANCE_BITS,
+    ROWS,
+    WEIGHT_BITS,
+    Stack,
+    State,
+    cost,
+    evaluate,
+    gradients,
+    operations_of,
+    stacked,
+)
+
+JACOBIAN_BITS = 14
+"""Fraction bits of the entries of J in `curvature`: sums of their products hold MAX_POINTS points."""
+
+STEP_BITS = 40
+MAX_NEWTON_STEPS = 100
+
+
+def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Model) -> list[list[float]]:
+    """Weighted mean of J^T J of one set of points, J = d(|a|^2 - 1)/dp of the model's free parameters.
+
+    Sums of integers, so that it does not depend on the order of the points.
+    """
+    a, u = state.calibrated[:, 0], state.shifted[:, 0]
+    k = np.array(parameters, np.int64)
+    back = np.stack(
+        [
+            narrow(k[0] * a[0] + k[3] * a[1] + k[4] * a[2]),
+            narrow(k[1] * a[1] + k[5] * a[2]),
+            narrow(k[2] * a[2]),
+        ]
+    )
+    rows = [narrow(a[ROWS] * u[COLUMNS]), back]
+    if stack.tau is not None:
+        rows.append(narrow(back * stack.tau[0]))
+    every = narrow(np.concatenate(rows), FRACTION_BITS - JACOBIAN_BITS - 1)
+    free = every[[index for index in model.free if index < len(every)]]
+    sums = ((free * stack.weights[0]) @ free.T).tolist()
+    unit = stack.weight[0] << 2 * JACOBIAN_BITS
+    return [[value / unit for value in row] for row in sums]
+
+
+def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple[int, ...]) -> PenalizedFit:
+    """The minimum of the objective with a penalty, by Gauss-Newton steps on integers.
+
+    A step that raises the exact sum by more than rounding can is halved. The descent ends where the step is
+    no more than what the last bits of the gradient make of it, or where it comes back to a place.
+
+    Raises:
+        FixedPointOverflowError: a value leaves its range, or there are more than MAX_POINTS points.
+        DivergedError: no point has any weight, or an axis collapsed.
+    """
+    if not points.weights.any():
+        raise DivergedError("no point has any weight")
+    stack = stacked((points,))
+    here, stop, costs, seen = tuple(start), "iterations", 1, set[tuple[int, ...]]()
+    state = evaluate(stack, np.array([here], np.int64))
+    total = _total(stack, state, here, penalty)
+    while len(seen) < MAX_NEWTON_STEPS and stop == "iterations":
+        seen.add(here)
+        step = _newton_step(stack, state, here, model, penalty)
+        stop = "step within rounding"
+        while any(step):
+            there = tuple(value - change for value, change in zip(here, step, strict=True))
+            tried, costs = _tried(stack, there), costs + 1
+            reached = None if tried is None else _total(stack, tried, there, penalty)
+            if (
+                tried is not None
+                and reached is not None
+                and reached <= total + (total >> RISE_TOLERANCE_BITS)
+            ):
+                here, state, total = there, tried, reached
+                stop = "steps of one bit in a circle" if here in seen else "iterations"
+                break
+            step = [_half(change) for change in step]
+    if min(here[:3]) < LEAST_SCALE:
+        raise DivergedError("an axis collapsed: the points do not determine its scale")
+    mean_square = cost(stack, state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
+    found = Fit(here, len(seen), stop, operations_of(stack.number[0], costs, len(seen)))
+    around = curvature(stack, state, here, model)
+    return PenalizedFit(found, mean_square, tuple(tuple(row) for row in around))
+
+
+def _total(stack: Stack, state: State, parameters: tuple[int, ...], penalty: Penalty) -> int:
+    """The exact objective in units of 2**-(58 + weight bits + PENALTY_BITS)."""
+    away = zip(parameters, penalty.centre, penalty.strength, strict=True)
+    added = sum(strength * (value - centre) ** 2 for value, centre, strength in away)
+    return (cost(stack, state)[0] << PENALTY_BITS) + (added << WEIGHT_BITS)
+
+
+def _tried(stack: Stack, parameters: tuple[int, ...]) -> State | None:
+    """The state at parameters; None if it leaves the fixed-point range."""
+    try:
+        return evaluate(stack, np.array([parameters], np.int64))
+    except FixedPointOverflowError:
+        return None
+
+
+def _newton_step(
+    stack: Stack, state: State, parameters: tuple[int, ...], model: Model, penalty: Penalty
+) -> list[int]:
+    """What a Gauss-Newton step takes off the parameters; zeros if the gradient's last bits make as much."""
+    (slope,) = gradients(stack, state, [list(parameters)])
+    weight = stack.weight[0]
+    pull = [
+        2 * strength * (value - centre)
+        for value, centre, strength in zip(parameters, penalty.centre, penalty.strength, strict=True)
+    ]
+    around = curvature(stack, state, parameters, model)
+    for place, index in enumerate(model.free):
+        around[place][place] += penalty.strength[index] * WEIGHT_ONE / (weight << PENALTY_BITS)
+    try:
+        back = inverse(around)
+    except ValueError as error:
+        raise DivergedError("the points do not determine the parameters") from error
+    step, rounding = [0] * len(parameters), True
+    force = [slope[index] * weight * (1 << PENALTY_BITS) + pull[index] * WEIGHT_ONE for index in model.free]
+    for place, index in enumerate(model.free):
+        row = [round(value * (1 << STEP_BITS)) for value in back[place]]
+        moved = sum(value * one for value, one in zip(row, force, strict=True))
+        step[index] = rounded_quotient(moved, (weight << PENALTY_BITS) << (STEP_BITS + 1))
+        rounding &= abs(step[index]) <= sum(map(abs, row)) >> (STEP_BITS + 1)
+    return [0] * len(parameters) if rounding else step
+
+
+def _half(change: int) -> int:
+    """Half of it, towards zero."""
+    return change // 2 if change > 0 else -(-change // 2)

@@ -1,0 +1,146 @@
+"""The posterior where its answer is known: good coverage, none at all, and sensors that are far off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.posterior import POPULATION, Posterior, posterior
+from accelcal_cli.judge.sphere import sphere_error
+from accelcal_cli.optimize.fixed32 import OPTIMIZER
+from tests.optimize.oracle import IDEAL, directions, measured, points
+
+SENSOR = IDEAL + np.array([0.01, -0.02, 0.015, 0.01, -0.005, 0.008, 0.03, -0.02, 0.04, 0, 0, 0])[: len(IDEAL)]
+
+
+def of(held: PointSet, **prior: float) -> Posterior:
+    assert OPTIMIZER.fit_penalized is not None
+    number = len(set(postures(held, 15.0).tolist()))
+    return posterior(held, number, MODELS["9"], replace(POPULATION, **prior), OPTIMIZER.fit_penalized)
+
+
+def rest(sensor: np.ndarray, poses: np.ndarray, noise_g: float, seed: int = 1) -> PointSet:
+    """Postures whose |a| scatters by so much."""
+    scatter = 1 + noise_g * np.random.default_rng(seed).standard_normal((len(poses), 1))
+    return points(measured(sensor, poses * scatter))
+
+
+def values(known: Posterior) -> np.ndarray:
+    return np.array(known.found.fit.parameters) / ONE
+
+
+def test_with_good_coverage_the_points_decide() -> None:
+    known = of(rest(SENSOR, directions(60), 0.0))
+    assert np.abs(values(known)[:9] - SENSOR[:9]).max() < 2e-5
+    far = SENSOR + np.eye(len(SENSOR))[4] * 0.05
+    assert np.abs(values(of(rest(far, directions(60), 0.0)))[:9] - far[:9]).max() < 2e-5, "tails are heavy"
+
+
+@pytest.mark.parametrize("noise_mg", [0.2, 2.0, 6.0])
+def test_the_noise_is_that_of_the_postures(noise_mg: float) -> None:
+    """Mean of ten: 51 left-over postures know it to a tenth each."""
+    found = [of(rest(SENSOR, directions(60), noise_mg / 1000, seed)).noise_g for seed in range(10)]
+    assert 1000 * np.mean(found) == pytest.approx(noise_mg, rel=0.12)
+
+
+def test_standard_errors_are_those_of_least_squares_where_the_prior_is_wide() -> None:
+    """sigma^2 (J^T J)^-1 of |a| by differences, at the fitted parameters."""
+    held = rest(SENSOR, directions(60), 0.002)
+    known = of(held, scale=10.0, misalignment=10.0, offset_g=10.0)
+    p, g, step = values(known)[:9], held.xyz / ONE, 1e-6
+
+    def length(q: np.ndarray) -> np.ndarray:
+        k = np.array([[q[0], 0, 0], [q[3], q[1], 0], [q[4], q[5], q[2]]])
+        return np.asarray(np.sqrt((((g + q[6:9]) @ k.T) ** 2).sum(axis=1)))
+
+    slopes = np.stack([(length(p + step * e) - length(p - step * e)) / (2 * step) for e in np.eye(9)], axis=1)
+    number = len(set(postures(held, 15.0).tolist()))
+    share = number / len(g)
+    expected = known.noise_g * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes * share)))
+    assert np.array(known.standard_errors()[:9]) == pytest.approx(expected, rel=0.01)
+    assert known.standard_errors()[9:] == (0, 0, 0)
+
+
+def test_what_the_points_do_not_speak_of_stays_near_the_ideal_and_uncertain() -> None:
+    """Postures about +x say one combination of its scale and its offset, and nothing of what is across."""
+    turn = np.linspace(0, 6, 12)
+    near = np.stack([np.ones(12), 0.3 * np.cos(turn), 0.3 * np.sin(turn)], axis=1)
+    known = of(rest(IDEAL, near / np.sqrt((near**2).sum(axis=1))[:, None], 0.001))
+    errors = known.standard_errors()
+    wide = POPULATION.offset_g
+    assert 0.3 * POPULATION.scale < errors[0] < POPULATION.scale * 1.1
+    assert 0.3 * wide < errors[6] < wide * 1.1
+    assert np.abs(values(known) - np.array(IDENTITY) / ONE).max() < 0.01
+
+
+def test_a_part_of_the_points_is_fitted_with_the_same_prior() -> None:
+    held = rest(SENSOR, directions(60), 0.001)
+    known = of(held)
+    assert OPTIMIZER.fit_penalized is not None
+    fits = known.fitter(OPTIMIZER.fit_penalized)
+    whole, part = fits((held, held.select(np.arange(60) % 2 == 0)), MODELS["9"])
+    assert whole == known.found.fit
+    assert part.parameters != whole.parameters
+    assert np.abs(np.array(part.parameters) - whole.parameters).max() / ONE < 5e-3
+
+
+def test_the_order_of_the_points_makes_no_difference() -> None:
+    held = rest(SENSOR, directions(30), 0.002)
+    mixed = held.select(np.random.default_rng(2).permutation(30))
+    assert of(held) == of(mixed)
+
+
+def sphere(
+    known: Posterior, held: PointSet, parameters: tuple[int, ...]
+) -> tuple[float, tuple[float, float]]:
+    found = sphere_error(held, postures(held, 15.0), known, parameters)
+    return found.mean, found.ci95
+
+
+def test_over_the_sphere_an_offset_leaves_half_of_it() -> None:
+    """The mean of |cos| over the sphere is 1/2: an offset of 20 mg that is not corrected leaves 10 mg."""
+    moved = IDEAL + np.eye(len(IDEAL))[6] * 0.02
+    held = rest(moved, directions(200), 0.0)
+    known = of(held)
+    mean, (low, high) = sphere(known, held, IDENTITY)
+    assert mean == pytest.approx(10.0, rel=0.02)
+    assert low < mean < high and high - low < 0.3
+    found = sphere_error(held, postures(held, 15.0), known, IDENTITY)
+    assert found.worst_direction == pytest.approx(20.0, rel=0.02)
+    assert abs(found.worst_direction_at[0]) > 0.99
+
+
+def test_over_the_sphere_the_scatter_of_postures_remains() -> None:
+    """The mean of |n| is sqrt(2 / pi) sigma."""
+    held = rest(SENSOR, directions(200), 0.003)
+    known = of(held)
+    mean, (low, high) = sphere(known, held, known.found.fit.parameters)
+    assert mean == pytest.approx(1000 * known.noise_g * np.sqrt(2 / np.pi), rel=0.1)
+    assert low < mean < high
+
+
+@pytest.mark.nightly
+def test_the_interval_holds_the_error_over_the_sphere() -> None:
+    """Sensors drawn from the prior, in few postures: in 90 % and more."""
+    random, held_by = np.random.default_rng(7), 0
+    for seed in range(200):
+        size = np.array([0.018] * 3 + [0.013] * 3 + [0.035] * 3) * random.standard_t(4, 9)
+        sensor = IDEAL.copy()
+        sensor[:9] += size
+        lean = random.standard_normal(3)
+        poses = directions(60)[directions(60) @ lean > -0.3 * np.sqrt(lean @ lean)]
+        held = rest(sensor, poses[random.permutation(len(poses))[:12]], 0.002, seed)
+        known = of(held)
+        _, (low, high) = sphere(known, held, known.found.fit.parameters)
+        every = measured(sensor, directions(400)) + sensor[6:9]
+        p = values(known)
+        k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
+        error = np.sqrt((((every - sensor[6:9] + p[6:9]) @ k.T) ** 2).sum(axis=1)) - 1
+        noisy = np.abs(error + 0.002 * random.standard_normal((50, 400))).mean() * 1000
+        held_by += low <= noisy <= high
+    assert held_by >= 180
