@@ -13,7 +13,7 @@ from math import cos, inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.results import Coverage, Holdout, Trial
@@ -221,6 +221,9 @@ def not_eligible(evidence: Evidence, settings: Settings, model: Model) -> str | 
     """Why a model cannot be fitted, or None if it can (or the user insists on it)."""
     if model.name not in evidence.models:
         return f"optimizer {settings.optimizer} fits no {_beyond(evidence.models, model)}"
+    number = evidence.coverage.distinct_orientations
+    if model.free and number < settings.min_postures:
+        return f"stillness in only {counted(number, 'posture')}, at least {settings.min_postures} are needed"
     range_c = temperature_range_c(evidence.sample.points)
     if model.has_temperature and range_c < settings.min_temperature_range_c:
         return f"temperature varies by less than {settings.min_temperature_range_c:g} C"
