@@ -173,19 +173,20 @@ class Given:
 def given_points(table: Table, settings: Settings) -> Given:
     """Points of a table's rows, in units of local gravity."""
     lsb_per_g = FLOAT_LSB_PER_G * float(settings.gravity.local_g())
-    near = plausible(_windows(table), lsb_per_g, settings)
+    near = plausible(windows_of(table), lsb_per_g, settings)
     kept = table.select(near)
     temperature = settings.temperature and table.temperature_mc is not None
     if table.weight is None and table.posture is None:
         collector = CellCollector(lsb_per_g, settings, temperature=temperature)
-        collector.add(_windows(kept))
+        collector.add(windows_of(kept))
         points, label = collector.points(), None
     else:
         points, label = _kept_apart(kept, lsb_per_g, settings, temperature=temperature)
     return Given(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()))
 
 
-def _windows(table: Table) -> Windows:
+def windows_of(table: Table) -> Windows:
+    """The rows as still windows of one sample each."""
     number = len(table)
     order, spread = np.arange(number), np.full((number, 3), WIDEST_SPREAD)
     return Windows(np.ones(number, np.int64), order, table.counts, spread, table.temperature_mc)

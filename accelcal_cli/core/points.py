@@ -220,9 +220,10 @@ class PenalizedFit:
 
     Attributes:
         mean_square: weighted mean of (|a|^2 - 1)^2 there.
-        curvature: weighted mean of J^T J, where J is d(|a|^2 - 1)/dp of the free parameters.
+        curvature: weighted mean of J^T J, where J is d(|a|^2 - 1)/dp of the model's free parameters.
     """
 
+    model: Model
     fit: Fit
     mean_square: float
     curvature: tuple[tuple[float, ...], ...]

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import CellCollector
-from accelcal_cli.collect.table import WIDEST_SPREAD, read_table
+from accelcal_cli.collect.table import read_table, windows_of
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import Windows, joined_windows
@@ -153,12 +153,11 @@ def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillne
         UnreadableError: it is no table of points.
     """
     table = read_table(path)
-    number = len(table)
-    order, spread = np.arange(number), np.full((number, 3), WIDEST_SPREAD)
-    windows = Windows(np.ones(number, np.int64), order, table.counts, spread, table.temperature_mc)
+    windows = windows_of(table)
+    hours = windows.first_sample / max(1, len(table)) * span_h
     temperature = settings.temperature and table.temperature_mc is not None
     lsb_per_g = FLOAT_LSB_PER_G * float(settings.gravity.local_g())
-    return Stillness(windows, order / max(1, number) * span_h, span_h, lsb_per_g, temperature)
+    return Stillness(windows, hours, span_h, lsb_per_g, temperature)
 
 
 def segments(still: Stillness, hours: float, number: int, settings: Settings) -> Iterator[Segment]:

@@ -81,7 +81,7 @@ POPULATION = Prior(
     noise_spread=0.3,
     noise_freedom=2.0,
 )
-"""Wrist and body-worn accelerometers at large; docs/evaluation.md says how it was chosen."""
+"""Wrist and body-worn accelerometers at large; docs/prior.md says how it was chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +121,7 @@ class Posterior:
     def worst_direction_mg(self) -> float:
         """Largest standard error of |a| over directions of the sphere."""
         free = list(self.model.free)
-        return worst_direction_mg(self.found.fit.parameters, free, np.array(self.covariance) * 4)
+        return worst_direction_mg(self.found.fit.parameters, free, np.array(self.covariance))
 
 
 def posterior(
@@ -140,24 +140,17 @@ def posterior(
         DivergedError, FixedPointOverflowError: the fit does.
     """
     widths = _widths(prior, points)
-    noise_g, penalty, start = 2 * prior.noise_g, None, IDENTITY
+    noise_g, start, before = 2 * prior.noise_g, IDENTITY, None
     for _ in range(ROUNDS):
-        before, penalty = penalty, _penalty(points, postures, widths, prior.freedom, noise_g, start)
+        penalty = _penalty(points, postures, widths, prior.freedom, noise_g, start)
         if penalty == before:
             break
-        found = fitter(points, model, penalty, start)
+        found, before = fitter(points, model, penalty, start), penalty
         start = found.fit.parameters
-        spread = _inverse(points, found, penalty, model)
-        used = sum(
-            found.curvature[i][j] * spread[j][i] for i in range(len(spread)) for j in range(len(spread))
-        )
-        squares = postures * found.mean_square / 4
-        noise_g = _noise_g(postures - used, squares, prior)
-    assert penalty is not None
+        noise_g, freedom = _noise(found, _inverse(points, found, penalty), postures, prior)
     found = fitter(points, model, penalty, IDENTITY)
     unit = 4 * noise_g * noise_g / postures
-    covariance = tuple(tuple(unit * value for value in row) for row in spread)
-    freedom = max(1.0, max(postures - used, 0.0) + _pull(noise_g, prior)[1] / 2)
+    covariance = tuple(tuple(unit * value for value in row) for row in _inverse(points, found, penalty))
     return Posterior(model, found, penalty, noise_g, freedom, covariance)
 
 
@@ -194,12 +187,27 @@ def _short(value: float) -> int:
     return max(1, whole >> drop << drop)
 
 
-def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty, model: Model) -> list[list[float]]:
+def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[list[float]]:
+    """Inverse of the curvature with the prior: the free parameters' covariance but for its scale."""
     total = sum(points.weights.tolist()) / WEIGHT_ONE
     around = [list(row) for row in found.curvature]
-    for place, index in enumerate(model.free):
+    for place, index in enumerate(found.model.free):
         around[place][place] += penalty.strength[index] / (1 << PENALTY_BITS) / total
     return inverse(around)
+
+
+def _noise(
+    found: PenalizedFit, spread: list[list[float]], postures: int, prior: Prior
+) -> tuple[float, float]:
+    """The noise [g] that residuals and prior speak for, and its degrees of freedom.
+
+    The parameters use up trace(H) of the postures, where H takes the residuals' place in the fit.
+    """
+    pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
+    used = sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True))
+    surplus = postures - used
+    noise_g = _noise_g(surplus, postures * found.mean_square / 4, prior)
+    return noise_g, max(1.0, max(surplus, 0.0) + _pull(noise_g, prior)[1] / 2)
 
 
 def _noise_g(surplus: float, squares: float, prior: Prior) -> float:

@@ -1,11 +1,13 @@
 """The error of a calibration over the whole sphere, also where the wrist has not been.
 
 Held-out postures say how wrong a calibration is where the wrist has been. What it would be in every direction
-follows from the posterior: sensors are drawn from it, and each is calibrated and held against 1 g.
+follows from the posterior: sensors are drawn from it, and each is calibrated, to first order, and held
+against 1 g.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from math import erf, exp, pi, sqrt
 
@@ -19,42 +21,58 @@ from accelcal_cli.judge.errors import directions, jacobian, quantile
 from accelcal_cli.judge.posterior import Posterior
 
 DRAWS = 1000
+"""Sensors: with so many the ends of the interval are known to about 2 % of its width, if it is normal."""
+
 SEED = 20181
 TAIL = 0.025
+"""Share of the draws beyond each end of the interval."""
+
 LARGEST_RATIO = 6.0
 """Beyond so many standard deviations noise does not change a mean error."""
 
 Floats = NDArray[np.float64]
 
 
-def sphere_error(
-    points: PointSet, label: NDArray[np.int64], known: Posterior, parameters: tuple[int, ...]
-) -> SphereError:
-    """Mean | |a| - 1 g | of a calibration over all directions, at the points' mean temperature.
+def sphere_errors(
+    points: PointSet, label: NDArray[np.int64], known: Posterior, judged: Sequence[tuple[int, ...]]
+) -> list[SphereError]:
+    """Mean | |a| - 1 g | of calibrations over all directions, at the points' mean temperature.
 
     The interval allows for where the wrist will go: its low end (2.5 %) is for one that spends an unknown
     share of its time in the postures where it has been, its high end (97.5 %) for one that goes everywhere.
 
     Args:
         points: those that the posterior is of; label is the posture number of each, (n,).
-        parameters: twelve fixed-point integers of the calibration that is judged: those of the posterior, of
-            a simpler model, or of the ideal sensor.
+        judged: twelve fixed-point parameters of each calibration: those of the posterior, of a simpler model,
+            or of the ideal sensor.
     """
-    best = known.found.fit.parameters
-    everywhere = _raw_directions(best)
     noise, drawn = _drawn(known)
-    errors = _mean_error(_deviations(everywhere, known, parameters, drawn), noise)
-    visited = _mean_error(_deviations(_posture_means(points, label), known, parameters, drawn), noise)
-    of_directions, of_draws = errors.mean(axis=0), errors.mean(axis=1)
+    best = known.found.fit.parameters
+    free = list(known.model.free)
+    raw = (_raw_directions(best), _posture_means(points, label))
+    scatter = [drawn @ (jacobian(where, None, best)[:, free] / 2).T for where in raw]
+    found = []
+    for parameters in judged:
+        shifts = [_lengths(where, parameters) - _lengths(where, best) for where in raw]
+        means = [_mean_error(shift - moved, noise) for shift, moved in zip(shifts, scatter, strict=True)]
+        found.append(_summary(*means))
+    return found
+
+
+def _summary(everywhere: Floats, visited: Floats) -> SphereError:
+    """Of each draw's mean errors [g] in all directions, (DRAWS, 162), and in the postures, (DRAWS, p)."""
+    of_directions, of_draws = everywhere.mean(axis=0), everywhere.mean(axis=1)
     worst = int(of_directions.argmax())
-    share = _normal()[1][:, 0]
+    share = _normal()[1]
     partly = share * visited.mean(axis=1) + (1 - share) * of_draws
     low = min(quantile(sorted(draws.tolist()), TAIL) for draws in (partly, of_draws))
     high = quantile(sorted(of_draws.tolist()), 1 - TAIL)
     x, y, z = directions()[worst].tolist()
-    interval = 1000 * low, 1000 * high
     return SphereError(
-        1000 * float(of_directions.mean()), interval, 1000 * float(of_directions[worst]), (x, y, z)
+        mean=1000 * float(of_directions.mean()),
+        ci95=(1000 * low, 1000 * high),
+        worst_direction=1000 * float(of_directions[worst]),
+        worst_direction_at=(x, y, z),
     )
 
 
@@ -71,7 +89,8 @@ def _raw_directions(parameters: tuple[int, ...]) -> Floats:
 def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
     """Raw mean of each posture, (postures, 3) in g."""
     g = points.xyz_g()
-    rows = [np.average(g[label == key], axis=0, weights=points.weights[label == key]) for key in set(label)]
+    keys = np.unique(label).tolist()
+    rows = [np.average(g[label == key], axis=0, weights=points.weights[label == key]) for key in keys]
     return np.asarray(rows)
 
 
@@ -90,18 +109,9 @@ def _drawn(known: Posterior) -> tuple[Floats, Floats]:
 
 @cache
 def _normal() -> tuple[Floats, Floats]:
-    """Standard normal numbers, (DRAWS, 13), and numbers from 0 to 1, (DRAWS, 1); always the same."""
+    """Standard normal numbers, (DRAWS, 13), and numbers from 0 to 1, (DRAWS,); always the same."""
     random = np.random.RandomState(SEED)
-    return random.standard_normal((DRAWS, 13)), random.uniform(size=(DRAWS, 1))
-
-
-def _deviations(raw: Floats, known: Posterior, parameters: tuple[int, ...], drawn: Floats) -> Floats:
-    """|a| - 1 of a calibration in each direction for each drawn sensor, to first order, (DRAWS, n) in g."""
-    best = known.found.fit.parameters
-    free = list(known.model.free)
-    slope = jacobian(raw, None, best) / 2
-    a = _lengths(raw, parameters)
-    return np.asarray((a - _lengths(raw, best))[np.newaxis] - drawn @ slope[:, free].T)
+    return random.standard_normal((DRAWS, 13)), random.uniform(size=DRAWS)
 
 
 def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:

@@ -34,7 +34,7 @@ from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import POPULATION, posterior
 from accelcal_cli.judge.rest import picture
-from accelcal_cli.judge.sphere import sphere_error
+from accelcal_cli.judge.sphere import sphere_errors
 
 FULL_MODELS = ("9", "9T")
 DIVERGES = "the fit diverges: the points do not determine the parameters"
@@ -113,6 +113,7 @@ def _most_probable(
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
     fitted = known.found.fit
+    sphere, before = sphere_errors(points, label, known, (fitted.parameters, IDENTITY))
     verdict = Judgement(
         Outcome.REFUSED,
         "",
@@ -120,13 +121,13 @@ def _most_probable(
         (*trials, Trial(name, holdout, None, fitted, settings.prior)),
         holdout=holdout,
         candidate=_calibration(name, fitted, points, settings.gravity),
-        sphere=sphere_error(points, label, known, fitted.parameters),
-        sphere_before=sphere_error(points, label, known, IDENTITY),
+        sphere=sphere,
+        sphere_before=before,
     )
     outcome, text = _outcome_of_sphere(verdict, settings)
     verdict = replace(verdict, outcome=outcome, message=text)
     if outcome is Outcome.ALREADY_GOOD:
-        return replace(verdict, sphere=verdict.sphere_before)
+        return replace(verdict, sphere=before)
     if outcome is Outcome.REFUSED:
         return verdict
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)

@@ -1,10 +1,13 @@
 """The objective in fixed point with a penalty, by Gauss-Newton steps.
 
-Objective, gradient and parameters are integers, and a step is taken only if it lowers the exact sum. Floating
-point only proposes steps, in an order that never changes (core.linear).
+Objective, gradient and parameters are integers. Floating point only says how far a step goes, by operations
+whose order never changes (core.linear), and no step is taken that raises the exact sum.
 """
 
 from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -79,60 +82,68 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
     if not points.weights.any():
         raise DivergedError("no point has any weight")
     stack = stacked((points,))
-    here, stop, costs, seen = tuple(start), "iterations", 1, set[tuple[int, ...]]()
-    state = evaluate(stack, np.array([here], np.int64))
-    total = _total(stack, state, here, penalty)
+    here, stop = _at(stack, start, penalty), "iterations"
+    costs, seen = 1, set[tuple[int, ...]]()
     while len(seen) < MAX_NEWTON_STEPS and stop == "iterations":
-        seen.add(here)
-        step = _newton_step(stack, state, here, model, penalty)
-        stop = "step within rounding"
-        while any(step):
-            there = tuple(value - change for value, change in zip(here, step, strict=True))
-            tried, costs = _tried(stack, there), costs + 1
-            reached = None if tried is None else _total(stack, tried, there, penalty)
-            if (
-                tried is not None
-                and reached is not None
-                and reached <= total + (total >> RISE_TOLERANCE_BITS)
-            ):
-                here, state, total = there, tried, reached
-                stop = "steps of one bit in a circle" if here in seen else "iterations"
-                break
-            step = [_half(change) for change in step]
-    if min(here[:3]) < LEAST_SCALE:
+        seen.add(here.parameters)
+        step = _newton_step(stack, here, model, penalty)
+        there, tried = _lower(stack, here, step, penalty)
+        costs += tried
+        if there is None:
+            stop = "step within rounding"
+        else:
+            here, stop = there, "a circle within rounding" if there.parameters in seen else stop
+    if min(here.parameters[:3]) < LEAST_SCALE:
         raise DivergedError("an axis collapsed: the points do not determine its scale")
-    mean_square = cost(stack, state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
-    found = Fit(here, len(seen), stop, operations_of(stack.number[0], costs, len(seen)))
-    around = curvature(stack, state, here, model)
-    return PenalizedFit(found, mean_square, tuple(tuple(row) for row in around))
+    mean_square = cost(stack, here.state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
+    found = Fit(here.parameters, len(seen), stop, operations_of(stack.number[0], costs, len(seen)))
+    around = curvature(stack, here.state, here.parameters, model)
+    return PenalizedFit(model, found, mean_square, tuple(tuple(row) for row in around))
 
 
-def _total(stack: Stack, state: State, parameters: tuple[int, ...], penalty: Penalty) -> int:
-    """The exact objective in units of 2**-(58 + weight bits + PENALTY_BITS)."""
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where the descent stands.
+
+    Attributes:
+        total: the exact objective in units of 2**-(58 + weight bits + PENALTY_BITS).
+    """
+
+    parameters: tuple[int, ...]
+    state: State
+    total: int
+
+
+def _at(stack: Stack, parameters: tuple[int, ...], penalty: Penalty) -> _Place:
+    """The place of parameters; raises FixedPointOverflowError beyond the range."""
+    state = evaluate(stack, np.array([parameters], np.int64))
     away = zip(parameters, penalty.centre, penalty.strength, strict=True)
     added = sum(strength * (value - centre) ** 2 for value, centre, strength in away)
-    return (cost(stack, state)[0] << PENALTY_BITS) + (added << WEIGHT_BITS)
+    return _Place(parameters, state, (cost(stack, state)[0] << PENALTY_BITS) + (added << WEIGHT_BITS))
 
 
-def _tried(stack: Stack, parameters: tuple[int, ...]) -> State | None:
-    """The state at parameters; None if it leaves the fixed-point range."""
-    try:
-        return evaluate(stack, np.array([parameters], np.int64))
-    except FixedPointOverflowError:
-        return None
+def _lower(stack: Stack, here: _Place, step: list[int], penalty: Penalty) -> tuple[_Place | None, int]:
+    """Where a step leads, or the largest part of it that raises the sum by no more than rounding; and how
+    many places were tried. None where no part does."""
+    tried = 0
+    while any(step):
+        parameters = tuple(value - change for value, change in zip(here.parameters, step, strict=True))
+        tried += 1
+        with suppress(FixedPointOverflowError):
+            there = _at(stack, parameters, penalty)
+            if there.total <= here.total + (here.total >> RISE_TOLERANCE_BITS):
+                return there, tried
+        step = [_half(change) for change in step]
+    return None, tried
 
 
-def _newton_step(
-    stack: Stack, state: State, parameters: tuple[int, ...], model: Model, penalty: Penalty
-) -> list[int]:
+def _newton_step(stack: Stack, here: _Place, model: Model, penalty: Penalty) -> list[int]:
     """What a Gauss-Newton step takes off the parameters; zeros if the gradient's last bits make as much."""
-    (slope,) = gradients(stack, state, [list(parameters)])
-    weight = stack.weight[0]
-    pull = [
-        2 * strength * (value - centre)
-        for value, centre, strength in zip(parameters, penalty.centre, penalty.strength, strict=True)
-    ]
-    around = curvature(stack, state, parameters, model)
+    parameters, weight = here.parameters, stack.weight[0]
+    (slope,) = gradients(stack, here.state, [list(parameters)])
+    away = zip(parameters, penalty.centre, penalty.strength, strict=True)
+    pull = [2 * strength * (value - centre) for value, centre, strength in away]
+    around = curvature(stack, here.state, parameters, model)
     for place, index in enumerate(model.free):
         around[place][place] += penalty.strength[index] * WEIGHT_ONE / (weight << PENALTY_BITS)
     try:

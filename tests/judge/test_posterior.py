@@ -9,9 +9,10 @@ import pytest
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.judge.errors import uncertainty
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.posterior import POPULATION, Posterior, posterior
-from accelcal_cli.judge.sphere import sphere_error
+from accelcal_cli.judge.sphere import sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.optimize.oracle import IDEAL, directions, measured, points
 
@@ -64,6 +65,10 @@ def test_standard_errors_are_those_of_least_squares_where_the_prior_is_wide() ->
     expected = known.noise_g * np.sqrt(np.diag(np.linalg.inv(slopes.T @ slopes * share)))
     assert np.array(known.standard_errors()[:9]) == pytest.approx(expected, rel=0.01)
     assert known.standard_errors()[9:] == (0, 0, 0)
+    plain = uncertainty(held, known.found.fit.parameters, MODELS["9"])
+    assert plain is not None, "by the scatter of points, where the other is by that of postures"
+    ratio = np.array(known.standard_errors()[:9]) / plain.standard_errors[:9]
+    assert known.worst_direction_mg() == pytest.approx(plain.worst_direction_mg * ratio.mean(), rel=0.02)
 
 
 def test_what_the_points_do_not_speak_of_stays_near_the_ideal_and_uncertain() -> None:
@@ -98,7 +103,7 @@ def test_the_order_of_the_points_makes_no_difference() -> None:
 def sphere(
     known: Posterior, held: PointSet, parameters: tuple[int, ...]
 ) -> tuple[float, tuple[float, float]]:
-    found = sphere_error(held, postures(held, 15.0), known, parameters)
+    (found,) = sphere_errors(held, postures(held, 15.0), known, [parameters])
     return found.mean, found.ci95
 
 
@@ -110,7 +115,7 @@ def test_over_the_sphere_an_offset_leaves_half_of_it() -> None:
     mean, (low, high) = sphere(known, held, IDENTITY)
     assert mean == pytest.approx(10.0, rel=0.02)
     assert low < mean < high and high - low < 0.3
-    found = sphere_error(held, postures(held, 15.0), known, IDENTITY)
+    (found,) = sphere_errors(held, postures(held, 15.0), known, [IDENTITY])
     assert found.worst_direction == pytest.approx(20.0, rel=0.02)
     assert abs(found.worst_direction_at[0]) > 0.99
 
