@@ -29,7 +29,7 @@ from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.inspect import as_json, inspect
 from tests.cli.run import run
 from tests.cli.studies import rows
-from tests.formats import make_csv, make_hdf5
+from tests.formats import make_csv, make_cwa, make_hdf5
 
 FIRST: dict[str, tuple[str, str | None]] = {
     "actigraph_30hz_12h.csv.gz": ("2017-10-30T15:00:00", "UTC"),
@@ -67,14 +67,9 @@ def cwa_stamp(sector: bytes) -> tuple[datetime, int, int]:
     """A data sector's time, which of its samples has that time, and how many samples it holds."""
     fraction, _session, _sequence, stamp = struct.unpack_from("<HIII", sector, 4)
     sample, count = struct.unpack_from("<hH", sector, 26)
-    day = datetime(2000 + (stamp >> 26), stamp >> 22 & 15, stamp >> 17 & 31)
     part = (fraction & 0x7FFF) / 32768 if fraction & 0x8000 else 0.0
-    seconds = (stamp >> 12 & 31) * 3600 + (stamp >> 6 & 63) * 60 + (stamp & 63) + part
-    return (
-        day + timedelta(seconds=seconds),
-        sample + int(part * 3200 / (1 << (15 - (sector[24] & 15)))),
-        count,
-    )
+    anchor = sample + int(part * 3200 / (1 << (15 - (sector[24] & 15))))
+    return make_cwa.unpacked_time(stamp) + timedelta(seconds=part), anchor, count
 
 
 def cwa(path: Path) -> str:
@@ -83,7 +78,7 @@ def cwa(path: Path) -> str:
     sectors = [data[place : place + 512] for place in range(1024, 1024 + 512 * 4, 512)]
     good = [sector for sector in sectors if sum(struct.unpack("<256H", sector)) % 65536 == 0]
     (one, at, count), (two, then, _) = map(cwa_stamp, good[:2])
-    return (one - at * (two - one) / (count + then - at)).replace(microsecond=0).isoformat()
+    return (one - at * (two - one) / (count + then - at)).replace(microsecond=0, tzinfo=None).isoformat()
 
 
 def gt3x(path: Path) -> str:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.clock import FIRST_US, LAST_US
 from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
@@ -182,9 +183,17 @@ class Format:
         """
         module, _, function = self.reader.partition(":")
         reader: Reader = getattr(importlib.import_module(module), function)(path, options)
+        _refuse_no_calendar(reader.recording)
         zone, force = options.timezone, options.force_timezone
         reader.recording = in_its_zone(reader.recording, zone, force=force)
         return reader
+
+
+def _refuse_no_calendar(recording: Recording) -> None:
+    if not FIRST_US <= (recording.start_us or 0) <= LAST_US:
+        what = "begins outside the years 1 to 9999"
+        hint = "copy it again from the device, or correct the start time that it is given"
+        raise UnreadableError(what, path=recording.path, hint=hint)
 
 
 def probe_file(path: Path, options: ReadOptions) -> Probe:

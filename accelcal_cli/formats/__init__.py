@@ -16,7 +16,6 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from accelcal_cli.core.clock import FIRST_US, LAST_US
 from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.formats import (
     Encoder,
@@ -124,9 +123,6 @@ def open_recording(
     _refuse_options(item.unused(options), [item.name], path)
     reader = item.open(path, options)
     reader.threads = threads
-    if not FIRST_US <= (reader.recording.start_us or 0) <= LAST_US:
-        hint = "copy it again from the device, or correct the start time that it is given"
-        raise UnreadableError("begins outside the years 1 to 9999", path=path, hint=hint)
     if unused:
         note = unused_note(unused, item.name)
         reader.recording = replace(reader.recording, notes=(*reader.recording.notes, note))

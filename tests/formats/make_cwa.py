@@ -32,6 +32,15 @@ def packed_time(time_us: int) -> int:
     return date | t.hour << 12 | t.minute << 6 | t.second
 
 
+def unpacked_time(stamp: int) -> datetime:
+    """The second that a sector's stamp means; raises ValueError where there is none."""
+    date, time = (
+        (2000 + (stamp >> 26), stamp >> 22 & 15, stamp >> 17 & 31),
+        (stamp >> 12 & 31, stamp >> 6 & 63),
+    )
+    return datetime(*date, *time, stamp & 63, tzinfo=UTC)
+
+
 def with_checksum(page: bytes) -> bytes:
     """The sector with its last two bytes such that all words add up to zero."""
     words = struct.unpack("<255H", page[:510])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,6 +19,8 @@ GRID = 4096.0
 Item = TypeVar("Item")
 Records = list[bytes]
 Change = Callable[[Records, Random], None]
+SetField = Callable[[bytes, str, int, int], bytes]
+"""A record with one field, of a form as `struct` has it, set at a byte; its checksum is right again."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +146,41 @@ def flip(record: bytes, random: Random) -> bytes:
     """One bit of a record is wrong."""
     at = random.randrange(len(record))
     return record[:at] + bytes([record[at] ^ 1 << random.randrange(8)]) + record[at + 1 :]
+
+
+def broken(records: Records, random: Random) -> None:
+    """A bit is wrong, and so is the checksum, if there is one."""
+    at = random.randrange(len(records))
+    records[at] = flip(records[at], random)
+
+
+def blank(records: Records, random: Random) -> None:
+    """Records, all of one size, are empty, erased or noise."""
+    where = stretch(records, random, (1, 2, 5))
+    size = len(records[where.start])
+    filling = random.choice([bytes(size), b"\xff" * size, random.randbytes(size)])
+    records[where] = [filling] * len(records[where])
+
+
+def field_setter(
+    set_field: SetField,
+    name: str,
+    form: str,
+    at: int,
+    values: tuple[int, ...],
+    lengths: tuple[int, ...] = (1,),
+) -> Change:
+    """A change that sets one field of a few records to one of these values, or to any."""
+    bits = 8 * struct.calcsize(form)
+    low = -(1 << bits - 1) if form == "<h" else 0
+
+    def change(records: Records, random: Random) -> None:
+        value = random.choice([*values, random.randrange(low, low + (1 << bits))])
+        where = stretch(records, random, lengths)
+        records[where] = [set_field(record, form, at, value) for record in records[where]]
+
+    change.__name__ = name
+    return change
 
 
 def changed(records: Records, random: Random, changes: Sequence[Change], most: int = 4) -> str:

@@ -4,14 +4,26 @@ from __future__ import annotations
 
 import struct
 from datetime import datetime, timedelta
-from functools import cache
+from functools import cache, partial
 from random import Random
 
 import numpy as np
 
-from tests.formats.make_cwa import EPOCH, FULL, header, packed_time, sectors, with_checksum
+from tests.formats.make_cwa import EPOCH, FULL, header, packed_time, sectors, unpacked_time, with_checksum
 from tests.fuzz.blind import blind
-from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, flip, stretch, together
+from tests.fuzz.mutant import (
+    ORDER,
+    Change,
+    Mutant,
+    Records,
+    Truth,
+    blank,
+    broken,
+    changed,
+    field_setter,
+    stretch,
+    together,
+)
 
 SUFFIX = ".cwa"
 SECTOR = 512
@@ -50,33 +62,10 @@ def set_field(page: bytes, form: str, at: int, value: int, at_offset: int = 0, o
     return with_checksum(bytes(new))
 
 
-def setter(name: str, form: str, at: int, values: tuple[int, ...], lengths: tuple[int, ...] = (1,)) -> Change:
-    """A change that sets one field of a few sectors to one value, or to any."""
-    bits = 8 * struct.calcsize(form)
-    low = -(1 << bits - 1) if form[1].islower() and form[1] == "h" else 0
-
-    def change(pages: Records, random: Random) -> None:
-        value = random.choice([*values, random.randrange(low, low + (1 << bits))])
-        where = stretch(pages, random, lengths)
-        pages[where] = [set_field(page, form, at, value) for page in pages[where]]
-
-    change.__name__ = name
-    return change
-
-
 def later(page: bytes, seconds: int) -> bytes:
     """A sector stamped so much later, within what its stamp can say."""
-    stamp = struct.unpack_from("<I", page, AT_STAMP)[0]
     try:
-        when = datetime(
-            2000 + (stamp >> 26),
-            stamp >> 22 & 15,
-            stamp >> 17 & 31,
-            stamp >> 12 & 31,
-            stamp >> 6 & 63,
-            stamp & 63,
-            tzinfo=EPOCH.tzinfo,
-        )
+        when = unpacked_time(struct.unpack_from("<I", page, AT_STAMP)[0])
     except ValueError:
         return page
     moved = min(max(when + timedelta(seconds=seconds), datetime(2000, 1, 1, tzinfo=EPOCH.tzinfo)), VERY_LAST)
@@ -94,19 +83,6 @@ def numbered(pages: Records, random: Random) -> None:
     where = stretch(pages, random, (1, 1, 3, 1000))
     first = random.choice([0, (1 << 32) - 2, 1_000_000, random.getrandbits(32)])
     pages[where] = [set_field(page, "<I", 10, first + k & 0xFFFFFFFF) for k, page in enumerate(pages[where])]
-
-
-def blank(pages: Records, random: Random) -> None:
-    """Sectors are empty, erased or noise."""
-    where = stretch(pages, random, (1, 2, 5))
-    filling = random.choice([bytes(SECTOR), b"\xff" * SECTOR, random.randbytes(SECTOR)])
-    pages[where] = [filling] * len(pages[where])
-
-
-def broken(pages: Records, random: Random) -> None:
-    """A bit is wrong, and so is the checksum."""
-    at = random.randrange(len(pages))
-    pages[at] = flip(pages[at], random)
 
 
 def kind(pages: Records, random: Random) -> None:
@@ -131,6 +107,8 @@ def other_recording(pages: Records, random: Random) -> None:
     own = sectors(new, session=9, time_us=1_709_510_400_000_000 + late)
     pages[at:at] = [set_field(page.to_bytes(), "<I", 10, first + k) for k, page in enumerate(own)]
 
+
+setter = partial(field_setter, set_field)
 
 CHANGES: tuple[Change, ...] = (
     *ORDER,

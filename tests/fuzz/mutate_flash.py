@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 import zlib
 from fractions import Fraction
-from functools import cache
+from functools import cache, partial
 from random import Random
 
 import numpy as np
@@ -13,7 +13,20 @@ import numpy as np
 from accelcal_cli.core.formats import ReadOptions
 from tests.formats import make_flash
 from tests.fuzz.blind import blind
-from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, flip, stretch, together
+from tests.fuzz.mutant import (
+    ORDER,
+    Change,
+    Mutant,
+    Records,
+    Truth,
+    blank,
+    broken,
+    changed,
+    field_setter,
+    flip,
+    stretch,
+    together,
+)
 
 SUFFIX = ".bin"
 PAGE = 512
@@ -46,20 +59,6 @@ def number(random: Random) -> int:
     )
 
 
-def setter(name: str, form: str, at: int, values: tuple[int, ...], lengths: tuple[int, ...] = (1,)) -> Change:
-    """A change that sets one field of a few pages."""
-    bits = 8 * struct.calcsize(form)
-    low = -(1 << bits - 1) if form == "<h" else 0
-
-    def change(pages: Records, random: Random) -> None:
-        value = random.choice([*values, random.randrange(low, low + (1 << bits))])
-        where = stretch(pages, random, lengths)
-        pages[where] = [set_field(page, form, at, value) for page in pages[where]]
-
-    change.__name__ = name
-    return change
-
-
 def jump(pages: Records, random: Random) -> None:
     """The clock jumps, for a while or for good."""
     where, by = stretch(pages, random, (1, 3, 1000)), random.choice(JUMPS_S)
@@ -75,22 +74,12 @@ def numbered(pages: Records, random: Random) -> None:
         pages[at] = set_field(pages[at], "<I", AT_SEQUENCE, (first + at) % WORD)
 
 
-def blank(pages: Records, random: Random) -> None:
-    """Pages are empty, erased or noise."""
-    where = stretch(pages, random, (1, 2, 5))
-    pages[where] = [random.choice([bytes(PAGE), b"\xff" * PAGE, random.randbytes(PAGE)])] * len(pages[where])
-
-
-def broken(pages: Records, random: Random) -> None:
-    """A bit is wrong, and so is the checksum."""
-    at = random.randrange(len(pages))
-    pages[at] = flip(pages[at], random)
-
-
 def head_within(pages: Records, random: Random) -> None:
     """A header stands among the pages."""
     pages.insert(random.randrange(len(pages)), recording()[0])
 
+
+setter = partial(field_setter, set_field)
 
 CHANGES: tuple[Change, ...] = (
     *ORDER,

@@ -12,7 +12,7 @@ import numpy as np
 from tests.formats import make_geneactiv
 from tests.formats.make_geneactiv import Page
 from tests.fuzz.blind import blind
-from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, flip, stretch, together
+from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, broken, changed, stretch, together
 
 SUFFIX = ".bin"
 SAMPLES = 300
@@ -135,12 +135,6 @@ def junk(pages: Records, random: Random) -> None:
         *(b"0" * 5000 + b"\r\n", recording()[0]),
     )
     pages.insert(random.randrange(len(pages)), random.choice(rubbish))
-
-
-def broken(pages: Records, random: Random) -> None:
-    """A bit is wrong."""
-    at = random.randrange(len(pages))
-    pages[at] = flip(pages[at], random)
 
 
 CHANGES: tuple[Change, ...] = (

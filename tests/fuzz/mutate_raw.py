@@ -13,7 +13,7 @@ import numpy as np
 
 from accelcal_cli.core.formats import ReadOptions
 from tests.fuzz.blind import blind
-from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, flip, stretch, together
+from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, broken, changed, stretch, together
 
 SUFFIX = ".raw"
 ROWS = 480
@@ -188,11 +188,6 @@ def page_changes(plan: Plan) -> tuple[Change, ...]:
         at = random.randrange(len(parts))
         size = len(parts[at])
         parts[at] = random.choice([bytes(size), b"\xff" * size, random.randbytes(size)])
-
-    def broken(parts: Records, random: Random) -> None:
-        """A bit is wrong."""
-        at = random.randrange(len(parts))
-        parts[at] = flip(parts[at], random)
 
     return (*ORDER, blank, broken, *((field, field) if plan.page else ()))
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import struct
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ import pytest
 from accelcal_cli.core.formats import Probe, ReadOptions, probe_file
 from accelcal_cli.core.recording import Chunk, Device, Reader
 from accelcal_cli.formats.cwa import FORMAT
-from tests.formats.make_cwa import START_US, Sector, header, make, sectors, written
+from tests.formats.make_cwa import START_US, Sector, header, make, sectors, unpacked_time, written
 
 RNG = np.random.default_rng(1)
 REAL = {
@@ -65,16 +64,7 @@ def words_of(page: bytes) -> dict[str, int]:
 def anchor_of(page: bytes) -> tuple[int, float]:
     """Sample number within the sector and its time [us], by the format document."""
     word = words_of(page)
-    bits = word["stamp"]
-    moment = datetime(
-        2000 + (bits >> 26),
-        bits >> 22 & 15,
-        bits >> 17 & 31,
-        bits >> 12 & 31,
-        bits >> 6 & 63,
-        bits & 63,
-        tzinfo=UTC,
-    )
+    moment = unpacked_time(word["stamp"])
     sixteenth = (word["fraction"] & 0x7FFF) * 2
     rate = int(3200 / 2 ** (15 - (word["rate"] & 15)))
     return word["offset"] + (sixteenth * rate >> 16), (moment.timestamp() + sixteenth / 65536) * 1e6

@@ -16,7 +16,6 @@ import pytest
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Reader
-from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.raw import FORMAT
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_raw import START_US, frames, make
@@ -508,10 +507,12 @@ def test_long_frames_are_read_in_bounded_memory(tmp_path: Path) -> None:
     assert in_bounded_memory(code, tmp_path / "a.bin") == "256"
 
 
-def test_pages_stamped_beyond_the_year_9999_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("zone", [None, "Europe/Berlin"])
+def test_pages_stamped_beyond_the_year_9999_are_refused(tmp_path: Path, zone: str | None) -> None:
     page = struct.pack("<I", 0xFFFF_0000) + b"\1" * 60
     keys = dump(page_bytes=64, page_header_bytes=4) + xyz("int16", 2)
     layout = keys + '[page]\ntime = { offset = 0, type = "uint32", per_unit = 60 }\n'
-    opened(tmp_path, page * 3, layout)
+    (tmp_path / "a.bin").write_bytes(page * 3)
+    (tmp_path / "a.layout.toml").write_text(layout)
     with pytest.raises(UnreadableError, match="begins outside the years 1 to 9999"):
-        open_recording(tmp_path / "a.bin", ReadOptions())
+        FORMAT.open(tmp_path / "a.bin", ReadOptions(timezone=zone))
