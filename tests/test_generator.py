@@ -78,7 +78,7 @@ def calibrated_day(real_data: Path, folder: Path, truth: int, days: str, suffixe
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param((3, "0.25", ("cwa", "csv", "gt3x")), id="6h"),
+        pytest.param((3, "0.25", ("cwa", "gt3x")), id="6h"),
         *(
             pytest.param((seed, "1", SUFFIXES), id=f"day-{seed}", marks=pytest.mark.nightly)
             for seed in (3, 5, 8, 21)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import pytest
 
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import run
+from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]
 NILSPOD = """
@@ -47,7 +46,7 @@ def freshly_calibrated(capsys: Capture, path: Path, folder: Path, *words: object
     reports = list(folder.glob("*.calibration.json"))
     assert len(reports) == 1, ran
     report = json.loads(reports[0].read_text())
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     return ran.code, report
 
 

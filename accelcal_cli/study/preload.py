@@ -1,11 +1,10 @@
-"""Imported once by the server that workers are forked from: what the first recording would import.
-
-pyarrow imports pandas when it first makes an array.
-"""
+"""Imported once by the server that workers are forked from: what the first recording would import."""
 
 from __future__ import annotations
 
-import pandas
+import zoneinfo
+
+import numpy as np
 
 import accelcal_cli.output.parquet
 import accelcal_cli.pipeline.export
@@ -18,7 +17,8 @@ from accelcal_cli.pipeline.outputs import provenance
 
 load_all()
 READY = (
-    pandas,
+    np.random,
+    zoneinfo,
     accelcal_cli.output.parquet,
     accelcal_cli.pipeline.export,
     accelcal_cli.study.task,

@@ -5,23 +5,22 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run, run_process
 from tests.device_recordings import donor, edit, rest, set_coefficients, week, write_device
 from tests.recordings import directions, good_csv
+from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]
 
 
 def report_of(path: Path) -> dict:
     report = json.loads(path.read_text())
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     return report
 
 

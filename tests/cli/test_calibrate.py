@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-import jsonschema
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -17,7 +16,6 @@ import pytest
 
 from accelcal_cli.core.points import IDENTITY, MODELS, PARAMETER_NAMES, PENALTY_BITS, Penalty, PointSet
 from accelcal_cli.optimize import fixed32
-from accelcal_cli.output.report import report_schema
 from accelcal_cli.pipeline import outputs
 from tests.cli.run import assert_one_line, run, run_process
 from tests.recordings import (
@@ -32,6 +30,7 @@ from tests.recordings import (
     write_csv,
     write_raw,
 )
+from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]
 
@@ -60,7 +59,7 @@ def test_a_recording_gives_parquet_report_and_one_line(tmp_path: Path, capsys: C
 def test_the_report_validates_and_holds_the_true_errors(tmp_path: Path, capsys: Capture) -> None:
     run(capsys, "calibrate", good_csv(tmp_path))
     report = report_of(tmp_path / "good.calibration.json")
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     gain, offset = worst_errors(report)
     assert gain < 2.5e-4
     assert offset < 1e-4
@@ -127,7 +126,10 @@ def test_a_rerun_does_nothing_and_says_so(tmp_path: Path, capsys: Capture) -> No
     assert before == {name: (tmp_path / name).stat().st_mtime_ns for name in files(tmp_path)}
 
 
-@pytest.mark.parametrize("change", ["input", "settings", "parquet", "force"])
+@pytest.mark.parametrize(
+    "change",
+    ["input", "settings", *(pytest.param(one, marks=pytest.mark.nightly) for one in ("parquet", "force"))],
+)
 def test_a_rerun_redoes_what_changed(tmp_path: Path, capsys: Capture, change: str) -> None:
     path = good_csv(tmp_path)
     run(capsys, "calibrate", path)
@@ -195,7 +197,7 @@ def test_refused_has_a_reason_a_report_and_no_parquet(tmp_path: Path, capsys: Ca
     assert (outcome, model, others) == ("refused", "-", ["-", "-", "-"]) and float(before) > 10
     assert files(tmp_path) == ["few.calibration.json", "few.csv"]
     report = report_of(tmp_path / "few.calibration.json")
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     assert report["calibration"] is None
 
 
@@ -337,7 +339,13 @@ def test_report_only_leaves_a_parquet_that_still_holds(tmp_path: Path, capsys: C
 
 
 @pytest.mark.parametrize(
-    ("zone", "hours"), [("Europe/Berlin", 1), ("+05:30", 5.5), ("UTC", 0), ("-03:00", -3)]
+    ("zone", "hours"),
+    [
+        ("Europe/Berlin", 1),
+        ("+05:30", 5.5),
+        pytest.param("UTC", 0, marks=pytest.mark.nightly),
+        pytest.param("-03:00", -3, marks=pytest.mark.nightly),
+    ],
 )
 def test_a_known_zone_gives_utc_times(tmp_path: Path, capsys: Capture, zone: str, hours: float) -> None:
     run(capsys, "calibrate", good_csv(tmp_path), "--timezone", zone)

@@ -6,13 +6,12 @@ import json
 import struct
 from pathlib import Path
 
-import jsonschema
 import pytest
 
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run, verify
 from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
+from tests.schema import check_report
 from tests.study.mixture import simulated
 
 Capture = pytest.CaptureFixture[str]
@@ -28,7 +27,7 @@ def dump(path: Path, spoiled: int) -> Path:
 
 def report_of(path: Path) -> dict:
     report = json.loads(path.read_text())
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     return report
 
 

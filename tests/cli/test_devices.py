@@ -118,6 +118,7 @@ def test_little_to_go_by(tmp_path: Path, capsys: Capture, rows: list, lines: int
             assert run(capsys, "devices", tmp_path, "--device", row["device_serial"]).code == 0
 
 
+@pytest.mark.nightly
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=15)
 @given(order=st.permutations(range(len(MIXED))))
 def test_the_order_of_the_rows_does_not_matter(tmp_path: Path, capsys: Capture, order: list[int]) -> None:

@@ -62,6 +62,7 @@ def test_csv_is_one_table_of_all_recordings(tmp_path: Path, capsys: Capture) -> 
     assert table[0]["after_mg"] == table[1]["gain_error"] == ""
 
 
+@pytest.mark.nightly
 def test_text_shows_the_truth_only_where_it_is_known(tmp_path: Path, capsys: Capture) -> None:
     unknown = run(capsys, "evaluate", "stillness", good_raw(tmp_path))
     known = run(capsys, "evaluate", "stillness", with_truth(tmp_path))

@@ -7,13 +7,12 @@ from collections.abc import Iterable
 from math import radians, sin
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import run
 from tests.recordings import GAIN, OFFSET_G, directions
+from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]
 
@@ -34,7 +33,7 @@ def test_points_are_fitted_and_judged(tmp_path: Path, capsys: Capture) -> None:
     path = rows(tmp_path / "points.csv", sensed(directions(120)))
     ran = run(capsys, "fit", path, "--json")
     report = json.loads(ran.out)
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     assert (ran.code, report["outcome"], report["calibration"]["model"]) == (0, "calibrated", "9")
     assert np.abs(np.array(report["calibration"]["gain"]) - GAIN).max() < 5e-4
     assert np.abs(np.array(report["calibration"]["offset_g"]) - OFFSET_G).max() < 5e-4

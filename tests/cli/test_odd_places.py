@@ -85,6 +85,11 @@ def test_a_closed_standard_output_is_told_and_the_outputs_stay(tmp_path: Path) -
         "good.calibration.json",
         "good.csv",
     ]
-    ran = closed("study", tmp_path, "-d", tmp_path / "out", "-q")
+
+
+@pytest.mark.nightly
+def test_a_study_needs_no_standard_output(tmp_path: Path) -> None:
+    good_csv(tmp_path)
+    ran = closed("study", tmp_path, "-d", tmp_path / "out", "-j", 1, "-q")
     assert (ran.code, ran.err) == (0, "")
     assert (tmp_path / "out/study.json").exists()

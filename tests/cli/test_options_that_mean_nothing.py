@@ -74,6 +74,7 @@ def test_of_several_those_that_they_are_not_meant_for_say_so(tmp_path: Path, cap
     assert not any("means nothing" in note for note in used["recording"]["notes"])
 
 
+@pytest.mark.nightly
 def test_in_a_study_too_whatever_was_there_before(tmp_path: Path, capsys: Capture) -> None:
     """The note is part of the result: one without it is made again, and verify finds it again."""
     folder, out = mixed(tmp_path / "in"), tmp_path / "out"

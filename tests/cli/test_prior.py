@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import pytest
 
-from accelcal_cli.output.report_schema import report_schema
 from tests.cli.run import run
 from tests.recordings import good_csv
+from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]
 
@@ -27,7 +26,7 @@ def made(capsys: Capture, folder: Path, *words: object) -> dict:
 
 def test_by_default_all_parameters_are_fitted_with_a_prior(tmp_path: Path, capsys: Capture) -> None:
     report = made(capsys, tmp_path)
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     assert report["settings"]["prior"] == "population"
     sphere = report["sphere_mg"]
     low, high = sphere["ci95"]
@@ -42,7 +41,7 @@ def test_without_one_the_ladder_decides_and_nothing_is_known_of_the_sphere(
     tmp_path: Path, capsys: Capture
 ) -> None:
     report = made(capsys, tmp_path, "--prior", "none")
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     assert report["settings"]["prior"] == "none" and report["sphere_mg"] is None
     assert [one["model"] for one in report["models_tried"]] == ["0", "3", "6", "9"]
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 
@@ -13,8 +12,8 @@ from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats.flash.writer import ENCODER
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import run, run_process
+from tests.schema import check_report
 from tests.six_pose.made import (
     LSB_PER_G,
     RATE_HZ,
@@ -40,7 +39,7 @@ def files(folder: Path) -> list[str]:
 
 def report_of(path: Path) -> dict:
     report = json.loads(path.read_text())
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     return report
 
 
@@ -49,7 +48,7 @@ def calibrated(capsys: Capture, path: Path, *words: object) -> dict:
     ran = run(capsys, "six-pose", path, "--json", *words)
     assert ran.code == 0, ran.err
     report = json.loads(ran.out)
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     assert report.pop("provenance")["command"]
     return report
 

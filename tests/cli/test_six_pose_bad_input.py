@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import numpy as np
 import pytest
 
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run
 from tests.recordings import good_csv
+from tests.schema import check_report
 from tests.six_pose.made import UP, moved, sensed, session, six_faces, start_s, turned, write_csv, write_list
 
 Capture = pytest.CaptureFixture[str]
@@ -101,7 +100,7 @@ def test_tilted_faces_are_refused_with_a_report_that_says_which(tmp_path: Path, 
     assert ran.out.split("\t")[1:3] == ["refused", "-"]
     assert_one_line(ran, "refused: the poses disagree", "y at ", "rest the device exactly on its faces")
     report = json.loads((tmp_path / "s.calibration.json").read_text())
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     assert report["calibration"] is None
     assert report["known_orientations"]["K"] is None
     tilts = {pose["face"]: pose["held_out_tilt_degrees"] for pose in report["poses"]}

@@ -5,13 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import jsonschema
 import pytest
 
 from accelcal_cli.core.settings import STILLNESS
-from accelcal_cli.output.report import report_schema
 from tests.cli.run import assert_one_line, run
 from tests.recordings import RATE_HZ, SECONDS, good_csv, good_raw, worst_errors
+from tests.schema import check_report
 
 Capture = pytest.CaptureFixture[str]
 NUMBERS = {
@@ -29,7 +28,7 @@ def reported(capsys: Capture, folder: Path, *words: object) -> dict:
     ran = run(capsys, "calibrate", path, "--report-only", "--json", "--force", *words)
     assert ran.code in (0, 4), ran
     report = json.loads(ran.out)
-    jsonschema.validate(report, report_schema())
+    check_report(report)
     del report["provenance"]
     return report
 

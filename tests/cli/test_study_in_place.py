@@ -64,10 +64,10 @@ def test_a_recording_of_the_summarys_name_is_not_overwritten(
     [
         ("study.csv", "path,age\n1,2\n"),
         ("study.json", '{"mine": 1}'),
-        ("study.json", "["),
+        pytest.param("study.json", "[", marks=pytest.mark.nightly),
         ("study.json", "[" * 100_000),
-        ("study.ledger", "what I did: 17 recordings\n"),
-        ("study.parquet", ""),
+        pytest.param("study.ledger", "what I did: 17 recordings\n", marks=pytest.mark.nightly),
+        pytest.param("study.parquet", "", marks=pytest.mark.nightly),
     ],
 )
 def test_anothers_file_is_replaced_with_force_only(

@@ -33,6 +33,16 @@ CASES = pytest.mark.parametrize(
 )
 """How a recording states its start, what the user says, and what its times then are in."""
 
+STUDIES = pytest.mark.parametrize(
+    ("start", "words", "zone"),
+    [
+        (START, GIVEN, "UTC"),
+        pytest.param(START, (), "unknown", marks=pytest.mark.nightly),
+        pytest.param(f"{START}Z", FORCED, "UTC", marks=pytest.mark.nightly),
+    ],
+    ids=["--timezone", "no zone", "--force-timezone"],
+)
+
 
 def few(path: Path, start: str, first: int = 0, poses: int = 7) -> Path:
     """A recording of device A1 that is too short to be calibrated alone."""
@@ -69,7 +79,7 @@ def test_apply_refuses_a_zone_that_contradicts_the_file(tmp_path: Path, capsys: 
     assert not (tmp_path / "a.calibrated.parquet").exists()
 
 
-@CASES
+@STUDIES
 def test_study_with_pool(tmp_path: Path, start: str, words: tuple[str, ...], zone: str) -> None:
     names = ("one", "two", "three", "four")
     (tmp_path / "in").mkdir()
@@ -84,7 +94,7 @@ def test_study_with_pool(tmp_path: Path, start: str, words: tuple[str, ...], zon
     assert (summary["time_zones"], summary["mixed_times"]) == ({zone: len(names)}, None)
 
 
-@CASES
+@STUDIES
 def test_study_with_borrow(tmp_path: Path, start: str, words: tuple[str, ...], zone: str) -> None:
     (tmp_path / "in").mkdir()
     week(tmp_path / "in/good.raw", warm=True, start=start)

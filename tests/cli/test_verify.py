@@ -97,19 +97,27 @@ def change_gain(held: dict) -> None:
     ("change", "keys"),
     [
         (lambda held: held.update(outcome="reduced_model"), ["outcome"]),
-        (lambda held: held.update(message="all is well"), ["message"]),
-        (lambda held: held["calibration"].update(model="6"), ["calibration.model"]),
+        pytest.param(lambda held: held.update(message="all is well"), ["message"], marks=pytest.mark.nightly),
+        pytest.param(
+            lambda held: held["calibration"].update(model="6"),
+            ["calibration.model"],
+            marks=pytest.mark.nightly,
+        ),
         (change_gain, ["calibration.gain[1][0]"]),
         (lambda held: held["holdout"]["after_mg"].update(mean=0.001), ["holdout.after_mg.mean"]),
-        (lambda held: held["file_health"].update(filled_samples=3), ["file_health.filled_samples"]),
+        pytest.param(
+            lambda held: held["file_health"].update(filled_samples=3),
+            ["file_health.filled_samples"],
+            marks=pytest.mark.nightly,
+        ),
         (lambda held: held.pop("coverage"), ["coverage"]),
-        (lambda held: held.update(calibration=None), ["calibration"]),
-        (lambda held: held.update(calibration=[1]), ["calibration"]),
-        (lambda held: held.update(extra=1), ["extra"]),
+        pytest.param(lambda held: held.update(calibration=None), ["calibration"], marks=pytest.mark.nightly),
+        pytest.param(lambda held: held.update(calibration=[1]), ["calibration"], marks=pytest.mark.nightly),
+        pytest.param(lambda held: held.update(extra=1), ["extra"], marks=pytest.mark.nightly),
         (lambda held: held["provenance"].update(host="elsewhere"), []),
-        (lambda held: held.pop("provenance"), []),
+        pytest.param(lambda held: held.pop("provenance"), [], marks=pytest.mark.nightly),
     ],
-)  # fmt: skip
+)
 def test_what_differs_is_named(tmp_path: Path, capsys: Capture, change: Any, keys: list[str]) -> None:
     report, path = donor(tmp_path), tmp_path / "donor.raw"
     (tmp_path / "donor.calibrated.parquet").unlink()

@@ -37,9 +37,11 @@ def set_last_bit(frame: pd.DataFrame) -> pd.DataFrame:
     ("change", "column", "row"),
     [
         (set_last_bit, "y", 7123),
-        (lambda frame: frame.iloc[:-1], "time", 29_999),
+        pytest.param(lambda frame: frame.iloc[:-1], "time", 29_999, marks=pytest.mark.nightly),
         (lambda frame: pd.concat([frame, frame.iloc[-1:]]), "time", 30_000),
-        (lambda frame: frame.assign(validity=np.uint8(2)), "validity", 0),
+        pytest.param(
+            lambda frame: frame.assign(validity=np.uint8(2)), "validity", 0, marks=pytest.mark.nightly
+        ),
     ],
 )
 def test_every_value_is_compared(tmp_path: Path, capsys: Capture, change: Any, column: str, row: int) -> None:

@@ -81,6 +81,7 @@ def test_the_same_seed_gives_the_same_tables() -> None:
     assert timeless(tables(replace(few, seed=2), "fixed32", "float64:paper")) != one
 
 
+@pytest.mark.nightly
 def test_the_default_is_efficient(small: tuple[Table, ...]) -> None:
     for table in small:
         assert table.scores[0].ratio_to_bound == pytest.approx(1, abs=0.1)  # its standard error is 4 %

@@ -103,7 +103,9 @@ def stamp(time_us: int) -> str:
 def digits(rows: np.ndarray, light: int = 200, button: int = 0) -> str:
     """Twelve hexadecimal digits a sample: x, y, z, light and button."""
     rest = f"{light << 2 | button << 1:03X}"
-    return "".join("".join(f"{int(value) & 0xFFF:03X}" for value in row) + rest for row in rows)
+    return "".join(
+        f"{x:03X}{y:03X}{z:03X}{rest}" for x, y, z in (np.asarray(rows, np.int64) & 0xFFF).tolist()
+    )
 
 
 @dataclass(frozen=True)

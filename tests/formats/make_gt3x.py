@@ -36,7 +36,8 @@ def record(kind: int, second: int, payload: bytes) -> bytes:
 
 def packed(counts: np.ndarray, order: tuple[int, int, int] = (1, 0, 2)) -> bytes:
     """Three values of 12 bits a sample, most significant bits first, y x z; a last half byte is 0."""
-    digits = "".join(f"{int(row[axis]) & 0xFFF:03x}" for row in counts for axis in order)
+    values = (np.asarray(counts, np.int64) & 0xFFF)[:, order].ravel().tolist()
+    digits = ("%03x" * len(values)) % tuple(values)
     return bytes.fromhex(digits + "0" * (len(digits) % 2))
 
 

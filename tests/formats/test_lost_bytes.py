@@ -8,6 +8,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
@@ -149,6 +150,7 @@ def test_hdf5_rows(tmp_path: Path) -> None:
     assert bytes_of(path) == (0, 1200 * row_bytes)
 
 
+@pytest.mark.nightly
 def test_opal_rows_without_a_value(tmp_path: Path) -> None:
     made = make_opal.make(tmp_path, counts(), 128.0, 256.0)
     lost, used = bytes_of(made.path, made.options)

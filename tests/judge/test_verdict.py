@@ -111,6 +111,14 @@ def test_a_good_sensor_is_left_alone() -> None:
     assert "no model improves on the" in found.message
 
 
+def test_with_a_prior_too_a_good_sensor_keeps_its_values_and_its_error_is_that_of_these() -> None:
+    found = judge(spread(IDEAL), Fitting(DEFAULT, fast_fits, penalized=fixed32.OPTIMIZER.fit_penalized))
+    assert found.outcome is Outcome.ALREADY_GOOD
+    assert found.calibration is not None and found.calibration.parameters == IDENTITY
+    assert found.holdout is not None and found.holdout == found.trials[0].holdout
+    assert found.sphere == found.sphere_before is not None
+
+
 def test_a_sensor_that_nothing_helps_is_refused() -> None:
     noisy = spread(IDEAL, noise=0.06)
     found = judge(noisy, Fitting(LADDER_ONLY, fast_fits))

@@ -14,14 +14,18 @@ IDEAL = np.array([1.0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0])
 
 
 def gain(p: np.ndarray) -> np.ndarray:
-    """K of eq. 7-9."""
-    return np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
+    """K of eq. 7-9, (..., 3, 3), of parameters (..., 12)."""
+    k = np.zeros((*p.shape[:-1], 3, 3))
+    k[..., (0, 1, 2, 1, 2, 2), (0, 1, 2, 0, 0, 1)] = p[..., :6]
+    return k
 
 
 def calibrated(p: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
-    """a = K (v + o + s tau)."""
-    u = v + p[6:9] if tau is None else v + p[6:9] + np.outer(tau, p[9:12])
-    return u @ gain(p).T
+    """a = K (v + o + s tau), (..., n, 3), of parameters (..., 12)."""
+    u = v + p[..., None, 6:9]
+    if tau is not None:
+        u = u + tau[:, None] * p[..., None, 9:12]
+    return u @ gain(p).swapaxes(-1, -2)
 
 
 def measured(p: np.ndarray, a: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
@@ -34,8 +38,8 @@ def measured(p: np.ndarray, a: np.ndarray, tau: np.ndarray | None = None) -> np.
 
 
 def residual(p: np.ndarray, v: np.ndarray, tau: np.ndarray | None = None) -> np.ndarray:
-    """|a|^2 - 1."""
-    return (calibrated(p, v, tau) ** 2).sum(axis=1) - 1
+    """|a|^2 - 1, (..., n), of parameters (..., 12)."""
+    return (calibrated(p, v, tau) ** 2).sum(axis=-1) - 1
 
 
 def cost(p: np.ndarray, v: np.ndarray) -> float:
@@ -108,9 +112,8 @@ class LeastSquares:
 
 def jacobian(p: np.ndarray, v: np.ndarray, tau: np.ndarray | None) -> np.ndarray:
     """d residual / dp by central differences: exact to 1e-10 for a cubic in each parameter."""
-    h = 1e-4
-    steps = [(residual(p + h * one, v, tau) - residual(p - h * one, v, tau)) / (2 * h) for one in np.eye(12)]
-    return np.stack(steps, axis=1)
+    step = 1e-4 * np.eye(12)
+    return (residual(p + step, v, tau) - residual(p - step, v, tau)).T / 2e-4
 
 
 def least_squares(held: PointSet, free: tuple[int, ...]) -> LeastSquares:

@@ -93,7 +93,16 @@ def test_32_bit_counts_are_treated_alike(
     assert found(fine, length, 64.0 * step, numbers, cuts) == expected
 
 
-@pytest.mark.parametrize(("kind", "lsb_per_g"), [(np.int16, 256.0), (np.int16, 2048.0), (np.int32, 2.0**24)])
+@pytest.mark.parametrize(
+    ("kind", "lsb_per_g"),
+    [
+        (np.int16, 256.0),
+        *(
+            pytest.param(*finer, marks=pytest.mark.nightly)
+            for finer in ((np.int16, 2048.0), (np.int32, 2.0**24))
+        ),
+    ],
+)
 def test_windows_of_real_size_equal_the_definition(kind: type, lsb_per_g: float) -> None:
     draw = np.random.default_rng(int(lsb_per_g))
     poses = np.repeat(draw.standard_normal((6, 3)), 2000, axis=0)

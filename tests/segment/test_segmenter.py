@@ -143,7 +143,16 @@ def test_a_pending_stretch_does_not_keep_its_chunk_alive() -> None:
     assert [first for windows in segmenter.feed(second) for first in windows.first_sample] == [10, 20]
 
 
-@pytest.mark.parametrize(("kind", "lsb_per_g"), [(np.int16, 256), (np.int16, 2048), (np.int32, 1 << 24)])
+@pytest.mark.parametrize(
+    ("kind", "lsb_per_g"),
+    [
+        (np.int16, 256),
+        *(
+            pytest.param(*finer, marks=pytest.mark.nightly)
+            for finer in ((np.int16, 2048), (np.int32, 1 << 24))
+        ),
+    ],
+)
 def test_long_windows_of_real_size_equal_the_definition(kind: type, lsb_per_g: int) -> None:
     draw = np.random.default_rng(lsb_per_g)
     noise_g = np.repeat([0.012, 0.0129, 0.01305, 0.02, 0.04, 0.012], 4000)[:, None]

@@ -73,6 +73,7 @@ def test_the_bytes_are_those_of_one_process(
     assert (again.code, "4 unchanged" in again.err) == (1, True)
 
 
+@pytest.mark.nightly
 def test_a_worker_that_is_killed_is_made_good_elsewhere(
     scheduler: Path, folder: Path, undisturbed: dict[str, object], tmp_path: Path
 ) -> None:
@@ -152,6 +153,7 @@ def test_a_worker_may_come_later(folder: Path, tmp_path: Path) -> None:
         assert ended(process).code == 0
 
 
+@pytest.mark.nightly
 def test_it_waits_for_workers_until_the_scheduler_is_lost(folder: Path, tmp_path: Path) -> None:
     with contextlib.ExitStack() as stack:
         file = stack.enter_context(cluster(tmp_path, 0))

@@ -95,6 +95,7 @@ def test_a_pool_stays_whole(tmp_path: Path, capsys: Capture) -> None:
     assert results(tmp_path / "out") == results(tmp_path / "at once")
 
 
+@pytest.mark.nightly
 def test_collected_without_an_option_a_later_round_is_not_forgotten(tmp_path: Path, capsys: Capture) -> None:
     """What a plain `--collect` cannot tell of is still known to the next one."""
     (tmp_path / "in").mkdir()

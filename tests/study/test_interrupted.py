@@ -56,6 +56,7 @@ def test_killed_at_any_moment_a_rerun_ends_as_if_nothing_had_been(
     assert results(out) == undisturbed
 
 
+@pytest.mark.nightly
 def test_a_worker_that_is_killed_costs_its_recording_alone(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with held(tmp_path, "b/p2.calibrated.parquet") as hold:

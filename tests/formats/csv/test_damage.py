@@ -78,6 +78,7 @@ def test_gzip_with_a_flipped_byte_never_crashes_nor_depends_on_chunks(
         assert "truncated" in found.codes
 
 
+@pytest.mark.nightly
 @every_byte
 def test_flipped_bytes_never_crash(tmp_path: Path, step: int) -> None:
     truth = make(tmp_path, COUNTS[:6], 100.0, 256.0)

@@ -218,6 +218,7 @@ def test_no_temperature_where_nothing_was_measured(tmp_path: Path) -> None:
     assert [chunk.temperature_mc for chunk in reader.chunks(100)] == [None, None]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "chunk_samples", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (100, 7000, 10**6))]
 )

@@ -273,6 +273,7 @@ def test_a_broken_gzip_gives_the_same_rows_for_every_chunk_size(tmp_path: Path) 
     assert results[0][4][-1].code == "truncated"
 
 
+@pytest.mark.nightly
 def test_mutations_give_rows_or_a_plain_error_and_do_not_depend_on_chunks(tmp_path: Path) -> None:
     kinds = [pages(), sectors(random_counts(400, 6), axes=0x62, scale=0x23), sectors(VALUES, axes=0x32)]
     path, random = tmp_path / "mutant.cwa", np.random.default_rng(8)

@@ -130,6 +130,7 @@ def check_mutants(folder: Path, whole: bytes, number: int, seed: int) -> None:
         assert seen.refused or len(seen.rows) == len(raw.rows)
 
 
+@pytest.mark.nightly
 def test_changes_anywhere_give_rows_of_the_file_or_a_plain_error(whole: bytes, tmp_path: Path) -> None:
     check_mutants(tmp_path, whole, 20, 1)
 

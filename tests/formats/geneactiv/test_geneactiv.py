@@ -190,6 +190,7 @@ def test_real_files_number_by_number(real_data: Path, name: str) -> None:
     assert (np.rint((found_g * gain + offset) / 100) == raw).all()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "chunk_samples", [1, *(pytest.param(n, marks=pytest.mark.nightly) for n in (1000, 10**6))]
 )

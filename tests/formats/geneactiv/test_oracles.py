@@ -57,7 +57,13 @@ def test_real_files_by_actfast(real_data: Path, name: str) -> None:
     assert check(real_data / "vendor" / name, by_actfast) == REAL[name][0]
 
 
-@pytest.mark.parametrize("name", sorted(set(REAL) - {"geneactiv_85hz_1min.bin"}))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.nightly] if REAL[name][0] > 10_000 else [])
+        for name in sorted(set(REAL) - {"geneactiv_85hz_1min.bin"})
+    ],
+)
 def test_real_files_by_skdh(real_data: Path, name: str) -> None:
     """Without the file that ends within a page, at which skdh gives up."""
     assert check(real_data / "vendor" / name, by_skdh) == REAL[name][0]

@@ -187,6 +187,7 @@ def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Pa
         assert (found.breaks, found.found) == ([], tail)
 
 
+@pytest.mark.nightly
 def test_nothing_depends_on_the_size_of_chunks_or_where_pieces_end(tmp_path: Path) -> None:
     """Damage at many places of a file of several pieces, some of it across their ends."""
     values = random_counts(7000 * RATE, 3)

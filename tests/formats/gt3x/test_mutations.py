@@ -142,6 +142,7 @@ def mutate(path: Path, seed: int, mutation: Mutation) -> int:
     return foreign_seconds(found, rows)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("mutation", MUTATIONS)
 def test_damaged_logs(tmp_path: Path, mutation: Mutation) -> None:
     """None of these collides with the records' checksums of one byte."""
@@ -175,6 +176,7 @@ def mutate_zip(path: Path, seed: int) -> None:
         assert foreign_seconds(found, rows) <= 1
 
 
+@pytest.mark.nightly
 def test_damaged_zip_files(tmp_path: Path) -> None:
     for seed in range(60):
         mutate_zip(tmp_path / "a.gt3x", seed)

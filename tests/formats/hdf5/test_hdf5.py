@@ -711,6 +711,7 @@ def test_cut_at_every_byte_it_gives_true_rows_or_our_error(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.nightly
 @every_byte
 def test_a_changed_byte_never_gives_anything_but_rows_or_our_error(
     path: Path, capfd: pytest.CaptureFixture[str], step: int

@@ -152,6 +152,7 @@ def test_what_is_not_needed_may_be_absent(path: Path, gone: str) -> None:
     assert got.recording.rate_hz == RATE_HZ
 
 
+@pytest.mark.nightly
 @every_byte
 def test_cut_anywhere_it_gives_true_rows_or_our_error(
     path: Path, capfd: pytest.CaptureFixture[str], step: int

@@ -393,6 +393,7 @@ def test_cut_at_every_byte_it_is_shorter_or_unreadable(tmp_path: Path, layout: s
         assert rest == 0 or problems(chunks) == [("truncated", offset, whole * rows, rest)]
 
 
+@pytest.mark.nightly
 def test_random_damage_never_leaks_an_error(tmp_path: Path) -> None:
     data = numbered(list(range(12)))
     for seed in range(60):
