@@ -136,8 +136,8 @@ class Settings:
         profile: `default`, or `paper` for F's procedure (docs/evaluation.md says what is added to it).
         optimizer: as in `--optimizer`.
         model: `auto`, or the model (9, 6, 3) the user insists on.
-        prior: what is known of sensors before any point is seen (docs/prior.md): `population`, which DEFAULT has,
-            or `none`: the simplest model that held-out postures support. Reports that do not say had none.
+        prior: what is known of sensors before any point is seen (docs/prior.md): `population`, which DEFAULT
+            has, or `none`: the simplest model that held-out postures support. Older reports had none.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
         stillness: rule of stillness, a key of STILLNESS, which sets the next five.
         segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:

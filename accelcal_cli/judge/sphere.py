@@ -89,7 +89,7 @@ def _raw_directions(parameters: tuple[int, ...]) -> Floats:
 def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:
     """Raw mean of each posture, (postures, 3) in g."""
     g = points.xyz_g()
-    keys = np.unique(label).tolist()
+    keys = sorted(set(label.tolist()))
     rows = [np.average(g[label == key], axis=0, weights=points.weights[label == key]) for key in keys]
     return np.asarray(rows)
 

@@ -127,7 +127,10 @@ def _most_probable(
     outcome, text = _outcome_of_sphere(verdict, settings)
     verdict = replace(verdict, outcome=outcome, message=text)
     if outcome is Outcome.ALREADY_GOOD:
-        return replace(verdict, sphere=before)
+        raw = trials[0]
+        assert raw.fit is not None
+        kept = replace(verdict, holdout=raw.holdout, sphere=before)
+        return _complete(kept, raw.model, raw.fit, points, label, settings.gravity)
     if outcome is Outcome.REFUSED:
         return verdict
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
