@@ -235,7 +235,7 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
     raise UnreadableError(
         f"which columns are x, y and z cannot be told from {what}",
         path=path,
-        line=dialect.skipped + 1,
+        line=dialect.names_line,
         hint=f"give --columns X,Y,Z as names, or as numbers from 0{_if_commas(dialect)}",
     )
 

@@ -125,6 +125,7 @@ class Dialect:
         kinds: of each column.
         names: of the columns, None if no line names them.
         units: from a line of units below the names, None if there is none.
+        names_line: that of the names, or of the first row if there are none; from 1.
         sample: cells of the first rows.
         lines: of the sample's rows.
         skipped: lines before the first row.
@@ -136,6 +137,7 @@ class Dialect:
     kinds: tuple[Kind, ...]
     names: tuple[str, ...] | None
     units: tuple[str, ...] | None
+    names_line: int
     sample: tuple[tuple[str, ...], ...]
     lines: tuple[int, ...]
     skipped: int
@@ -187,7 +189,9 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
         best = max(layouts, key=lambda layout: layout.score)
         least = 0.0 if tail >= SURE_LINES else 0.5
         if best.score > least and (dialect := best.dialect(offset)):
-            return replace(dialect, skipped=dialect.skipped + preamble)
+            return replace(
+                dialect, skipped=dialect.skipped + preamble, names_line=dialect.names_line + preamble
+            )
     return None
 
 
@@ -251,12 +255,13 @@ class _Layout:
         first = self._first_row()
         if first is None:
             return None
-        names, units = self._names(first)
+        names, units, names_line = self._names(first)
         sample = _numbered(self.raw_lines[first : first + SAMPLE_ROWS], self.normaliser, first + 1)
         whole = [(line, tuple(row)) for line, row in sample if len(row) == len(self.kinds)]
         lines, rows = zip(*whole, strict=True)
         offset += sum(map(len, self.raw_lines[:first]))
-        return Dialect(self.normaliser, self.kinds, names, units, rows, lines, first, offset, False)
+        layout = (self.normaliser, self.kinds, names, units, names_line)
+        return Dialect(*layout, rows, lines, first, offset, False)
 
     def _first_row(self) -> int | None:
         """The first of three rows that follow each other, or of the last ones."""
@@ -277,13 +282,14 @@ class _Layout:
         filled = any(kind is other for kind, other in found)
         return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
 
-    def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None]:
-        """The names and, where a second line below them gives it, the units of the columns."""
+    def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
+        """The names; the units, where a second line below them gives these; and the line of the names."""
         above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
         rows = [self._heading(number) for number in above]
         if rows and rows[-1] and all(map(is_unit_cell, rows[-1])) and len(rows) == 2 and rows[0]:
-            return rows[0], rows[1]
-        return (rows[-1] if rows else None), None
+            return rows[0], rows[1], above[0] + 1
+        names = rows[-1] if rows else None
+        return names, None, (above[-1] if names else first) + 1
 
     def _heading(self, number: int) -> tuple[str, ...] | None:
         """A line's cells where they can be names: as many as there are columns, none a number."""

@@ -130,6 +130,15 @@ def test_columns_without_names_are_asked_about(tmp_path: Path, row: str) -> None
         read(path, rate_hz=30.0)
 
 
+@pytest.mark.parametrize("above", ["", "time,x,y,z\n", "time,x,y,z\n\n"])
+@pytest.mark.parametrize("below", ["", "\n", "s,g,g,g\n"])
+def test_names_that_say_nothing_are_asked_about_in_their_line(tmp_path: Path, above: str, below: str) -> None:
+    path = written(tmp_path, f"{above}a,b,c,d\n{below}" + "1,0,0,1\n" * 9)
+    line = 1 + above.count("\n")
+    with pytest.raises(UnreadableError, match=f"line {line}: which columns are .* from columns a, b, c, d"):
+        read(path, rate_hz=30.0)
+
+
 @pytest.mark.parametrize(
     "said", [{"columns": ("x", "y", "w")}, {"columns": ("0", "1", "9")}, {"time_column": "w"}]
 )

@@ -132,6 +132,19 @@ def test_a_small_excursion_of_the_clock_is_none(tmp_path: Path) -> None:
     assert read(written(tmp_path / "a.cwa", late))[1:] == ([], [])
 
 
+def test_a_hole_after_a_sector_that_is_not_full_is_told(tmp_path: Path) -> None:
+    """Its few samples would otherwise lie 42 ms apart, as if the sensor had been slow."""
+    few = [
+        replace(page, count=5, data=page.data[: 5 * 6]) if page.sequence == 5 else page for page in pages()
+    ]
+    early = [replace(page, time_us=page.time_us - 590_000 * (page.sequence > 5)) for page in few]
+    chunks, breaks, problems = read(written(tmp_path / "a.cwa", early))
+    assert (breaks, problems) == ([405], [("clock_gap", 1024 + 6 * 512, 405, 1)])
+    steps = np.diff(times_of(chunks))
+    assert np.abs(np.delete(steps, 404) - SAMPLE_US).max() <= 40
+    assert steps[404] == pytest.approx(170_000, abs=80)
+
+
 def test_overflow_of_the_device_is_a_break(tmp_path: Path) -> None:
     lossy = [replace(page, events=0x20 * (page.sequence == 4)) for page in pages()]
     _, breaks, problems = read(written(tmp_path / "a.cwa", lossy))
