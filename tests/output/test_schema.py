@@ -124,3 +124,23 @@ def test_the_schema_uses_nothing_that_is_not_checked() -> None:
                     yield from words(item)
 
     assert set(words(report_schema())) <= known
+
+
+def arrays(schema: Any, path: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    if isinstance(schema, dict):
+        if schema.get("type") == "array":
+            yield path, schema
+        for key, part in schema.items():
+            yield from arrays(part, f"{path}/{key}")
+    elif isinstance(schema, list):
+        for part in schema:
+            yield from arrays(part, path)
+
+
+def test_every_list_of_numbers_has_its_length() -> None:
+    """Who reads them takes them apart by place."""
+    numbers = [
+        (path, part) for path, part in arrays(report_schema()) if part["items"].get("type") != "object"
+    ]
+    free = {path for path, part in numbers if "maxItems" not in part and part["items"]["type"] != "string"}
+    assert numbers and free == set()
