@@ -7,15 +7,21 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.options import calibrating_options, place_options, request_of
+from accelcal_cli.cli.options import FILE, calibrating_options, place_options, request_of
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import plan
+from accelcal_cli.pipeline.windows import refuse_impossible
 
 
 @click.command("calibrate")
 @place_options
 @calibrating_options
+@click.option(
+    "--windows",
+    type=FILE,
+    help="Also write every still window, and what became of it, to this .parquet or .csv file.",
+)
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.
 
@@ -24,5 +30,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     improvement in percent, and the Parquet file.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
+    if values["windows"] is not None:
+        refuse_impossible(values["windows"], jobs)
     request = request_of(values).for_jobs(jobs)
     return run_jobs(jobs, lambda job, bars, source: calibrate(job, request, bars, source), values)

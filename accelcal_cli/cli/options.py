@@ -319,6 +319,7 @@ def request_of(values: dict[str, Any]) -> Request:
         chunk_samples=values["chunk_samples"],
         report_only=values["report_only"],
         integers=values["integers"],
+        windows=values.get("windows"),
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
     )

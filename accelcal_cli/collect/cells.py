@@ -22,7 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.fixed import ONE, rounded_quotient
-from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale, Windows
+from accelcal_cli.core.points import (
+    CONSTANT,
+    FAR_TEMPERATURE,
+    FIT,
+    IMPLAUSIBLE,
+    WEIGHT_ONE,
+    Fates,
+    PointSet,
+    TemperatureScale,
+    Windows,
+)
 from accelcal_cli.core.settings import Settings
 
 MAX_POINTS = 4096
@@ -179,9 +189,7 @@ class CellCollector:
 
     def points(self) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates."""
-        cells, _ = self._settled()
-        while len(cells) > MAX_POINTS:
-            cells = coarser(cells)
+        cells, _ = self._bounded()
         ordered = sorted(cells.items())
         weights = shared_weights([_group(key) for key, _ in ordered], [value[0] for _, value in ordered])
         sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for _, v in ordered]
@@ -190,15 +198,41 @@ class CellCollector:
     def counts(self) -> CellCounts:
         """What was left out and why."""
         constant, real = self.spreads.numbers.get(0, 0), self._constants_are_real()
-        return CellCounts(self.implausible, constant, real, self._settled()[1])
+        cells, far = self._settled()
+        return CellCounts(self.implausible, constant, real, sum(cells[key][0] for key in far))
 
-    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], int]:
-        """The cells that make points, and how many windows their temperature sets aside."""
+    def fates(self, windows: Windows) -> Fates:
+        """What became of windows that were taken in; call after the last one."""
+        role, point = np.full(len(windows), IMPLAUSIBLE), np.full(len(windows), -1)
+        near_1_g = np.flatnonzero(plausible(windows, self.lsb_per_g, self.settings))
+        constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
+        keys = self._keys(windows.select(near_1_g), constant)[:, :_CONSTANT]
+        _, far = self._settled()
+        cells, halvings = self._bounded()
+        number = {key: index for index, key in enumerate(sorted(cells))}
+        left_out = constant & (not self._constants_are_real())
+        for place, key, unbelieved in zip(near_1_g.tolist(), keys.tolist(), left_out.tolist(), strict=True):
+            if unbelieved:
+                role[place] = CONSTANT
+            elif tuple(key) in far:
+                role[place] = FAR_TEMPERATURE
+            else:
+                role[place], point[place] = FIT, number[tuple(part >> halvings for part in key)]
+        return Fates(role, point)
+
+    def _bounded(self) -> tuple[dict[tuple[int, ...], list[int]], int]:
+        """The cells that make points, and how often they were made twice as wide to be so few."""
+        cells, far = self._settled()
+        cells = {key: value for key, value in cells.items() if key not in far}
+        halvings = 0
+        while len(cells) > MAX_POINTS:
+            cells, halvings = coarser(cells), halvings + 1
+        return cells, halvings
+
+    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], set[tuple[int, ...]]]:
+        """The cells of windows that were measured, and those of them that their temperature sets aside."""
         cells = self._believed()
-        if not self.temperature:
-            return cells, 0
-        far = _far_off(cells)
-        return {key: cells[key] for key in cells if key not in far}, sum(cells[key][0] for key in far)
+        return cells, _far_off(cells) if self.temperature else set()
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)

@@ -1,8 +1,9 @@
-"""Still-window means that another tool found, read from a CSV table and made into calibration points.
+"""Still windows from a table, made into points: those of `calibrate --windows`, or another tool's means.
 
-Without weights and postures of their own, the means are collected like a recording's windows, in
-orientation cells. Otherwise the same cells are kept apart by posture, and what the table says of
-weights stands: a point then weighs as much as its rows together.
+The former come back as the windows that they were, and give the same points. The latter, without
+weights and postures of their own, are collected like a recording's windows too, in orientation cells.
+Otherwise the same cells are kept apart by posture, and what the table says of weights stands: a point
+then weighs as much as its rows together.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import Settings
 
 LARGEST_G = 100.0
+LARGEST_SPREAD_G = 2 * LARGEST_G
+MOST_SAMPLES = float(1 << 40)
+PARQUET_MAGIC = b"PAR1"
 LARGEST_C = 1000.0
 ALIASES = {
     "x": ("x", "meanx", "mean_x", "x_mean"),
@@ -35,13 +39,19 @@ ALIASES = {
     "temperature_c": ("temperature_c", "temperature", "temp"),
     "weight": ("weight",),
     "posture": ("posture",),
+    "samples": ("samples",),
+    "counts_per_g": ("counts_per_g",),
+    **{f"spread_{axis}": (f"spread_{axis}",) for axis in "xyz"},
 }
 """Column names, in lower case; GGIR calls its means meanx, meany, meanz."""
 
-WIDEST_SPREAD = 1 << 20
-"""The spread within a given window is not known: none is taken for a constant one."""
+WINDOWS = {"samples", "counts_per_g", "spread_x", "spread_y", "spread_z"}
+"""Columns that tables of `calibrate --windows` have; their postures are those of its own points."""
 
-_HINT = "give a CSV file with a header line and columns x, y, z in g"
+WIDEST_SPREAD = 1 << 20
+"""The spread of the window behind another tool's mean is not known: none is taken for a constant one."""
+
+_HINT = "give a CSV file with a header line and columns x, y, z in g, or a Parquet file with these"
 _CORRECT = "correct or remove this line"
 
 Key = tuple[int, ...]
@@ -52,28 +62,35 @@ class Table:
     """n still windows.
 
     Attributes:
-        counts: (n, 3) int64, means in g times FLOAT_LSB_PER_G.
-        temperature_mc: (n,) int64, thousandths of a degree C, or None.
+        counts: (n, 3) int64, sums over the samples; another tool's mean counts as one sample.
+        temperature_mc: (n,) int64, sums of thousandths of a degree C, or None.
         weight: (n,) float64 above zero, or None.
         posture: (n,) int64, number of the posture that the table names, or None.
+        samples: (n,) int64, in each window; None of another tool's means.
+        spread: (n, 3) int64, max - min of the counts; None of another tool's means.
+        lsb_per_g: counts per standard g.
     """
 
     counts: NDArray[np.int64]
     temperature_mc: NDArray[np.int64] | None = None
     weight: NDArray[np.float64] | None = None
     posture: NDArray[np.int64] | None = None
+    samples: NDArray[np.int64] | None = None
+    spread: NDArray[np.int64] | None = None
+    lsb_per_g: float = FLOAT_LSB_PER_G
 
     def __len__(self) -> int:
         return len(self.counts)
 
     def select(self, which: NDArray[np.bool_]) -> Table:
         """The rows of a mask."""
-        columns = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return replace(self, **{name: held[which] for name, held in columns.items() if held is not None})
+        held: dict[str, Any] = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        rows: dict[str, Any] = {n: part[which] for n, part in held.items() if isinstance(part, np.ndarray)}
+        return replace(self, **rows)
 
 
 def read_table(path: Path) -> Table:
-    """Read columns x, y, z [g], and temperature_c, weight and posture where there are such.
+    """Read columns x, y, z [g], and temperature_c, weight and posture, or those of WINDOWS, where they are.
 
     Raises:
         UnreadableError: it is no such table, or a value is missing or no finite number.
@@ -81,6 +98,8 @@ def read_table(path: Path) -> Table:
     frame = _frame(path)
     names = _names(path, list(frame.columns))
     g = np.stack([_numbers(path, frame, names[axis], LARGEST_G) for axis in "xyz"], axis=1)
+    if names.keys() >= WINDOWS:
+        return _windows(path, frame, names, g)
     temperature_mc, weight, posture = None, None, None
     if "temperature_c" in names:
         celsius = _numbers(path, frame, names["temperature_c"], LARGEST_C)
@@ -94,8 +113,32 @@ def read_table(path: Path) -> Table:
     return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
 
 
+def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[np.float64]) -> Table:
+    """The windows of `calibrate --windows`, as the integers that they were made of."""
+    samples = _numbers(path, frame, names["samples"], MOST_SAMPLES)
+    scale = _numbers(path, frame, names["counts_per_g"], FLOAT_LSB_PER_G * LARGEST_G)
+    _refuse_empty(path, (samples < 1) | (samples % 1 != 0), "whole number of samples")
+    _refuse_empty(path, (scale <= 0) | (scale != scale[:1].sum()), "counts_per_g like that of the first row")
+    spread_g = [_numbers(path, frame, names[f"spread_{axis}"], LARGEST_SPREAD_G) for axis in "xyz"]
+    temperature_mc = None
+    if "temperature_c" in names and (frame[names["temperature_c"]] != "").any():
+        celsius = _numbers(path, frame, names["temperature_c"], LARGEST_C)
+        temperature_mc = np.rint(celsius * 1000 * samples).astype(np.int64)
+    return Table(
+        np.rint(g * (samples * scale)[:, np.newaxis]).astype(np.int64),
+        temperature_mc,
+        samples=samples.astype(np.int64),
+        spread=np.rint(np.stack(spread_g, axis=1) * scale[:, np.newaxis]).astype(np.int64),
+        lsb_per_g=float(scale[0]) if len(frame) else FLOAT_LSB_PER_G,
+    )
+
+
 def _frame(path: Path) -> pd.DataFrame:
+    """All cells as text, empty where there is nothing."""
     try:
+        if probe_file(path, ReadOptions()).head.startswith(PARQUET_MAGIC):
+            held = pd.read_parquet(path)
+            return held.astype(object).where(held.notna(), "").astype(str)
         options: dict[str, Any] = {"dtype": str, "keep_default_na": False, "skip_blank_lines": False}
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # what is cut off is none of ours to lose
@@ -172,7 +215,7 @@ class Given:
 
 def given_points(table: Table, settings: Settings) -> Given:
     """Points of a table's rows, in units of local gravity."""
-    lsb_per_g = FLOAT_LSB_PER_G * float(settings.gravity.local_g())
+    lsb_per_g = table.lsb_per_g * float(settings.gravity.local_g())
     near = plausible(windows_of(table), lsb_per_g, settings)
     kept = table.select(near)
     temperature = settings.temperature and table.temperature_mc is not None
@@ -186,10 +229,11 @@ def given_points(table: Table, settings: Settings) -> Given:
 
 
 def windows_of(table: Table) -> Windows:
-    """The rows as still windows of one sample each."""
+    """The rows as still windows, another tool's means as ones of one sample."""
     number = len(table)
-    order, spread = np.arange(number), np.full((number, 3), WIDEST_SPREAD)
-    return Windows(np.ones(number, np.int64), order, table.counts, spread, table.temperature_mc)
+    samples = np.ones(number, np.int64) if table.samples is None else table.samples
+    spread = np.full((number, 3), WIDEST_SPREAD) if table.spread is None else table.spread
+    return Windows(samples, np.arange(number), table.counts, spread, table.temperature_mc)
 
 
 def _kept_apart(
@@ -262,11 +306,13 @@ def _group_weights(ordered: list[tuple[Key, Sums]]) -> list[int]:
 def _rows(table: Table, lsb_per_g: float, points: PointSet) -> PointSet:
     """One point a row, its temperature on the scale of the points that were fitted."""
     scale = points.temperature
+    samples = windows_of(table).samples.tolist()
     milli = [0] * len(table) if table.temperature_mc is None else table.temperature_mc.tolist()
-    sums = [Sums(1, 1, (x, y, z), heat) for (x, y, z), heat in zip(table.counts.tolist(), milli, strict=True)]
+    columns = zip(samples, table.counts.tolist(), milli, strict=True)
+    sums = [Sums(1, number, (x, y, z), heat) for number, (x, y, z), heat in columns]
     rows = to_points(sums, [WEIGHT_ONE] * len(sums), lsb_per_g, temperature=False)
     if scale is None:
         return rows
-    span = 1000 * round(scale.span_c)
-    tau = [rounded_quotient((heat - scale.reference_mc) * ONE, span) for heat in milli]
+    span, reference = 1000 * round(scale.span_c), scale.reference_mc
+    tau = [rounded_quotient((s.temperature_mc - reference * s.samples) * ONE, s.samples * span) for s in sums]
     return replace(rows, tau=np.array(tau, np.int64), temperature=scale)

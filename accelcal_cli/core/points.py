@@ -64,8 +64,8 @@ class Windows:
     def __len__(self) -> int:
         return len(self.first_sample)
 
-    def select(self, which: NDArray[np.bool_]) -> Windows:
-        """The windows of a mask."""
+    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
+        """The windows of a mask, or of these numbers."""
         return Windows(**cut_columns(self, self.__dataclass_fields__, which))
 
 
@@ -98,6 +98,25 @@ class WindowCounts:
         return WindowCounts(
             *(getattr(self, name) + getattr(other, name) for name in self.__dataclass_fields__)
         )
+
+
+FIT, CONTROL, NOT_TAKEN, IMPLAUSIBLE, CONSTANT, FAR_TEMPERATURE = range(6)
+ROLES = ("fit", "control", "not taken", "implausible", "constant", "temperature")
+"""What became of a still window, by number: it is part of a point that is fitted, or that F's second set
+holds; no set of F's had use for it; it is not near 1 g; it never changed; its temperature cannot be."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fates:
+    """What became of m still windows.
+
+    Attributes:
+        role: (m,) number of the role, see ROLES.
+        point: (m,) number of the calibration point that it is part of, -1 for none.
+    """
+
+    role: NDArray[np.int64]
+    point: NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,15 +18,14 @@ from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import read_table, windows_of
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import Windows, joined_windows
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import mean
 from accelcal_cli.judge.verdict import held_out
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.survey import (
     CellProcedure,
-    Observer,
+    StillWindows,
     fitting,
     local_lsb_per_g,
     make_method,
@@ -120,7 +119,7 @@ def stillness(
     """
     with open_marked(path, options) as reader:
         recording = reader.recording
-        kept = _Kept()
+        kept = StillWindows()
         shown = progress("finding stillness", recording.total_bytes)
         segmenter = make_method(recording, settings).segmenter
         survey(reader.chunks(chunk_samples), segmenter, (kept,), shown)
@@ -129,21 +128,6 @@ def stillness(
         temperature = settings.temperature and recording.has_temperature
         lsb_per_g = local_lsb_per_g(recording, settings)
         return Stillness(windows, hours, float(hours.max(initial=0)), lsb_per_g, temperature)
-
-
-class _Kept(Observer):
-    """Keeps all windows."""
-
-    def __init__(self) -> None:
-        self._parts: list[Windows] = []
-
-    def see_still(self, windows: Windows) -> None:
-        """Take windows in."""
-        self._parts.append(windows)
-
-    def result(self) -> Windows:
-        """All of them."""
-        return joined_windows(self._parts)
 
 
 def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillness:
@@ -156,7 +140,7 @@ def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillne
     windows = windows_of(table)
     hours = windows.first_sample / max(1, len(table)) * span_h
     temperature = settings.temperature and table.temperature_mc is not None
-    lsb_per_g = FLOAT_LSB_PER_G * float(settings.gravity.local_g())
+    lsb_per_g = table.lsb_per_g * float(settings.gravity.local_g())
     return Stillness(windows, hours, span_h, lsb_per_g, temperature)
 
 

@@ -27,6 +27,7 @@ from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
+from accelcal_cli.pipeline.windows import WindowLog
 
 SURVEYED_AT_ONCE = 4
 """Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
@@ -162,17 +163,27 @@ class RecordingRun:
                 that are read.
         """
         job, read = self.job, (self.reader.recording.companion, self.request.poses)
-        jobs.refuse_overwriting((job.parquet, job.report, job.integers), read)
-        outputs.prepare(job, force=self.request.force)
+        log = None if self.request.windows is None else WindowLog()
+        jobs.refuse_overwriting((job.parquet, job.report, job.integers, *self._windows), read)
+        outputs.prepare(job, self._windows, force=self.request.force)
         if not self.request.force:
             existing = outputs.up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
-            if existing is not None:
+            if existing is not None and log is None:
                 return existing
-        data, points = self.result(judge)
+        data, points = self.result(judge, log)
+        if log is not None and self.request.windows is not None:
+            log.write(self.request.windows, data, points)
         return self.write(data, integers_json(data, points) if self.request.integers else None)
 
-    def result(self, judge: Judge) -> tuple[ReportInput, PointSet]:
+    @property
+    def _windows(self) -> tuple[Path, ...]:
+        return () if self.request.windows is None else (self.request.windows,)
+
+    def result(self, judge: Judge, log: WindowLog | None = None) -> tuple[ReportInput, PointSet]:
         """First pass: survey the recording and judge it; nothing is written.
+
+        Args:
+            log: takes in all still windows.
 
         Returns:
             all that the report says but what the second pass counts, and the recording's points.
@@ -182,8 +193,9 @@ class RecordingRun:
         """
         recording, optimizer = self.reader.recording, judge.optimizer()
         method = judge.method(recording)
+        method = method if log is None else log.watch(method, recording.rate_hz)
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
-            facts = self.survey(method)
+            facts = self.survey(method, *(() if log is None else (log,)))
             points = method.procedure.result()
             settings = self.request.settings
             covered = coverage(points, postures(points, settings.posture_degrees))
@@ -205,11 +217,11 @@ class RecordingRun:
         )
         return data, points
 
-    def survey(self, method: survey.Method) -> Facts:
-        """Facts of the recording, and its still windows into the method."""
+    def survey(self, method: survey.Method, *others: survey.Observer) -> Facts:
+        """Facts of the recording, and its still windows into the method and other observers."""
         recording, request = self.reader.recording, self.request
         facts = survey.FactsObserver(recording, method.rest_lsb)
-        observers = (facts, method.procedure)
+        observers = (facts, method.procedure, *others)
         shown = self.progress("reading", recording.total_bytes)
         chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
         survey.survey(chunks, method.segmenter, observers, shown, request.threads)

@@ -242,6 +242,7 @@ class Request:
         any_device: apply them to recordings of any device.
         report_only: write no Parquet.
         integers: also write the fit's points and result as integers.
+        windows: where all still windows go; None: nowhere.
         force: overwrite what accelcal did not write, and redo what is up to date.
         command: the command line, for the provenance.
         threads: how many may work at a time on one recording.
@@ -255,6 +256,7 @@ class Request:
     chunk_samples: int = DEFAULT_CHUNK_SAMPLES
     report_only: bool = False
     integers: bool = False
+    windows: Path | None = None
     force: bool = False
     command: tuple[str, ...] = ()
     coefficients: Coefficients | None = None

@@ -22,6 +22,7 @@ from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, load, load_report, section, upgraded
 from accelcal_cli.output.report_schema import fault, report_schema, schema_of_version
+from accelcal_cli.output.windows import is_window_table
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 
 PACKAGES = ("numpy", "pyarrow", "h5py", "click")
@@ -34,13 +35,16 @@ PARTS = ("sensor", "columns")
 """Reading options that choose one of several recordings in a file."""
 
 
-def prepare(job: Job, *, force: bool) -> None:
+def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
     """Make the output folders, and refuse to overwrite what accelcal did not write.
+
+    Args:
+        windows: tables of still windows that are asked for.
 
     Raises:
         OutputError: a folder cannot be made, or a foreign file is in the way.
     """
-    for folder in sorted({job.parquet.parent, job.report.parent}):
+    for folder in sorted({path.parent for path in (job.parquet, job.report, *windows)}):
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -54,6 +58,8 @@ def prepare(job: Job, *, force: bool) -> None:
     refuse_foreign(job.parquet, known=written_by_us(job.parquet))
     refuse_foreign_report(job.report)
     refuse_foreign(job.integers, known=load(job.integers) is not None)
+    for path in windows:
+        refuse_foreign(path, known=written_by_us(path) or is_window_table(path))
 
 
 def refuse_foreign_report(path: Path) -> None:

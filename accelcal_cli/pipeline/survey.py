@@ -25,6 +25,7 @@ from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import (
+    Fates,
     Fit,
     Model,
     Optimizer,
@@ -43,7 +44,7 @@ from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.pipeline.jobs import Progress
 from accelcal_cli.segment import chosen_rule, window_length
-from accelcal_cli.segment.segmenter import Segmenter
+from accelcal_cli.segment.segmenter import Segmenter, TimedSegmenter
 
 if TYPE_CHECKING:  # few runs use profile `paper`
     from accelcal_cli.collect.subsets import PaperCollector
@@ -94,6 +95,21 @@ def _numbers(optimizer: Optimizer, settings: Settings) -> Any:
     return optimizer.settings.get(settings.profile, optimizer.settings["default"])
 
 
+class StillWindows(Observer):
+    """Keeps all still windows, some 90 bytes each."""
+
+    def __init__(self) -> None:
+        self._parts: list[Windows] = []
+
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        self._parts.append(windows)
+
+    def result(self) -> Windows:
+        """All of them."""
+        return joined_windows(self._parts)
+
+
 class Procedure(Observer):
     """Takes still windows in, and judges what they hold."""
 
@@ -106,7 +122,11 @@ class Procedure(Observer):
         raise NotImplementedError
 
     def window_use(self, counts: WindowCounts) -> WindowUse:
-        """Windows by fate, of so many from the segmenter."""
+        """How many windows had which fate, of so many from the segmenter."""
+        raise NotImplementedError
+
+    def fates(self, windows: Windows) -> Fates:
+        """What became of each of the windows that were taken in."""
         raise NotImplementedError
 
 
@@ -121,6 +141,11 @@ class Method:
     segmenter: Segmenter
     procedure: Procedure
     rest_lsb: float
+
+    def timed(self, rate_hz: float) -> Method:
+        """The same with windows that carry their times."""
+        segmenter = TimedSegmenter(self.segmenter.length, self.segmenter.rule, rate_hz)
+        return replace(self, segmenter=segmenter)
 
 
 def make_method(recording: Recording, settings: Settings) -> Method:
@@ -180,6 +205,10 @@ class CellProcedure(Procedure):
         constant = 0 if cells.constant_used else cells.constant
         return window_use(counts, cells.implausible, constant, cells.far_temperature)
 
+    def fates(self, windows: Windows) -> Fates:
+        """By the cells."""
+        return self.collector.fates(windows)
+
 
 class PaperProcedure(Procedure):
     """Profile `paper`: F's nine subsets, nine parameters, control points."""
@@ -204,6 +233,10 @@ class PaperProcedure(Procedure):
     def window_use(self, counts: WindowCounts) -> WindowUse:
         """Windows by fate; few of the still ones are used."""
         return window_use(counts, self.collector.implausible, 0)
+
+    def fates(self, windows: Windows) -> Fates:
+        """By the two sets."""
+        return self.collector.fates(windows)
 
 
 def window_use(counts: WindowCounts, implausible: int, constant: int, far: int = 0) -> WindowUse:

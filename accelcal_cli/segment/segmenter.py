@@ -12,7 +12,7 @@ order, so that the fast matrix product gives the same integers as a slow integer
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -221,3 +221,37 @@ class Segmenter:
             filled=int(filled.sum()), clipped=int(clipped.sum()), recovered=int(recovered.sum())
         )
         return np.asarray(~(filled | clipped | recovered))
+
+
+class TimedSegmenter(Segmenter):
+    """A segmenter whose windows carry their times, whenever its rule decides on them."""
+
+    def __init__(self, length: int, rule: Rule, rate_hz: float) -> None:
+        super().__init__(length, rule)
+        self._period_us = round(1e6 / rate_hz)
+        self._times = np.empty((3, 0), np.int64)
+        """Of all windows that may still be decided on: first sample, times of the first and last one [us]."""
+
+    def feed(self, chunk: Chunk) -> Iterator[Windows]:
+        """See `Segmenter`."""
+        return map(self._timed, super().feed(chunk))
+
+    def finish(self) -> Iterator[Windows]:
+        """See `Segmenter`."""
+        return map(self._timed, super().finish())
+
+    def _blocks(self, rows: Chunk) -> Blocks:
+        blocks = super()._blocks(rows)
+        times_us = rows.time_us.reshape(len(blocks), self.length)
+        known = np.stack([blocks.first_samples, times_us[:, 0], times_us[:, -1]])
+        self._times = np.concatenate([self._times, known], axis=1)
+        return blocks
+
+    def _timed(self, windows: Windows) -> Windows:
+        if not len(windows):
+            return replace(windows, start_us=windows.first_sample, end_us=windows.first_sample)
+        samples, start_us, last_us = self._times
+        first = np.searchsorted(samples, windows.first_sample)
+        last = np.searchsorted(samples, windows.first_sample + windows.samples - self.length)
+        self._times = self._times[:, int(last[-1]) + 1 :]
+        return replace(windows, start_us=start_us[first], end_us=last_us[last] + self._period_us)

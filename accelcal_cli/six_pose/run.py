@@ -5,23 +5,21 @@ The run is that of any recording; its judge finds the poses among the still wind
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.points import Windows, joined_windows
-from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.survey import CellProcedure, Method, local_lsb_per_g
 from accelcal_cli.segment import chosen_rule, window_length
-from accelcal_cli.segment.segmenter import Rule, Segmenter
+from accelcal_cli.segment.segmenter import TimedSegmenter
 from accelcal_cli.six_pose.poses import Listed, Origin, Session, find_faces, find_listed, read_list
 from accelcal_cli.six_pose.solve import check_range, six_pose_fit
 from accelcal_cli.six_pose.verdict import judge_six_pose, known_json, poses_json
@@ -52,32 +50,6 @@ def known_orientations(request: Request) -> KnownOrientations:
     assert isinstance(request.settings, PoseSettings)
     listed = () if request.poses is None else read_list(request.poses)
     return KnownOrientations(request.recording_settings, request.settings, listed)
-
-
-class TimedSegmenter(Segmenter):
-    """A segmenter whose windows carry their times.
-
-    Its rule must decide on a window as soon as that is complete (`adaptive` does not): the clock of the
-    chunk at hand knows the time of the window's last sample.
-    """
-
-    def __init__(self, length: int, rule: Rule, rate_hz: float) -> None:
-        super().__init__(length, rule)
-        self.rate_hz = rate_hz
-
-    def feed(self, chunk: Chunk) -> Iterator[Windows]:
-        """See `Segmenter`."""
-        for windows in super().feed(chunk):
-            yield _with_times(windows, chunk, self.rate_hz)
-
-
-def _with_times(windows: Windows, chunk: Chunk, rate_hz: float) -> Windows:
-    """Windows that end in a chunk, with their times."""
-    last = windows.first_sample + windows.samples - 1 - chunk.first_sample
-    low, high = (int(last[0]), int(last[-1]) + 1) if len(last) else (0, 0)
-    last_us = chunk.clock.times(low, high)[last - low]
-    lengths_us = np.rint((windows.samples - 1) * 1e6 / rate_hz).astype(np.int64)
-    return replace(windows, start_us=last_us - lengths_us, end_us=last_us + round(1e6 / rate_hz))
 
 
 class SessionProcedure(CellProcedure):

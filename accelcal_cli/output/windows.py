@@ -1,0 +1,161 @@
+"""Every still window of a recording and what became of it, as a table (docs/outputs.md).
+
+`collect.table` reads it back into the same windows: means and spreads are those of the raw counts, and with
+`samples` and `counts_per_g` their sums come out as the integers that they were.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import isnan
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, iso_time
+from accelcal_cli.core.points import ROLES, Calibration, Fates, Windows
+from accelcal_cli.core.zones import UTC
+from accelcal_cli.output.files import (
+    METADATA_KEY,
+    csv_text,
+    open_plain,
+    replacing,
+    write_text,
+)
+
+TEXT = ("role",)
+TIME = "time"
+NUMBERS = ("first_sample", "samples", "point", "posture", "fold")
+"""Whole numbers; a negative one is none."""
+
+COLUMNS = (
+    TIME, "first_sample", "samples", "x", "y", "z", "spread_x", "spread_y", "spread_z", "temperature_c",
+    "counts_per_g", "role", "point", "posture", "fold", "raw_g", "calibrated_g",
+)  # fmt: skip
+AXES = "xyz"
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowTable:
+    """What is told of m still windows.
+
+    Attributes:
+        windows: with their times.
+        lsb_per_g: counts per standard g.
+        fates: of the windows.
+        posture, fold: (m,) of each window's point, the fold being the one that held it out; -1 for none.
+        calibration: None if the recording was refused.
+        utc_offset_s: that the device's clock is ahead of UTC; None if its zone is not known.
+    """
+
+    windows: Windows
+    lsb_per_g: float
+    fates: Fates
+    posture: NDArray[np.int64]
+    fold: NDArray[np.int64]
+    calibration: Calibration | None
+    utc_offset_s: int | None
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """All columns, (m,) each, by name; nothing is NaN or a negative number."""
+        windows = self.windows
+        assert windows.start_us is not None
+        mean_g = windows.sums / (windows.samples[:, np.newaxis] * self.lsb_per_g)
+        spread_g = windows.spread / self.lsb_per_g
+        nothing = np.full(len(windows), np.nan)
+        heat = nothing
+        if windows.temperature_sums is not None:
+            heat = windows.temperature_sums / (windows.samples * 1000)
+        after = nothing if self.calibration is None else _lengths(_calibrated(mean_g, heat, self.calibration))
+        return {
+            TIME: windows.start_us,
+            "first_sample": windows.first_sample,
+            "samples": windows.samples,
+            **{name: mean_g[:, axis] for axis, name in enumerate(AXES)},
+            **{f"spread_{name}": spread_g[:, axis] for axis, name in enumerate(AXES)},
+            "temperature_c": heat,
+            "counts_per_g": np.full(len(windows), self.lsb_per_g),
+            "role": np.array(ROLES)[self.fates.role],
+            "point": self.fates.point,
+            "posture": self.posture,
+            "fold": self.fold,
+            "raw_g": _lengths(mean_g),
+            "calibrated_g": after,
+        }
+
+
+def _calibrated(mean_g: Floats, heat_c: Floats, calibration: Calibration) -> Floats:
+    """a = K (v + o + s (T - Tref)), (m, 3), each term rounded alike on every machine."""
+    gain, slope = calibration.gain(), calibration.slope_g_per_c()
+    v = mean_g + calibration.offset_g()
+    if slope.any():
+        v = v + slope * np.nan_to_num(heat_c - calibration.reference_c())[:, np.newaxis]
+    x, y, z = v.T
+    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in gain], axis=1)
+
+
+def _lengths(g: Floats) -> Floats:
+    x, y, z = g.T
+    return np.asarray(np.sqrt(x * x + y * y + z * z))
+
+
+def is_window_table(path: Path) -> bool:
+    """Whether a file begins with the header line of such a table; raises OutputError for a link or a pipe."""
+    head = ",".join(COLUMNS).encode() + b"\n"
+    try:
+        with open_plain(path, "rb") as file:
+            return bool(file.read(len(head)) == head)
+    except OSError:
+        return False
+
+
+def write_windows(table: WindowTable, path: Path, metadata: dict[str, Any]) -> None:
+    """Write a table as Parquet or CSV, by the name's suffix.
+
+    Args:
+        metadata: what a Parquet file says of itself.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    if path.suffix.lower() == ".csv":
+        columns = table.columns()
+        cells = [_cells(table, columns, name) for name in COLUMNS]
+        write_text(path, csv_text(COLUMNS, zip(*cells, strict=True)))
+    else:
+        _write_parquet(table, path, metadata)
+
+
+def _cells(table: WindowTable, columns: dict[str, NDArray[Any]], name: str) -> Sequence[object]:
+    values = columns[name].tolist()
+    if name == TIME:
+        return [iso_time(value, table.utc_offset_s) for value in values]
+    if name in NUMBERS:
+        return [None if value < 0 else value for value in values]
+    return values if name in TEXT else [None if isnan(value) else value for value in values]
+
+
+def _write_parquet(table: WindowTable, path: Path, metadata: dict[str, Any]) -> None:
+    # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    def array(name: str, values: NDArray[Any]) -> pa.Array:
+        if name == TIME:
+            zone = None if table.utc_offset_s is None else UTC
+            return pa.array(values - MICROSECONDS * (table.utc_offset_s or 0), pa.timestamp("us", zone))
+        if name in NUMBERS:
+            return pa.array(values, pa.int64(), mask=values < 0)
+        return pa.array(values) if name in TEXT else pa.array(values, pa.float64(), mask=np.isnan(values))
+
+    columns = table.columns()
+    arrays = pa.Table.from_arrays([array(name, columns[name]) for name in COLUMNS], COLUMNS)
+    described = arrays.replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        pq.write_table(described, file, compression="zstd")

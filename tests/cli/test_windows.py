@@ -1,0 +1,224 @@
+"""`calibrate --windows`: every still window in a table, and back into `fit`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+from tests.cli.run import Ran, assert_one_line, run
+from tests.recordings import LSB_PER_G, RATE_HZ, directions, good_csv, good_raw, still_counts, write_raw
+
+Capture = pytest.CaptureFixture[str]
+WINDOW = 125
+"""Samples in 5 s."""
+
+
+def made(capsys: Capture, path: Path, table: Path, *words: object) -> tuple[Ran, dict]:
+    ran = run(capsys, "calibrate", path, "--json", "-q", "--windows", table, *words)
+    return ran, json.loads(ran.out) if ran.out else {}
+
+
+def still(report: dict) -> int:
+    """How many windows were still, by the report."""
+    fates = ("used", "implausible", "constant_left_out", "temperature_left_out")
+    return sum(report["fit"]["windows"][fate] for fate in fates)
+
+
+def read(path: Path) -> pd.DataFrame:
+    return pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "words", "fitting"),
+    [
+        ("recording.bin", (), ()),
+        ("recording.bin", ("--stillness", "adaptive"), ()),
+        ("recording.bin", ("--latitude", 60), ("--latitude", 60)),
+        pytest.param(
+            "recording.bin", ("--no-temperature",), ("--no-temperature",), marks=pytest.mark.nightly
+        ),
+        pytest.param("night.h5", ("--prior", "none"), ("--prior", "none"), marks=pytest.mark.nightly),
+        pytest.param("evening.csv.gz", ("--segment-seconds", 10), (), marks=pytest.mark.nightly),
+    ],
+)
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_fit_reads_them_back_to_the_same_integers(
+    tmp_path: Path,
+    capsys: Capture,
+    name: str,
+    words: tuple[object, ...],
+    fitting: tuple[object, ...],
+    suffix: str,
+) -> None:
+    table = tmp_path / f"all.{suffix}"
+    source = Path(__file__).parents[2] / "sample_data" / name
+    ran, report = made(capsys, source, table, "-d", tmp_path, "--report-only", *words)
+    assert ran.code == 0, ran.err
+    again = json.loads(run(capsys, "fit", table, "--json", *fitting).out)
+    assert again["calibration"]["fixed_point"] == report["calibration"]["fixed_point"]
+    for key in ("holdout", "coverage", "sphere_mg", "models_tried"):
+        assert again[key] == report[key], key
+    held = read(table)
+    assert len(held) == again["recording"]["samples"] == still(report)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_the_numbers_are_those_of_the_samples(tmp_path: Path, capsys: Capture, suffix: str) -> None:
+    """By hand: means, spreads, times, and |a| before and after with the report's coefficients."""
+    counts = still_counts(directions(60))
+    path = write_raw(tmp_path / "good.raw", counts)
+    table = tmp_path / f"all.{suffix}"
+    ran, report = made(capsys, path, table, "--chunk-samples", 777)
+    assert ran.code == 0
+    held = read(table)
+    windows = counts[: len(counts) // WINDOW * WINDOW].reshape(-1, WINDOW, 3)
+    assert held["first_sample"].tolist() == [WINDOW * k for k in range(len(windows))]
+    assert set(held["samples"]) == {WINDOW} and set(held["counts_per_g"]) == {LSB_PER_G}
+    mean_g = windows.mean(axis=1) / LSB_PER_G
+    np.testing.assert_allclose(held[["x", "y", "z"]], mean_g, rtol=1e-12)
+    spread_g = (windows.max(axis=1) - windows.min(axis=1)) / LSB_PER_G
+    assert (held[["spread_x", "spread_y", "spread_z"]].to_numpy() == spread_g).all()
+    start = pd.Timestamp("2024-03-04") + pd.to_timedelta(np.arange(len(windows)) * WINDOW / RATE_HZ, unit="s")
+    assert (pd.to_datetime(held["time"]).to_numpy() == start.to_numpy("datetime64[us]")).all()
+    gain, offset = np.array(report["calibration"]["gain"]), np.array(report["calibration"]["offset_g"])
+    np.testing.assert_allclose(held["raw_g"], np.linalg.norm(mean_g, axis=1), rtol=1e-12)
+    after = np.linalg.norm((mean_g + offset) @ gain.T, axis=1)
+    np.testing.assert_allclose(held["calibrated_g"], after, rtol=1e-12)
+    assert held["temperature_c"].isna().all()
+    assert set(held["role"]) == {"fit"} and held["point"].max() + 1 == report["fit"]["points"]
+    assert held["posture"].nunique() == report["fit"]["postures"]
+    assert set(held["fold"]) == set(range(5))
+    assert (held.groupby("posture")["fold"].nunique() == 1).all(), "no posture is split"
+
+
+def test_what_is_left_out_is_there_with_the_reason(tmp_path: Path, capsys: Capture) -> None:
+    counts = still_counts(directions(60))
+    counts[: 2 * WINDOW] = (0, 0, 2)
+    counts[750 : 750 + WINDOW] = counts[750]
+    path = write_raw(tmp_path / "good.raw", counts)
+    ran, report = made(capsys, path, tmp_path / "all.csv")
+    assert ran.code == 0
+    held = read(tmp_path / "all.csv")
+    assert held["role"].iloc[:3].tolist() == ["implausible", "implausible", "fit"]
+    assert held["role"].iloc[6] == "constant"
+    assert held[held["role"] != "fit"][["point", "posture", "fold"]].isna().all(axis=None)
+    counted = report["fit"]["windows"]
+    assert (held["role"] == "fit").sum() == counted["used"]
+    assert (held["role"] == "constant").sum() == counted["constant_left_out"]
+    assert (held["role"] == "implausible").sum() == counted["implausible"]
+
+
+def test_a_refused_recording_has_them_too(tmp_path: Path, capsys: Capture) -> None:
+    path = write_raw(tmp_path / "few.raw", still_counts(directions(3)))
+    ran, _ = made(capsys, path, tmp_path / "all.parquet")
+    assert ran.code == 4
+    held = read(tmp_path / "all.parquet")
+    assert len(held) == 18 and held["calibrated_g"].isna().all() and held["raw_g"].notna().all()
+
+
+def test_profile_paper_tells_its_two_sets(tmp_path: Path, capsys: Capture) -> None:
+    path = write_raw(tmp_path / "good.raw", still_counts(directions(120)))
+    ran, report = made(capsys, path, tmp_path / "all.csv", "--profile", "paper")
+    assert ran.code in (0, 4)
+    roles = read(tmp_path / "all.csv")["role"].value_counts()
+    assert roles["fit"] == 18 and roles["control"] == 18
+    assert roles.sum() == still(report)
+
+
+def test_times_are_utc_where_the_zone_is_known(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    for suffix in ("csv", "parquet"):
+        made(capsys, path, tmp_path / f"all.{suffix}", "--timezone", "+02:00", "--report-only", "--force")
+    assert read(tmp_path / "all.csv")["time"].iloc[0] == "2024-03-04T00:00:00.000000+02:00"
+    assert read(tmp_path / "all.parquet")["time"].iloc[0] == pd.Timestamp("2024-03-03T22:00:00Z")
+
+
+def test_of_the_same_recording_they_are_written_again(tmp_path: Path, capsys: Capture) -> None:
+    path, table = good_raw(tmp_path), tmp_path / "all.csv"
+    made(capsys, path, table)
+    first = table.read_bytes()
+    table.unlink()
+    ran, _ = made(capsys, path, table, "--chunk-samples", 99)
+    assert (ran.code, table.read_bytes() == first) == (0, True)
+    assert made(capsys, path, table)[0].code == 0, "one of ours is replaced"
+
+
+def test_a_table_says_whose_it_is(tmp_path: Path, capsys: Capture) -> None:
+    _, report = made(capsys, good_raw(tmp_path), tmp_path / "all.parquet")
+    about = json.loads(pq.read_schema(tmp_path / "all.parquet").metadata[b"accelcal"])
+    assert about["recording"] == report["recording"] and about["calibration"] == report["calibration"]
+
+
+@pytest.mark.parametrize(
+    ("table", "said"),
+    [
+        ("all.txt", "--windows all.txt is neither .parquet nor .csv"),
+        ("-", "not written to standard output"),
+        ("good.csv", "good.csv would be overwritten"),
+        ("good.calibrated.parquet", "good.calibrated.parquet would be overwritten"),
+    ],
+)
+def test_where_they_cannot_go_is_said_before_the_work(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, table: str, said: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    content = good_csv(tmp_path).read_bytes()
+    ran = run(capsys, "calibrate", "good.csv", "--windows", table)
+    assert ran.code == 2
+    assert_one_line(ran, said)
+    assert (tmp_path / "good.csv").read_bytes() == content and len(list(tmp_path.iterdir())) == 1
+
+
+def test_several_recordings_do_not_share_a_table(tmp_path: Path, capsys: Capture) -> None:
+    paths = good_raw(tmp_path, "a.raw"), good_raw(tmp_path, "b.raw")
+    ran = run(capsys, "calibrate", *paths, "--windows", tmp_path / "all.csv")
+    assert ran.code == 2
+    assert_one_line(ran, "several recordings")
+
+
+def test_anothers_file_is_kept_without_force(tmp_path: Path, capsys: Capture) -> None:
+    path, table = good_raw(tmp_path), tmp_path / "all.csv"
+    table.write_text("mine\n")
+    ran, _ = made(capsys, path, table)
+    assert ran.code == 5 and table.read_text() == "mine\n"
+    assert_one_line(ran, "was not written by accelcal", "--force")
+    assert made(capsys, path, table, "--force")[0].code == 0 and len(read(table)) > 100
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "said"),
+    [
+        ("samples", "12.5", "line 5: has no whole number of samples"),
+        ("samples", "0", "line 5: has no whole number of samples"),
+        ("counts_per_g", "255.0", "line 5: has no counts_per_g like that of the first row"),
+        ("spread_y", "wide", "line 5: spread_y is 'wide'"),
+        ("temperature_c", "warm", "line 2: temperature_c is ''"),
+    ],
+)
+def test_a_changed_table_is_refused_with_its_line(
+    tmp_path: Path, capsys: Capture, column: str, value: str, said: str
+) -> None:
+    made(capsys, good_raw(tmp_path), tmp_path / "all.csv", "--report-only")
+    held = pd.read_csv(tmp_path / "all.csv", dtype=str, keep_default_na=False)
+    held.loc[3, column] = value
+    held.to_csv(tmp_path / "changed.csv", index=False)
+    ran = run(capsys, "fit", tmp_path / "changed.csv")
+    assert ran.code == 3
+    assert_one_line(ran, said)
+
+
+def test_rows_may_be_taken_out(tmp_path: Path, capsys: Capture) -> None:
+    made(capsys, good_raw(tmp_path), tmp_path / "all.parquet", "--report-only")
+    held = read(tmp_path / "all.parquet")
+    held[held["posture"] % 2 == 0].to_parquet(tmp_path / "half.parquet")
+    report = json.loads(run(capsys, "fit", tmp_path / "half.parquet", "--json").out)
+    assert report["outcome"] == "calibrated" and report["fit"]["postures"] == 30
+    (tmp_path / "cut.parquet").write_bytes((tmp_path / "all.parquet").read_bytes()[:2000])
+    ran = run(capsys, "fit", tmp_path / "cut.parquet")
+    assert ran.code == 3
+    assert_one_line(ran, "cut.parquet")
