@@ -27,7 +27,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
     Writes STEM.calibrated.parquet and STEM.calibration.json beside the recording and prints one
     tab-separated line: path, outcome, model, error before and after in mg on held-out postures,
-    improvement in percent, and the Parquet file.
+    error before / after x 100, and the Parquet file.
     """
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     if values["windows"] is not None:

@@ -1,4 +1,4 @@
-"""`accelcal evaluate`: the papers' tables, each part imported only when it is run."""
+"""`accelcal evaluate`: comparisons and the papers' tables, each part imported only when it is run."""
 
 from __future__ import annotations
 
@@ -17,5 +17,5 @@ command = LazyGroup(
     "evaluate",
     parts=PARTS,
     modules="accelcal_cli.cli.evaluate_",
-    help="Compare this implementation with the tables in the papers.",
+    help="Compare methods and stillness rules, test claims, repeat the papers' tables.",
 )

@@ -28,13 +28,14 @@ PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before m
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
 @options.reading_options
-@options.method_options
+@options.comparing_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Fit the same points of each RECORDING with every optimizer and judge them all by the same hold-out.
 
     Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
     paper), operations are additions and multiplications where they are counted, ms is the time of
-    one fit. With --profile paper: 18 points and a second set to judge by, as in the paper.
+    one fit. All fit without a prior, so that they can be compared; `calibrate` has one by default,
+    and its figures differ. With --profile paper: 18 points and a second set to judge by, as in the paper.
     """
     refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
     names = _names(values["only"])

@@ -31,9 +31,10 @@ from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report,
 def command(points: Path, output: Path | None, as_json: bool, force: bool, **values: Any) -> int:
     """Fit the still-window means in POINTS and judge them as `calibrate` does.
 
-    POINTS is a CSV or Parquet table with columns x, y, z in g (or meanx, meany, meanz), and optionally
-    temperature_c, weight and posture; or the table of `calibrate --windows`. Prints the same line as `calibrate`, with the name of the report,
-    if one is written, in place of the Parquet file. Nothing is written if the points are refused.
+    POINTS is a CSV or Parquet table with columns x, y, z in g (or meanx, meany, meanz), and
+    optionally temperature_c, weight and posture; or the table of `calibrate --windows`. Prints the
+    same line as `calibrate`, with the name of the report, if one is written, in place of the Parquet
+    file. Nothing is written if the points are refused.
     """
     if output is not None:
         refuse_nameless(output)

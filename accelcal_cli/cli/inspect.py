@@ -118,7 +118,7 @@ def _clock(clock: dict[str, Any]) -> str:
     elif abs(drift) > CLOCKS_S_PER_DAY:
         parts = [f"{clock['rate_hz_measured']:.4g} Hz measured, {clock['rate_hz_nominal']:g} Hz nominal"]
     else:
-        parts = [f"drift {drift:+g} s/day"]
+        parts = [f"drift {drift + 0.0:+g} s/day"]
     if gaps is not None:
         back = "1 step back" if clock["backward"] == 1 else f"{clock['backward']} steps back"
         parts += [f"{counted(gaps, 'gap')} ({clock['gap_seconds']:g} s)", back]

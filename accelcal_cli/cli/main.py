@@ -51,7 +51,7 @@ COMMANDS = {
     "apply": "Apply known coefficients to recordings of the same device.",
     "verify": "Reproduce a report from its recording, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",
-    "evaluate": "Compare this implementation with the tables in the papers.",
+    "evaluate": "Compare methods and stillness rules, test claims, repeat the papers' tables.",
     "simulate": "Write a recording with known errors.",
 }
 """Each lives in the module of its name (`_` for `-`) and binds `command`."""

@@ -196,6 +196,8 @@ precision_option = _decorate(_settings_options("precision_mg"))
 gravity_options = _decorate(_GRAVITY)
 fitting_options = _decorate([*_FITTING, *_GRAVITY])
 method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
+comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperature"), *_GRAVITY])
+"""Those of a method but for the optimizer and the prior."""
 
 
 def read_options(values: dict[str, Any]) -> ReadOptions:
@@ -265,7 +267,7 @@ def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Sett
             latitude.
     """
     changed = with_given(chosen, values)
-    prior = _prior(changed, values["prior"])
+    prior = _prior(changed, values.get("prior"))
     return replace(changed, temperature=changed.temperature and not values["no_temperature"], prior=prior)
 
 

@@ -92,23 +92,23 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """What became of a recording, and how certain the error is that was left."""
     parts = [f"{source}: {WORDS.get(row['outcome'], row['outcome'])}"]
     before, after, high = row["before_mg"], row["after_mg"], row["ci95_high_mg"]
-    sphere, widest = row.get("sphere_mg"), row.get("sphere_high_mg")
+    sphere = row.get("sphere_mg")
     if row["model"] is not None:
         parts[0] += f" (model {row['model']})"
     if after is not None and sphere is not None:
-        shown = f"{figure(row['sphere_low_mg'])} to {figure(widest)}"
-        parts.append(f"{figure(before)} mg before, {figure(after)} mg after where it has been")
+        shown = f"{figure(row['sphere_low_mg'])} to {figure(row['sphere_high_mg'])}"
+        parts.append(f"{figure(before)} mg before, {figure(after)} mg after on postures left out of the fit")
         parts.append(f"{figure(sphere)} mg over the whole sphere (95 % interval {shown})")
+        high, before = row["sphere_high_mg"], row["sphere_before_mg"]
     elif after is not None:
         low = figure(row["ci95_low_mg"])
         parts.append(
             f"{figure(before)} mg before, {figure(after)} mg after (95 % interval {low} to {figure(high)})"
         )
-    if after is not None:
-        if max(high, widest or 0) >= before:
-            parts.append("this may be no better than the raw data, whose error lies within the interval")
-    elif before is not None:
-        parts.append(f"{figure(before)} mg")
+    if after is None:
+        parts += [f"the raw data are off by {figure(before)} mg"] * (before is not None)
+    elif high >= before and row["outcome"] != Outcome.ALREADY_GOOD:
+        parts.append(f"this may be no better than the raw data, whose {figure(before)} mg lie within it")
     if written is not None:
         parts.append(f"written to {written}")
     return printable("; ".join(parts))
@@ -240,4 +240,5 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
         for trial in report["models_tried"]:
             after_mg = trial["after_mg"]
             error = trial["reason"] if after_mg is None else f"{after_mg:.3f} mg held out"
-            exit_codes.say(f"{name}: model {trial['model']}: {error}")
+            prior = " with the prior" if "prior" in trial else ""
+            exit_codes.say(f"{name}: model {trial['model']}{prior}: {error}")

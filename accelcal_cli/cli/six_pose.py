@@ -33,7 +33,7 @@ def command(recording: Path, **values: Any) -> int:
 
     Fits twelve parameters by linear least squares (docs/six-pose.md says how to record the session).
     Writes STEM.calibration.json beside the recording and prints one tab-separated line: path, outcome,
-    model, error before and after in mg on held-out orientations, improvement in percent, and the report.
+    model, error before and after in mg on held-out orientations, error before / after x 100, and the report.
     """
     inputs = [] if values["poses"] is None else [values["poses"]]
     job = plan_report(recording, values["output_dir"], values["output"], *inputs)

@@ -181,14 +181,18 @@ class Settings:
     )
     model: str = setting(
         "auto",
-        option=Option("--model", "Parameters to fit; auto lets the held-out error decide."),
+        option=Option(
+            "--model",
+            "Parameters to fit, a number without a prior; auto: all, or with --prior none as many as help.",
+        ),
         choices=("auto", "9", "6", "3"),
     )
     prior: str = setting(
         NO_PRIOR,
         option=Option(
             "--prior",
-            "What is known of sensors beforehand, see docs/prior.md; none: held-out error picks a model.",
+            "population: fit all parameters, helped by what is usual for sensors; none: use the simplest "
+            "model that the recording supports (docs/prior.md).",
             default="population; none with --model, --profile paper, and optimizers that know no prior",
         ),
         choices=("population", NO_PRIOR),

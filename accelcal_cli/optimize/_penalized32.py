@@ -19,6 +19,7 @@ from accelcal_cli.core.points import (
     WEIGHT_ONE,
     Fit,
     Model,
+    Operations,
     PenalizedFit,
     Penalty,
     PointSet,
@@ -34,7 +35,6 @@ from accelcal_cli.optimize._objective32 import (
     cost,
     evaluate,
     gradients,
-    operations_of,
     stacked,
 )
 
@@ -83,12 +83,11 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
         raise DivergedError("no point has any weight")
     stack = stacked((points,))
     here, stop = _at(stack, start, penalty), "iterations"
-    costs, seen = 1, set[tuple[int, ...]]()
+    seen = set[tuple[int, ...]]()
     while len(seen) < MAX_NEWTON_STEPS and stop == "iterations":
         seen.add(here.parameters)
         step = _newton_step(stack, here, model, penalty)
-        there, tried = _lower(stack, here, step, penalty)
-        costs += tried
+        there = _lower(stack, here, step, penalty)
         if there is None:
             stop = "step within rounding"
         else:
@@ -96,7 +95,7 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
     if min(here.parameters[:3]) < LEAST_SCALE:
         raise DivergedError("an axis collapsed: the points do not determine its scale")
     mean_square = cost(stack, here.state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
-    found = Fit(here.parameters, len(seen), stop, operations_of(stack.number[0], costs, len(seen)))
+    found = Fit(here.parameters, len(seen), stop, Operations())
     around = curvature(stack, here.state, here.parameters, model)
     return PenalizedFit(model, found, mean_square, tuple(tuple(row) for row in around))
 
@@ -122,19 +121,17 @@ def _at(stack: Stack, parameters: tuple[int, ...], penalty: Penalty) -> _Place:
     return _Place(parameters, state, (cost(stack, state)[0] << PENALTY_BITS) + (added << WEIGHT_BITS))
 
 
-def _lower(stack: Stack, here: _Place, step: list[int], penalty: Penalty) -> tuple[_Place | None, int]:
-    """Where a step leads, or the largest part of it that raises the sum by no more than rounding; and how
-    many places were tried. None where no part does."""
-    tried = 0
+def _lower(stack: Stack, here: _Place, step: list[int], penalty: Penalty) -> _Place | None:
+    """Where a step leads, or the largest part of it that raises the sum by no more than rounding can, None
+    where no part does."""
     while any(step):
         parameters = tuple(value - change for value, change in zip(here.parameters, step, strict=True))
-        tried += 1
         with suppress(FixedPointOverflowError):
             there = _at(stack, parameters, penalty)
             if there.total <= here.total + (here.total >> RISE_TOLERANCE_BITS):
-                return there, tried
+                return there
         step = [_half(change) for change in step]
-    return None, tried
+    return None
 
 
 def _newton_step(stack: Stack, here: _Place, model: Model, penalty: Penalty) -> list[int]:

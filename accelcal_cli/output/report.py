@@ -41,7 +41,7 @@ from accelcal_cli.output.report_schema import fault, report_schema
 EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
 SCHEMA_VERSION = 2
-SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg")
+SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg", "sphere_before_mg")
 LARGEST_BYTES = 64 << 20
 """A report has some thousand entries at most; what is longer is none."""
 
@@ -195,7 +195,7 @@ def sphere_columns(report: dict[str, Any]) -> dict[str, float | None]:
     sphere = report.get("sphere_mg")
     if sphere is None:
         return dict.fromkeys(SPHERE_COLUMNS)
-    values = (sphere["mean"], *sphere["ci95"], sphere["worst_direction"])
+    values = (sphere["mean"], *sphere["ci95"], sphere["worst_direction"], sphere["before"])
     return dict(zip(SPHERE_COLUMNS, values, strict=True))
 
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence, Set
 from contextlib import closing
 from pathlib import Path
 
-from accelcal_cli.core.errors import OutputError, printable
+from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.study import lock, summary
 from accelcal_cli.study.borrowing import BORROWING
@@ -35,7 +35,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     """Do a study.
 
     Raises:
-        UsageError: see `plan`.
+        UsageError: see `plan`; or there is nothing to collect.
         LockedError: another run works in the output folder.
         OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
@@ -48,6 +48,11 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     with lock.held(study.lock, lambda: _other_locks(study)), closing(ledger_of(study)) as ledger:
         planned = plan(study, ledger)
         refuse_foreign(study.out, base, planned.sources(), force=study.request.force)
+        if study.collect and planned.waiting and not planned.done:
+            text = (
+                f"none of {counted(len(planned.waiting), 'recording')} has a result made with these options"
+            )
+            raise UsageError(text, hint="give --collect the options of the parts, or run these first")
         study_run = StudyRun(study, ledger, observer)
         study_run.run(planned)
         result = _summary(study, planned, study_run)

@@ -136,3 +136,14 @@ def test_shards_are_disjoint_and_collected_they_are_the_whole(tmp_path: Path, ca
     run(capsys, "study", folder, "-d", tmp_path / "whole")
     whole, parts = results(tmp_path / "whole"), results(out)
     assert {name: content for name, content in parts.items() if "-of-" not in name} == whole
+
+
+def test_nothing_to_collect_leaves_the_table_as_it_is(tmp_path: Path, capsys: Capture) -> None:
+    """The parts were made with another option: an empty table would take the place of theirs."""
+    folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
+    study(capsys, folder, "--report-only")
+    held = (out / "study.csv").read_bytes()
+    ran = study(capsys, folder, "--collect")
+    assert (ran.code, (out / "study.csv").read_bytes()) == (2, held)
+    assert "none of 2 recordings has a result made with these options; give --collect the options" in ran.err
+    assert study(capsys, folder, "--collect", "--report-only").code == 0

@@ -23,7 +23,14 @@ ROW = {
     "ci95_high_mg": 14.3,
     "improvement_percent": 137.8,
 }
-UNCERTAIN = "this may be no better than the raw data, whose error lies within the interval"
+UNCERTAIN = "this may be no better than the raw data, whose 13.5 mg lie within it"
+SPHERE = {
+    "sphere_mg": 4.1,
+    "sphere_low_mg": 1.5,
+    "sphere_high_mg": 9.9,
+    "sphere_worst_mg": 7.0,
+    "sphere_before_mg": 20.0,
+}
 
 
 @pytest.fixture
@@ -48,7 +55,16 @@ def test_what_has_no_error_after_has_no_interval(shown: Shown) -> None:
     nothing = dict.fromkeys(ROW) | {"outcome": "refused"}
     assert shown(nothing) == "a.cwa: refused\n"
     good = nothing | {"outcome": "already_good", "before_mg": 1.25}
-    assert shown(good) == "a.cwa: good as it is; 1.25 mg\n"
+    assert shown(good) == "a.cwa: good as it is; the raw data are off by 1.25 mg\n"
+
+
+def test_with_a_prior_the_interval_is_that_of_the_sphere(shown: Shown) -> None:
+    """The raw error on postures left out, 13.5 mg, lies in their own interval, which is not shown."""
+    start = "13.5 mg before, 9.80 mg after on postures left out of the fit; 4.10 mg over the whole sphere"
+    assert shown(ROW | SPHERE) == f"a.cwa: calibrated (model 9); {start} (95 % interval 1.50 to 9.90)\n"
+    doubtful = shown(ROW | SPHERE | {"sphere_before_mg": 9.5})
+    assert doubtful.endswith("; this may be no better than the raw data, whose 9.50 mg lie within it\n")
+    assert "no better" not in shown(ROW | SPHERE | {"sphere_before_mg": 9.5, "outcome": "already_good"})
 
 
 def test_fields_at_a_terminal_are_an_option(shown: Shown) -> None:
