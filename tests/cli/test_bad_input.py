@@ -171,7 +171,13 @@ def test_a_gzip_file_cut_short_gives_its_rows_and_says_so(tmp_path: Path, capsys
     assert (part["time"] == full["time"].iloc[: len(part)]).all()
 
 
-@pytest.mark.parametrize("name", ["l" * 240 + ".csv", os.fsdecode(b"bad\xff\tand\nline.csv")])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("l" * 240 + ".csv", marks=pytest.mark.nightly),
+        os.fsdecode(b"bad\xff\tand\nline.csv"),
+    ],
+)
 def test_strange_names(tmp_path: Path, name: str) -> None:
     path = good_csv(tmp_path, name)
     ran = run_process("calibrate", path, "--report-only")

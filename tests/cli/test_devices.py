@@ -145,6 +145,7 @@ ODD = st.sampled_from([1e-300, 5e-324, 1e-160, 1e160, 1e300, -1e300, np.inf, -np
 NUMBERS = [name for name in COLUMNS if name not in (*TEXT, *WHOLE)]
 
 
+@pytest.mark.nightly
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=20)
 @given(st.lists(st.tuples(st.integers(0, 99), st.sampled_from(NUMBERS), ODD), min_size=1, max_size=60))
 def test_numbers_that_cannot_be_stop_nothing(

@@ -47,6 +47,7 @@ def test_figures_are_those_of_calibrate(tmp_path: Path, capsys: Capture) -> None
         assert row["on_points_of_mg"][row["rule"]] == report["fit"]["after_mg"]
 
 
+@pytest.mark.nightly
 def test_csv_is_one_table_of_all_recordings(tmp_path: Path, capsys: Capture) -> None:
     one, two = good_raw(tmp_path, "one.raw"), good_raw(tmp_path, "two.raw")
     ran = run(capsys, "evaluate", "stillness", one, two, "--csv")

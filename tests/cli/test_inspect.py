@@ -48,6 +48,7 @@ def test_an_unreadable_recording_has_its_code_and_line(tmp_path: Path, capsys: C
     assert run(capsys, "inspect", tmp_path / "absent.cwa", good_csv(tmp_path)).code == 1
 
 
+@pytest.mark.nightly
 def test_standard_input_is_read_like_a_file(tmp_path: Path) -> None:
     data = good_csv(tmp_path).read_bytes()
     ran = run_process("inspect", "--json", "-", stdin=data)

@@ -28,6 +28,7 @@ def read_g(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     return counts, times, np.concatenate(warm) if warm else None
 
 
+@pytest.mark.nightly
 def test_all_formats_hold_the_same_samples_and_times(tmp_path: Path, capsys: Capture) -> None:
     held = []
     for name in FORMATS:

@@ -23,7 +23,10 @@ Capture = pytest.CaptureFixture[str]
     [
         (),
         pytest.param(("--no-temperature",), marks=pytest.mark.nightly),
-        ("--model", "6", "--segment-seconds", 4, "--stillness-threshold-g", 0.2),
+        pytest.param(
+            ("--model", "6", "--segment-seconds", 4, "--stillness-threshold-g", 0.2),
+            marks=pytest.mark.nightly,
+        ),
         pytest.param(("--optimizer", "gauss-newton"), marks=pytest.mark.nightly),
         ("--profile", "paper", "--min-distance-g", 0.15),
         pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),

@@ -38,7 +38,7 @@ def read(path: Path) -> pd.DataFrame:
     [
         ("recording.bin", (), ()),
         ("recording.bin", ("--stillness", "adaptive"), ()),
-        ("recording.bin", ("--latitude", 60), ("--latitude", 60)),
+        pytest.param("recording.bin", ("--latitude", 60), ("--latitude", 60), marks=pytest.mark.nightly),
         pytest.param(
             "recording.bin", ("--no-temperature",), ("--no-temperature",), marks=pytest.mark.nightly
         ),
@@ -46,7 +46,7 @@ def read(path: Path) -> pd.DataFrame:
         pytest.param("evening.csv.gz", ("--segment-seconds", 10), (), marks=pytest.mark.nightly),
     ],
 )
-@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+@pytest.mark.parametrize("suffix", ["csv", pytest.param("parquet", marks=pytest.mark.nightly)])
 def test_fit_reads_them_back_to_the_same_integers(
     tmp_path: Path,
     capsys: Capture,

@@ -79,6 +79,7 @@ def test_the_next_run_removes_what_a_killed_one_left(tmp_path: Path, short: Path
     assert list(short.iterdir()) == []
 
 
+@pytest.mark.nightly
 def test_another_server_is_started_where_it_was_killed(tmp_path: Path) -> None:
     script = tmp_path / "pool.py"
     script.write_text(SERVER_KILLED)

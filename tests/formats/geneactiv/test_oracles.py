@@ -57,19 +57,14 @@ def test_real_files_by_actfast(real_data: Path, name: str) -> None:
     assert check(real_data / "vendor" / name, by_actfast) == REAL[name][0]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.nightly] if REAL[name][0] > 10_000 else [])
-        for name in sorted(set(REAL) - {"geneactiv_85hz_1min.bin"})
-    ],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", sorted(set(REAL) - {"geneactiv_85hz_1min.bin"}))
 def test_real_files_by_skdh(real_data: Path, name: str) -> None:
     """Without the file that ends within a page, at which skdh gives up."""
     assert check(real_data / "vendor" / name, by_skdh) == REAL[name][0]
 
 
-@pytest.mark.parametrize("oracle", [by_actfast, by_skdh])
+@pytest.mark.parametrize("oracle", [by_actfast, pytest.param(by_skdh, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("ending", [b"\n", b"\r\n"])
 def test_files_made_by_hand(tmp_path: Path, oracle: Oracle, ending: bytes) -> None:
     head = header(gain=(25522, 25457, 24829), offset=(272, -1129, 101), pages=20)
