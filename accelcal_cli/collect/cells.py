@@ -21,15 +21,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.collect.saturation import Saturation
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import (
     CONSTANT,
     FAR_TEMPERATURE,
     FIT,
     IMPLAUSIBLE,
+    SATURATED,
     WEIGHT_ONE,
     Fates,
     PointSet,
+    Saturated,
     TemperatureScale,
     Windows,
 )
@@ -43,6 +46,9 @@ many times their median distance from it, are faults of the thermometer: no wris
 
 NEARLY_CONSTANT_SHARE = 10
 """Constant windows are believed where nearly constant ones are at least a tenth as many."""
+
+NEAR_G = 0.05
+"""Half the spread that the limit of profile `paper`, 0.12 g, allows a still window, in round numbers."""
 
 _CONSTANT = 4
 
@@ -117,6 +123,7 @@ class CellCounts:
     constant: int
     constant_used: bool
     far_temperature: int = 0
+    saturated: int = 0
 
 
 class Histogram:
@@ -156,6 +163,7 @@ class CellCollector:
         self.settings = settings
         self.implausible = 0
         self.spreads = Histogram()
+        self.saturation = Saturation()
         self._cells: dict[tuple[int, ...], list[int]] = {}
 
     def add(self, windows: Windows) -> None:
@@ -165,6 +173,7 @@ class CellCollector:
         windows = windows.select(usable)
         if not len(windows):
             return
+        self.saturation.add(windows)
         widest = windows.spread.max(axis=1)
         self.spreads.add(widest)
         keys = self._keys(windows, widest == 0)
@@ -184,6 +193,7 @@ class CellCollector:
         """
         self.implausible += other.implausible
         self.spreads.merge(other.spreads)
+        self.saturation.merge(other.saturation)
         for key, value in other._cells.items():
             _add(self._cells, key if self.temperature else (*key[:3], 0, key[_CONSTANT]), value)
 
@@ -198,8 +208,15 @@ class CellCollector:
     def counts(self) -> CellCounts:
         """What was left out and why."""
         constant, real = self.spreads.numbers.get(0, 0), self._constants_are_real()
-        cells, far = self._settled()
-        return CellCounts(self.implausible, constant, real, sum(cells[key][0] for key in far))
+        cells, left_out = self._settled()
+        number = dict.fromkeys((FAR_TEMPERATURE, SATURATED), 0)
+        for key, role in left_out.items():
+            number[role] += cells[key][0]
+        return CellCounts(self.implausible, constant, real, number[FAR_TEMPERATURE], number[SATURATED])
+
+    def saturated(self) -> Saturated:
+        """Axes that saturate, in units of local gravity."""
+        return self.saturation.found(self.lsb_per_g)
 
     def fates(self, windows: Windows) -> Fates:
         """What became of windows that were taken in; call after the last one."""
@@ -207,32 +224,34 @@ class CellCollector:
         near_1_g = np.flatnonzero(plausible(windows, self.lsb_per_g, self.settings))
         constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
         keys = self._keys(windows.select(near_1_g), constant)[:, :_CONSTANT]
-        _, far = self._settled()
+        _, left_out = self._settled()
         cells, halvings = self._bounded()
         number = {key: index for index, key in enumerate(sorted(cells))}
-        left_out = constant & (not self._constants_are_real())
-        for place, key, unbelieved in zip(near_1_g.tolist(), keys.tolist(), left_out.tolist(), strict=True):
-            if unbelieved:
+        unbelieved = (constant & (not self._constants_are_real())).tolist()
+        for place, key, never_changed in zip(near_1_g.tolist(), keys.tolist(), unbelieved, strict=True):
+            if never_changed:
                 role[place] = CONSTANT
-            elif tuple(key) in far:
-                role[place] = FAR_TEMPERATURE
+            elif tuple(key) in left_out:
+                role[place] = left_out[tuple(key)]
             else:
                 role[place], point[place] = FIT, number[tuple(part >> halvings for part in key)]
         return Fates(role, point)
 
     def _bounded(self) -> tuple[dict[tuple[int, ...], list[int]], int]:
         """The cells that make points, and how often they were made twice as wide to be so few."""
-        cells, far = self._settled()
-        cells = {key: value for key, value in cells.items() if key not in far}
+        cells, left_out = self._settled()
+        cells = {key: value for key, value in cells.items() if key not in left_out}
         halvings = 0
         while len(cells) > MAX_POINTS:
             cells, halvings = coarser(cells), halvings + 1
         return cells, halvings
 
-    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], set[tuple[int, ...]]]:
-        """The cells of windows that were measured, and those of them that their temperature sets aside."""
+    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], dict[tuple[int, ...], int]]:
+        """The cells of windows that were measured, and the role of those of them that make no points."""
         cells = self._believed()
-        return cells, _far_off(cells) if self.temperature else set()
+        far = _far_off(cells) if self.temperature else set()
+        saturated = _beyond(cells, self.saturated(), self.lsb_per_g)
+        return cells, dict.fromkeys(far, FAR_TEMPERATURE) | dict.fromkeys(saturated, SATURATED)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)
@@ -289,6 +308,18 @@ def _far_off(cells: dict[tuple[int, ...], list[int]]) -> set[tuple[int, ...]]:
     usual = _median([(away[key], value[0]) for key, value in cells.items()])
     limit = max(FAR_MC, FAR_DEVIATIONS * usual)
     return {key for key, distance in away.items() if distance > limit}
+
+
+def _beyond(
+    cells: dict[tuple[int, ...], list[int]], saturated: Saturated, lsb_per_g: float
+) -> set[tuple[int, ...]]:
+    """Cells within NEAR_G of where an axis saturates, in whose windows some samples may be too small."""
+    return {
+        key
+        for axis, limit_g in saturated
+        for key, value in cells.items()
+        if (limit_g - value[2 + axis] / (value[1] * lsb_per_g)) * (1 if limit_g > 0 else -1) < NEAR_G
+    }
 
 
 def _median(values: list[tuple[int, int]]) -> int:

@@ -23,7 +23,7 @@ from accelcal_cli.collect.cells import MAX_POINTS, CellCollector, Sums, plausibl
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.formats import ReadOptions, probe_file
-from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Windows
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Saturated, Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import Settings
 
@@ -205,12 +205,14 @@ class Given:
         label: (n,) the table's own postures, or None.
         rows: each plausible row as a point of its own, for errors over windows.
         implausible: rows whose length is nowhere near 1 g.
+        saturated: axes that measure nothing beyond a value.
     """
 
     points: PointSet
     label: NDArray[np.int64] | None
     rows: PointSet
     implausible: int
+    saturated: Saturated = ()
 
 
 def given_points(table: Table, settings: Settings) -> Given:
@@ -222,10 +224,11 @@ def given_points(table: Table, settings: Settings) -> Given:
     if table.weight is None and table.posture is None:
         collector = CellCollector(lsb_per_g, settings, temperature=temperature)
         collector.add(windows_of(kept))
-        points, label = collector.points(), None
+        points, label, saturated = collector.points(), None, collector.saturated()
     else:
         points, label = _kept_apart(kept, lsb_per_g, settings, temperature=temperature)
-    return Given(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()))
+        saturated = ()
+    return Given(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()), saturated)
 
 
 def windows_of(table: Table) -> Windows:

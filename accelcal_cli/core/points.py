@@ -100,10 +100,14 @@ class WindowCounts:
         )
 
 
-FIT, CONTROL, NOT_TAKEN, IMPLAUSIBLE, CONSTANT, FAR_TEMPERATURE = range(6)
-ROLES = ("fit", "control", "not taken", "implausible", "constant", "temperature")
+FIT, CONTROL, NOT_TAKEN, IMPLAUSIBLE, CONSTANT, FAR_TEMPERATURE, SATURATED = range(7)
+ROLES = ("fit", "control", "not taken", "implausible", "constant", "temperature", "saturated")
 """What became of a still window, by number: it is part of a point that is fitted, or that F's second set
-holds; no set of F's had use for it; it is not near 1 g; it never changed; its temperature cannot be."""
+holds; no set of F's had use for it; it is not near 1 g; it never changed; its temperature cannot be; an axis
+is where it saturates."""
+
+Saturated = tuple[tuple[int, float], ...]
+"""Axes (0, 1, 2) that measure nothing beyond a value in raw g; its sign tells the side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,7 +7,7 @@ from enum import StrEnum
 from math import fsum
 
 from accelcal_cli.core.daylight import ZoneChange
-from accelcal_cli.core.points import Calibration, Fit, Penalty
+from accelcal_cli.core.points import Calibration, Fit, Penalty, Saturated
 from accelcal_cli.core.recording import Problem
 
 
@@ -76,6 +76,7 @@ class Coverage:
         distinct_orientations: how many of the points lie in different postures.
         condition_number: of the fit's Jacobian with columns of unit length; None if not fitted.
         worst_direction_mg: standard error of |a| in the least certain of 162 directions.
+        saturated: axes that measure nothing beyond a value, in raw g; no point is near it.
     """
 
     subsets: tuple[tuple[int, int, int], ...]
@@ -85,6 +86,7 @@ class Coverage:
     distinct_orientations: int
     condition_number: float | None = None
     worst_direction_mg: float | None = None
+    saturated: Saturated = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import PointSet
+from accelcal_cli.core.points import PointSet, Saturated
 from accelcal_cli.core.results import SphereError
 from accelcal_cli.judge.errors import directions, jacobian, quantile
 from accelcal_cli.judge.posterior import Posterior
@@ -34,7 +34,11 @@ Floats = NDArray[np.float64]
 
 
 def sphere_errors(
-    points: PointSet, label: NDArray[np.int64], known: Posterior, judged: Sequence[tuple[int, ...]]
+    points: PointSet,
+    label: NDArray[np.int64],
+    known: Posterior,
+    judged: Sequence[tuple[int, ...]],
+    saturated: Saturated = (),
 ) -> list[SphereError]:
     """Mean | |a| - 1 g | of calibrations over all directions, at the points' mean temperature.
 
@@ -45,15 +49,18 @@ def sphere_errors(
         points: those that the posterior is of; label is the posture number of each, (n,).
         judged: twelve fixed-point parameters of each calibration: those of the posterior, of a simpler model,
             or of the ideal sensor.
+        saturated: axes that measure nothing beyond a value.
     """
     noise, drawn = _drawn(known)
     best = known.found.fit.parameters
     free = list(known.model.free)
-    raw = (_raw_directions(best), _posture_means(points, label))
+    true = (_raw_directions(best), _posture_means(points, label))
+    raw = [_as_measured(where, saturated) for where in true]
     scatter = [drawn @ (jacobian(where, None, best)[:, free] / 2).T for where in raw]
+    lengths = [_lengths(where, best) for where in true]
     found = []
     for parameters in judged:
-        shifts = [_lengths(where, parameters) - _lengths(where, best) for where in raw]
+        shifts = [_lengths(where, parameters) - length for where, length in zip(raw, lengths, strict=True)]
         means = [_mean_error(shift - moved, noise) for shift, moved in zip(shifts, scatter, strict=True)]
         found.append(_summary(*means))
     return found
@@ -84,6 +91,15 @@ def _raw_directions(parameters: tuple[int, ...]) -> Floats:
     y = (true[:, 1] - p[3] * x) / p[1]
     z = (true[:, 2] - p[4] * x - p[5] * y) / p[2]
     return np.stack([x - p[6], y - p[7], z - p[8]], axis=1)
+
+
+def _as_measured(raw: Floats, saturated: Saturated) -> Floats:
+    """Raw vectors as a sensor that saturates gives them."""
+    measured = raw.copy()
+    for axis, limit_g in saturated:
+        bound = np.minimum if limit_g > 0 else np.maximum
+        measured[:, axis] = bound(measured[:, axis], limit_g)
+    return measured
 
 
 def _posture_means(points: PointSet, label: NDArray[np.int64]) -> Floats:

@@ -23,6 +23,7 @@ from accelcal_cli.core.points import (
     Fit,
     PenalizedFitter,
     PointSet,
+    Saturated,
     in_standard_g,
 )
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
@@ -63,6 +64,7 @@ def judge(
     how: Fitting,
     why_none: str = NO_STILLNESS,
     label: NDArray[np.int64] | None = None,
+    saturated: Saturated = (),
 ) -> Judgement:
     """The most probable calibration, or the model that posture-blocked held-out error chooses.
 
@@ -73,10 +75,18 @@ def judge(
         points: calibration points of one recording.
         why_none: the reason, where there are no points.
         label: (n,) posture numbers, where they are known; else found by direction.
+        saturated: axes that measure nothing beyond a value; the verdict names them.
     """
+    label = postures(points, how.settings.posture_degrees) if label is None else label
+    verdict = _judged(points, how, why_none, label, replace(coverage_of(points, label), saturated=saturated))
+    told = [f"{'xyz'[axis]} measures nothing beyond {at:.2f} g" for axis, at in saturated]
+    return replace(verdict, message="; ".join([verdict.message, *told]))
+
+
+def _judged(
+    points: PointSet, how: Fitting, why_none: str, label: NDArray[np.int64], coverage: Coverage
+) -> Judgement:
     settings = how.settings
-    label = postures(points, settings.posture_degrees) if label is None else label
-    coverage = coverage_of(points, label)
     if not len(points):
         return Judgement(Outcome.REFUSED, why_none, coverage, ())
     number = coverage.distinct_orientations
@@ -113,7 +123,8 @@ def _most_probable(
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
     fitted = known.found.fit
-    sphere, before = sphere_errors(points, label, known, (fitted.parameters, IDENTITY))
+    judged = (fitted.parameters, IDENTITY)
+    sphere, before = sphere_errors(points, label, known, judged, coverage.saturated)
     verdict = Judgement(
         Outcome.REFUSED,
         "",

@@ -161,6 +161,7 @@ def coverage_json(coverage: results.Coverage) -> dict[str, Any]:
         "distinct_orientations": coverage.distinct_orientations,
         "condition_number": None if condition is None else significant(condition),
         "worst_direction_mg": None if worst is None else significant(worst),
+        "saturated": [{"axis": "xyz"[axis], "at_g": round(at, 4)} for axis, at in coverage.saturated],
     }
 
 
@@ -275,6 +276,7 @@ class WindowUse:
     implausible: int
     constant_left_out: int
     temperature_left_out: int
+    saturated_left_out: int
     used: int
 
 

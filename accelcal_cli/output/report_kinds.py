@@ -59,6 +59,7 @@ def _windows(data: PointsInput) -> dict[str, Any]:
         "implausible": data.implausible,
         "constant_left_out": 0,
         "temperature_left_out": 0,
+        "saturated_left_out": 0,
         "used": data.rows - data.implausible,
         "raw_error_mg": reports.rounded(data.raw_error_mg),
         "after_error_mg": reports.rounded(data.after_error_mg),

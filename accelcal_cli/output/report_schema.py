@@ -42,6 +42,8 @@ LATER = {
     "settings.prior": "0.2.0",
     "sphere_mg": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",
+    "fit.windows.saturated_left_out": "0.2.0",
+    "coverage.saturated": "0.2.0",
 }
 """Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""
 

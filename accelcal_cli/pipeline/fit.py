@@ -32,7 +32,7 @@ def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
     given = given_points(table, settings)
     fitter = fitting(settings)
     why_none = NOT_NEAR if given.implausible else NO_POINTS
-    verdict = judge(given.points, fitter, why_none, given.label)
+    verdict = judge(given.points, fitter, why_none, given.label, given.saturated)
     parameters = None if verdict.fit is None else verdict.fit.parameters
     data = PointsInput(
         path=path,

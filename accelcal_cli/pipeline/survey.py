@@ -186,7 +186,8 @@ class CellProcedure(Procedure):
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model and judge it."""
-        return judge(self.result(), how, self._why_none(how.settings))
+        saturated = self.collector.saturated()
+        return judge(self.result(), how, self._why_none(how.settings), saturated=saturated)
 
     def _why_none(self, settings: Settings) -> str:
         """Why there are no points, if there are none."""
@@ -203,7 +204,7 @@ class CellProcedure(Procedure):
         """Windows by fate."""
         cells = self.collector.counts()
         constant = 0 if cells.constant_used else cells.constant
-        return window_use(counts, cells.implausible, constant, cells.far_temperature)
+        return window_use(counts, cells.implausible, constant, cells.far_temperature, cells.saturated)
 
     def fates(self, windows: Windows) -> Fates:
         """By the cells."""
@@ -239,12 +240,18 @@ class PaperProcedure(Procedure):
         return self.collector.fates(windows)
 
 
-def window_use(counts: WindowCounts, implausible: int, constant: int, far: int = 0) -> WindowUse:
+def window_use(
+    counts: WindowCounts, implausible: int, constant: int, far: int = 0, saturated: int = 0
+) -> WindowUse:
     """Windows by fate, from the segmenter's counts and the collector's."""
     fates = asdict(counts)
-    used = fates.pop("still") - implausible - constant - far
     return WindowUse(
-        **fates, implausible=implausible, constant_left_out=constant, temperature_left_out=far, used=used
+        **{name: number for name, number in fates.items() if name != "still"},
+        implausible=implausible,
+        constant_left_out=constant,
+        temperature_left_out=far,
+        saturated_left_out=saturated,
+        used=fates["still"] - implausible - constant - far - saturated,
     )
 
 

@@ -25,7 +25,7 @@ def made(capsys: Capture, path: Path, table: Path, *words: object) -> tuple[Ran,
 
 def still(report: dict) -> int:
     """How many windows were still, by the report."""
-    fates = ("used", "implausible", "constant_left_out", "temperature_left_out")
+    fates = ("used", "implausible", "constant_left_out", "temperature_left_out", "saturated_left_out")
     return sum(report["fit"]["windows"][fate] for fate in fates)
 
 
