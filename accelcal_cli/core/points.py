@@ -82,8 +82,9 @@ def joined_windows(parts: Sequence[Windows]) -> Windows:
 class WindowCounts:
     """How many windows there were and why some were not used; sums over chunks by +.
 
-    complete = moving + filled + clipped + recovered + joined + still, where a still window made of
-    several counts once as still, and its others as joined to it.
+    complete = moving + filled + clipped + recovered + joined + repeated + still, where a still window made of
+    several counts once as still, and its others as joined to it; repeated is one of a stretch that the
+    recording holds twice.
     """
 
     complete: int = 0
@@ -93,6 +94,7 @@ class WindowCounts:
     recovered: int = 0
     still: int = 0
     joined: int = 0
+    repeated: int = 0
 
     def __add__(self, other: WindowCounts) -> WindowCounts:
         return WindowCounts(

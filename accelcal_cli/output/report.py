@@ -273,6 +273,7 @@ class WindowUse:
     clipped: int
     recovered: int
     joined: int
+    repeated: int
     implausible: int
     constant_left_out: int
     temperature_left_out: int

@@ -52,7 +52,7 @@ def build_points(data: PointsInput) -> dict[str, Any]:
 
 
 def _windows(data: PointsInput) -> dict[str, Any]:
-    none = ("moving", "filled", "clipped", "recovered", "joined")
+    none = ("moving", "filled", "clipped", "recovered", "joined", "repeated")
     return {
         "complete": data.rows,
         **dict.fromkeys(none, 0),

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.recording import Reader, Recording
@@ -111,8 +112,13 @@ class OwnCalibration(Judge):
         """The judgement of the profile's procedure."""
         if found.damage is not None:
             return Verdict(found.damage)
-        judgement = found.method.procedure.judge(survey.fitting(self.settings))
-        return Verdict(advised(judgement, found.facts, found.recording))
+        judgement = advised(
+            found.method.procedure.judge(survey.fitting(self.settings)), found.facts, found.recording
+        )
+        if repeated := found.method.segmenter.counts.repeated:
+            told = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
+            judgement = replace(judgement, message=f"{judgement.message}; {told}")
+        return Verdict(judgement)
 
 
 @contextmanager

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.collect.repetition import Repetitions
 from accelcal_cli.collect.rest import RestSums
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.daylight import FOLLOWED, ZoneChange, zone_changes
@@ -262,7 +263,7 @@ def survey(
     progress: Progress = lambda _end_byte: None,
     threads: int = 1,
 ) -> None:
-    """Show a recording's chunks, and its still windows, to all observers.
+    """Show a recording's chunks, and its still windows but for exact repetitions, to all observers.
 
     Args:
         chunks: of `open_marked`, so that rows at the sensor's range are no stillness.
@@ -279,9 +280,11 @@ def survey(
             progress(chunk.end_byte)
         yield from segmenter.finish()
 
-    for windows in _batched(still()):
+    repetitions = Repetitions()
+    for windows in repetitions.once(_batched(still())):
         for observer in observers:
             observer.see_still(windows)
+    segmenter.counts += WindowCounts(still=-repetitions.windows, repeated=repetitions.windows)
 
 
 def _batched(still: Iterable[Windows]) -> Iterator[Windows]:
