@@ -12,6 +12,7 @@ from typing import TypeVar
 import numpy as np
 
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 
 GRID = 4096.0
 """Rows are compared in units of 1/4096 g."""
@@ -73,8 +74,9 @@ class Rows:
 
 
 def keys(values: np.ndarray) -> list[bytes]:
-    """Something to compare for each row."""
-    grid = np.rint(np.asarray(values, float) * GRID).astype(np.int64)
+    """Something to compare for each row: decimal numbers are read on a grid of FLOAT_LSB_PER_G."""
+    read = np.rint(np.asarray(values, float) * FLOAT_LSB_PER_G) / FLOAT_LSB_PER_G
+    grid = np.rint(read * GRID).astype(np.int64)
     joined: list[bytes] = np.ascontiguousarray(grid).view("V24").ravel().tolist()
     return joined
 

@@ -22,11 +22,11 @@ RESET_DATE = "2010-09-16"
 
 NO_DEVICE = Device()
 _PAGE_LINE = re.compile(
-    rb"(?:^|(?<=\r))(?:" + MARK + rb"[ \t]*(?:[\r\n]|\Z)|Sequence Number:|Page Time:|[0-9A-Fa-f]{256})",
+    MARK + rb"[ \t]*(?:[\r\n]|\Z)|(?:^|(?<=\r))(?:Sequence Number:|Page Time:|[0-9A-Fa-f]{256})",
     re.MULTILINE,
 )
-"""A line of a page, whichever comes first: a damaged page, even one whose lines end in carriage returns
-alone, must not pass for a part of the header."""
+"""What a page begins with, or a line of one, whichever comes first: a damaged page, even one whose lines
+end in carriage returns alone, or before which the end of a line is lost, is no part of the header."""
 
 _RANGE = re.compile(r"-\s*(\d+(?:\.\d+)?)\s*to\s*(\d+(?:\.\d+)?)")
 _DRIFT = re.compile(r"clock drift (-?\d+(?:\.\d+)?) ?s")

@@ -249,3 +249,19 @@ def test_a_first_page_with_odd_line_ends_is_not_a_part_of_the_header(tmp_path: P
     chunks, _, problems = read(raw_file(tmp_path / "a.bin", data))
     assert np.array_equal(joined(chunks, "counts"), without(0))
     assert [(code, offset) for code, offset, *_ in problems] == [("bad_page", len(HEAD))]
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        b"Recorded Data\n",
+        b"Accelerometer Resolution:0.0039Recorded Data\n",
+        b"\xff" * 700 + b"Recorded Data\n",
+    ],
+)
+def test_a_page_that_begins_within_the_last_line_of_the_header_is_told(tmp_path: Path, before: bytes) -> None:
+    data = texts()
+    chunks, _, problems = read(raw_file(tmp_path / "a.bin", [before + data[0], *data[1:]]))
+    assert np.array_equal(joined(chunks, "counts"), without())
+    begun = len(HEAD) + before.index(b"Recorded")
+    assert [(code, offset) for code, offset, *_ in problems] == [("bad_page", begun)]
