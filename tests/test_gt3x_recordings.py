@@ -60,6 +60,7 @@ def with_and_without_sleep(
     return report, spoiled
 
 
+@pytest.mark.nightly
 def test_sleep_is_excluded_and_would_spoil_the_fit(
     real_data: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,6 +46,7 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
     assert report["settings"]["max_damage_percent"] == 50.0
 
 
+@pytest.mark.nightly
 def test_the_limit_can_be_raised_and_lowered(tmp_path: Path, capsys: Capture) -> None:
     path = dump(tmp_path / "a.bin", 6)
     assert run(capsys, "calibrate", path, "--max-damage", 70).code == 0

@@ -87,6 +87,7 @@ def test_the_default_is_efficient(small: tuple[Table, ...]) -> None:
         assert table.scores[0].ratio_to_bound == pytest.approx(1, abs=0.1)  # its standard error is 4 %
 
 
+@pytest.mark.nightly
 def test_the_bound_is_the_measured_one_and_above_table_2(small: tuple[Table, ...]) -> None:
     for table in small:
         assert np.array(table.bound) == pytest.approx(MEASURED_BOUND[table.noise_mg], rel=0.08)
