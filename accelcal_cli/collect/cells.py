@@ -24,14 +24,10 @@ from numpy.typing import NDArray
 from accelcal_cli.collect.saturation import Saturation
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import (
-    CONSTANT,
-    FAR_TEMPERATURE,
-    FIT,
-    IMPLAUSIBLE,
-    SATURATED,
     WEIGHT_ONE,
     Fates,
     PointSet,
+    Role,
     Saturated,
     TemperatureScale,
     Windows,
@@ -48,7 +44,7 @@ NEARLY_CONSTANT_SHARE = 10
 """Constant windows are believed where nearly constant ones are at least a tenth as many."""
 
 NEAR_G = 0.05
-"""Half the spread that the limit of profile `paper`, 0.12 g, allows a still window, in round numbers."""
+"""So near to where an axis saturates, breath and noise may have taken samples of a still window beyond."""
 
 _CONSTANT = 4
 
@@ -209,10 +205,10 @@ class CellCollector:
         """What was left out and why."""
         constant, real = self.spreads.numbers.get(0, 0), self._constants_are_real()
         cells, left_out = self._settled()
-        number = dict.fromkeys((FAR_TEMPERATURE, SATURATED), 0)
+        number = dict.fromkeys((Role.TEMPERATURE, Role.SATURATED), 0)
         for key, role in left_out.items():
             number[role] += cells[key][0]
-        return CellCounts(self.implausible, constant, real, number[FAR_TEMPERATURE], number[SATURATED])
+        return CellCounts(self.implausible, constant, real, number[Role.TEMPERATURE], number[Role.SATURATED])
 
     def saturated(self) -> Saturated:
         """Axes that saturate, in units of local gravity."""
@@ -220,7 +216,7 @@ class CellCollector:
 
     def fates(self, windows: Windows) -> Fates:
         """What became of windows that were taken in; call after the last one."""
-        role, point = np.full(len(windows), IMPLAUSIBLE), np.full(len(windows), -1)
+        role, point = np.full(len(windows), Role.IMPLAUSIBLE), np.full(len(windows), -1)
         near_1_g = np.flatnonzero(plausible(windows, self.lsb_per_g, self.settings))
         constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
         keys = self._keys(windows.select(near_1_g), constant)[:, :_CONSTANT]
@@ -230,11 +226,11 @@ class CellCollector:
         unbelieved = (constant & (not self._constants_are_real())).tolist()
         for place, key, never_changed in zip(near_1_g.tolist(), keys.tolist(), unbelieved, strict=True):
             if never_changed:
-                role[place] = CONSTANT
+                role[place] = Role.CONSTANT
             elif tuple(key) in left_out:
                 role[place] = left_out[tuple(key)]
             else:
-                role[place], point[place] = FIT, number[tuple(part >> halvings for part in key)]
+                role[place], point[place] = Role.FIT, number[tuple(part >> halvings for part in key)]
         return Fates(role, point)
 
     def _bounded(self) -> tuple[dict[tuple[int, ...], list[int]], int]:
@@ -246,12 +242,12 @@ class CellCollector:
             cells, halvings = coarser(cells), halvings + 1
         return cells, halvings
 
-    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], dict[tuple[int, ...], int]]:
+    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], dict[tuple[int, ...], Role]]:
         """The cells of windows that were measured, and the role of those of them that make no points."""
         cells = self._believed()
         far = _far_off(cells) if self.temperature else set()
         saturated = _beyond(cells, self.saturated(), self.lsb_per_g)
-        return cells, dict.fromkeys(far, FAR_TEMPERATURE) | dict.fromkeys(saturated, SATURATED)
+        return cells, dict.fromkeys(far, Role.TEMPERATURE) | dict.fromkeys(saturated, Role.SATURATED)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
         keys = np.zeros((len(windows), 5), np.int64)

@@ -65,9 +65,7 @@ class Saturation:
 
 def _ends(standing: Counter[int], low: float, high: float) -> list[int]:
     """Where an axis stands at the most extreme value that it has, and hardly anywhere else."""
-    ends = {int(value): standing[int(value)] for value in (low, high) if np.isfinite(value)}
-    often = {
-        value: number for value, number in ends.items() if number >= LEAST_WINDOWS and value in (low, high)
-    }
+    ends = {int(value): standing[int(value)] for value in (low, high) if float(value).is_integer()}
+    often = {value: number for value, number in ends.items() if number >= LEAST_WINDOWS}
     elsewhere = standing.total() - sum(often.values())
     return [value for value, number in often.items() if elsewhere * MOST_ELSEWHERE <= number]

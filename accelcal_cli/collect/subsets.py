@@ -14,16 +14,7 @@ from math import ceil, floor
 import numpy as np
 
 from accelcal_cli.collect.cells import Sums, plausible, to_points
-from accelcal_cli.core.points import (
-    CONTROL,
-    FIT,
-    IMPLAUSIBLE,
-    NOT_TAKEN,
-    WEIGHT_ONE,
-    Fates,
-    PointSet,
-    Windows,
-)
+from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Windows
 from accelcal_cli.core.settings import Settings
 
 INTERVALS_G = (
@@ -95,7 +86,7 @@ class PaperCollector:
         self.control = SubsetCollector(lsb_per_g)
         self._distance = Fraction(str(settings.min_distance_g)) * Fraction(lsb_per_g)
         self._taken: list[Mean] = []
-        self._role: dict[int, int] = {}
+        self._role: dict[int, Role] = {}
         """Of the windows that were taken, by their first sample."""
         self._most = 2 * 9 * POINTS_PER_SUBSET
 
@@ -109,23 +100,23 @@ class PaperCollector:
         columns = (near_1_g.first_sample, near_1_g.samples, near_1_g.sums)
         for first_sample, samples, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
             mean = (samples, (x, y, z))
-            if self._differs(mean) and (role := self._offer(mean)) != NOT_TAKEN:
+            if self._differs(mean) and (role := self._offer(mean)) != Role.NOT_TAKEN:
                 self._taken.append(mean)
                 self._role[first_sample] = role
 
     def fates(self, windows: Windows) -> Fates:
         """What became of windows that were taken in; which of its points each is, is not said."""
         role = np.array(
-            [self._role.get(first, NOT_TAKEN) for first in windows.first_sample.tolist()], np.int64
+            [self._role.get(first, Role.NOT_TAKEN) for first in windows.first_sample.tolist()], np.int64
         )
-        role[~plausible(windows, self.lsb_per_g, self.settings)] = IMPLAUSIBLE
+        role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
         return Fates(role, np.full(len(windows), -1))
 
-    def _offer(self, mean: Mean) -> int:
+    def _offer(self, mean: Mean) -> Role:
         """Offer a mean to the first set, then to the second; gives the role of its window."""
         if self.fit.offer(*mean):
-            return FIT
-        return CONTROL if self.control.offer(*mean) else NOT_TAKEN
+            return Role.FIT
+        return Role.CONTROL if self.control.offer(*mean) else Role.NOT_TAKEN
 
     def _differs(self, mean: Mean) -> bool:
         """Whether a mean is far enough from all points; the one that it is near is asked first next time.

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import MAX_POINTS, CellCollector, Sums, plausible, shared_weights, to_points
@@ -29,7 +30,10 @@ from accelcal_cli.core.settings import Settings
 
 LARGEST_G = 100.0
 LARGEST_SPREAD_G = 2 * LARGEST_G
-MOST_SAMPLES = float(1 << 40)
+MOST_SAMPLES = float(1 << 30)
+LARGEST_SUM = float(1 << 44)
+"""Of counts: those of half a million windows stay exact in 64 bits; ten minutes in decimals need 2**40."""
+
 PARQUET_MAGIC = b"PAR1"
 LARGEST_C = 1000.0
 ALIASES = {
@@ -106,9 +110,9 @@ def read_table(path: Path) -> Table:
         temperature_mc = np.rint(celsius * 1000).astype(np.int64)
     if "weight" in names:
         weight = _numbers(path, frame, names["weight"], np.finfo(np.float64).max)
-        _refuse_empty(path, weight <= 0, f"{names['weight']} above zero")
+        _refuse_rows(path, frame, weight <= 0, f"{names['weight']} above zero")
     if "posture" in names:
-        _refuse_empty(path, frame[names["posture"]].to_numpy(str) == "", names["posture"])
+        _refuse_rows(path, frame, frame[names["posture"]].to_numpy(str) == "", names["posture"])
         posture = np.unique(frame[names["posture"]].to_numpy(str), return_inverse=True)[1].astype(np.int64)
     return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
 
@@ -117,15 +121,19 @@ def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[
     """The windows of `calibrate --windows`, as the integers that they were made of."""
     samples = _numbers(path, frame, names["samples"], MOST_SAMPLES)
     scale = _numbers(path, frame, names["counts_per_g"], FLOAT_LSB_PER_G * LARGEST_G)
-    _refuse_empty(path, (samples < 1) | (samples % 1 != 0), "whole number of samples")
-    _refuse_empty(path, (scale <= 0) | (scale != scale[:1].sum()), "counts_per_g like that of the first row")
+    _refuse_rows(path, frame, (samples < 1) | (samples % 1 != 0), "whole number of samples")
+    _refuse_rows(
+        path, frame, (scale <= 0) | (scale != scale[:1].sum()), "counts_per_g like that of the first row"
+    )
     spread_g = [_numbers(path, frame, names[f"spread_{axis}"], LARGEST_SPREAD_G) for axis in "xyz"]
     temperature_mc = None
     if "temperature_c" in names and (frame[names["temperature_c"]] != "").any():
         celsius = _numbers(path, frame, names["temperature_c"], LARGEST_C)
         temperature_mc = np.rint(celsius * 1000 * samples).astype(np.int64)
+    sums = g * (samples * scale)[:, np.newaxis]
+    _refuse_rows(path, frame, np.abs(sums).max(axis=1, initial=0) > LARGEST_SUM, "possible number of samples")
     return Table(
-        np.rint(g * (samples * scale)[:, np.newaxis]).astype(np.int64),
+        np.rint(sums).astype(np.int64),
         temperature_mc,
         samples=samples.astype(np.int64),
         spread=np.rint(np.stack(spread_g, axis=1) * scale[:, np.newaxis]).astype(np.int64),
@@ -134,15 +142,18 @@ def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[
 
 
 def _frame(path: Path) -> pd.DataFrame:
-    """All cells as text, empty where there is nothing."""
+    """All cells, as text or numbers, empty text where there is nothing.
+
+    The index is the number of the line, or of the row of a Parquet file, from 1.
+    """
     try:
         if probe_file(path, ReadOptions()).head.startswith(PARQUET_MAGIC):
-            held = pd.read_parquet(path)
-            return held.astype(object).where(held.notna(), "").astype(str)
+            return _parquet(path)
         options: dict[str, Any] = {"dtype": str, "keep_default_na": False, "skip_blank_lines": False}
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # what is cut off is none of ours to lose
-            return pd.read_csv(path, sep=_delimiter(path), index_col=False, **options)
+            held = pd.read_csv(path, sep=_delimiter(path), index_col=False, **options)
+        return held.set_index(held.index + 2)
     except pd.errors.ParserWarning as error:
         raise UnreadableError(
             "a line has more fields than the header line", path=path, hint="give each column a name"
@@ -154,6 +165,21 @@ def _frame(path: Path) -> pd.DataFrame:
         raise UnreadableError(
             f"is not a table of points ({str(error).strip()})", path=path, hint=_HINT
         ) from error
+
+
+def _parquet(path: Path) -> pd.DataFrame:
+    """The columns that matter; one that is empty throughout is none."""
+    names = pq.read_schema(path).names
+    if {"time", "validity"} <= set(names):
+        raise UnreadableError(
+            "holds a recording, not its still windows", path=path, hint="write these with calibrate --windows"
+        )
+    wanted = {alias for aliases in ALIASES.values() for alias in aliases}
+    columns = [name for name in names if name.strip().lower() in wanted]
+    held = pd.read_parquet(path, columns=columns).dropna(axis=1, how="all").reset_index(drop=True)
+    texts = [name for name in held if name.strip().lower() in ALIASES["posture"]]
+    held[texts] = held[texts].astype(object).where(held[texts].notna(), "").astype(str)
+    return held.set_index(held.index + 1)
 
 
 def _delimiter(path: Path) -> str:
@@ -179,20 +205,24 @@ def _names(path: Path, columns: list[str]) -> dict[str, str]:
 
 
 def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDArray[np.float64]:
-    values = pd.to_numeric(frame[name].str.strip(), errors="coerce").to_numpy(np.float64)
+    cells = frame[name] if pd.api.types.is_numeric_dtype(frame[name]) else frame[name].astype(str).str.strip()
+    values = pd.to_numeric(cells, errors="coerce").to_numpy(np.float64)
     bad = ~(np.abs(values) <= largest)
     if bad.any():
         row = int(bad.argmax())
         shown = str(frame[name].iloc[row])[:40]
         raise UnreadableError(
-            f"{name} is {shown!r}, not a number within +-{largest:g}", path=path, line=row + 2, hint=_CORRECT
+            f"{name} is {shown!r}, not a number within +-{largest:g}",
+            path=path,
+            line=int(frame.index[row]),
+            hint=_CORRECT,
         )
     return np.asarray(values)
 
 
-def _refuse_empty(path: Path, bad: NDArray[np.bool_], what: str) -> None:
+def _refuse_rows(path: Path, frame: pd.DataFrame, bad: NDArray[np.bool_], what: str) -> None:
     if bad.any():
-        line = int(bad.argmax()) + 2
+        line = int(frame.index[int(bad.argmax())])
         raise UnreadableError(f"has no {what}", path=path, line=line, hint=_CORRECT)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from fractions import Fraction
 from typing import Any, Literal
 
@@ -102,11 +103,21 @@ class WindowCounts:
         )
 
 
-FIT, CONTROL, NOT_TAKEN, IMPLAUSIBLE, CONSTANT, FAR_TEMPERATURE, SATURATED = range(7)
-ROLES = ("fit", "control", "not taken", "implausible", "constant", "temperature", "saturated")
-"""What became of a still window, by number: it is part of a point that is fitted, or that F's second set
-holds; no set of F's had use for it; it is not near 1 g; it never changed; its temperature cannot be; an axis
-is where it saturates."""
+class Role(IntEnum):
+    """What became of a still window.
+
+    It is part of a point that is fitted, or that F's second set holds; no set of F's had use for it; it is
+    not near 1 g; it never changed; its temperature cannot be; an axis is near where it saturates.
+    """
+
+    FIT = 0
+    CONTROL = 1
+    NOT_TAKEN = 2
+    IMPLAUSIBLE = 3
+    CONSTANT = 4
+    TEMPERATURE = 5
+    SATURATED = 6
+
 
 Saturated = tuple[tuple[int, float], ...]
 """Axes (0, 1, 2) that measure nothing beyond a value in raw g; its sign tells the side."""
@@ -117,7 +128,7 @@ class Fates:
     """What became of m still windows.
 
     Attributes:
-        role: (m,) number of the role, see ROLES.
+        role: (m,) each one's `Role`.
         point: (m,) number of the calibration point that it is part of, -1 for none.
     """
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
-from accelcal_cli.core.points import ROLES, Calibration, Fates, Windows
+from accelcal_cli.core.points import Calibration, Fates, Role, Windows
 from accelcal_cli.core.zones import UTC
 from accelcal_cli.output.files import (
     METADATA_KEY,
@@ -27,6 +27,7 @@ from accelcal_cli.output.files import (
     write_text,
 )
 
+ROLE_NAMES = [role.name.lower().replace("_", " ") for role in Role]
 TEXT = ("role",)
 TIME = "time"
 NUMBERS = ("first_sample", "samples", "point", "posture", "fold")
@@ -63,7 +64,7 @@ class WindowTable:
     utc_offset_s: int | None
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """All columns, (m,) each, by name; nothing is NaN or a negative number."""
+        """All columns, (m,) each, by name; NaN, and a negative whole number, stand for none."""
         windows = self.windows
         assert windows.start_us is not None
         mean_g = windows.sums / (windows.samples[:, np.newaxis] * self.lsb_per_g)
@@ -81,7 +82,7 @@ class WindowTable:
             **{f"spread_{name}": spread_g[:, axis] for axis, name in enumerate(AXES)},
             "temperature_c": heat,
             "counts_per_g": np.full(len(windows), self.lsb_per_g),
-            "role": np.array(ROLES)[self.fates.role],
+            "role": np.array(ROLE_NAMES)[self.fates.role],
             "point": self.fates.point,
             "posture": self.posture,
             "fold": self.fold,

@@ -178,6 +178,7 @@ class RecordingRun:
                 return existing
         data, points = self.result(judge, log)
         if log is not None and self.request.windows is not None:
+            jobs.check_unchanged(self.bytes_at, self.before)
             log.write(self.request.windows, data, points)
         return self.write(data, integers_json(data, points) if self.request.integers else None)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.points import FIT, PointSet
+from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.model_ladder import folds, postures
 from accelcal_cli.output import report as reports
@@ -58,7 +58,7 @@ class WindowLog(StillWindows):
         known = fates.point >= 0
         posture, fold = (np.full(len(windows), -1) for _ in range(2))
         posture[known] = label[fates.point[known]]
-        if data.judgement.holdout is not None and FIT in fates.role:
+        if data.judgement.holdout is not None:
             fold[known] = folds(posture[known], settings.folds)
         table = WindowTable(
             windows,

@@ -12,12 +12,12 @@ from typing import Any
 
 from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.points import Windows, joined_windows
+from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, Result, no_progress
-from accelcal_cli.pipeline.survey import CellProcedure, Method, local_lsb_per_g
+from accelcal_cli.pipeline.survey import CellProcedure, Method, StillWindows, local_lsb_per_g
 from accelcal_cli.segment import chosen_rule, window_length
 from accelcal_cli.segment.segmenter import TimedSegmenter
 from accelcal_cli.six_pose.poses import Listed, Origin, Session, find_faces, find_listed, read_list
@@ -57,16 +57,16 @@ class SessionProcedure(CellProcedure):
 
     def __init__(self, collector: CellCollector) -> None:
         super().__init__(collector)
-        self._parts: list[Windows] = []
+        self._kept = StillWindows()
 
     def see_still(self, windows: Windows) -> None:
         """Take windows in."""
         super().see_still(windows)
-        self._parts.append(replace(windows, temperature_sums=None))
+        self._kept.see_still(replace(windows, temperature_sums=None))
 
     def still(self) -> Windows:
         """All windows but those of constant values, where the device only repeated a value."""
-        still = joined_windows(self._parts)
+        still = self._kept.result()
         if self.collector.counts().constant_used:
             return still
         return still.select(still.spread.max(axis=1, initial=0) > 0)

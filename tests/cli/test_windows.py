@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from accelcal_cli.pipeline.calibrate import OwnCalibration
 from tests.cli.run import Ran, assert_one_line, run
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, good_csv, good_raw, still_counts, write_raw
 
@@ -195,6 +196,7 @@ def test_anothers_file_is_kept_without_force(tmp_path: Path, capsys: Capture) ->
     [
         ("samples", "12.5", "line 5: has no whole number of samples"),
         ("samples", "0", "line 5: has no whole number of samples"),
+        ("samples", "1000000000000", "line 5: samples is '1000000000000'"),
         ("counts_per_g", "255.0", "line 5: has no counts_per_g like that of the first row"),
         ("spread_y", "wide", "line 5: spread_y is 'wide'"),
         ("temperature_c", "warm", "line 2: temperature_c is ''"),
@@ -218,7 +220,45 @@ def test_rows_may_be_taken_out(tmp_path: Path, capsys: Capture) -> None:
     held[held["posture"] % 2 == 0].to_parquet(tmp_path / "half.parquet")
     report = json.loads(run(capsys, "fit", tmp_path / "half.parquet", "--json").out)
     assert report["outcome"] == "calibrated" and report["fit"]["postures"] == 30
+    held.astype(object).assign(samples=[None, *held["samples"][1:]]).to_parquet(tmp_path / "null.parquet")
+    ran = run(capsys, "fit", tmp_path / "null.parquet")
+    assert ran.code == 3
+    assert_one_line(ran, "null.parquet, line 1: samples is 'nan'")
     (tmp_path / "cut.parquet").write_bytes((tmp_path / "all.parquet").read_bytes()[:2000])
     ran = run(capsys, "fit", tmp_path / "cut.parquet")
     assert ran.code == 3
     assert_one_line(ran, "cut.parquet")
+
+
+def test_sums_beyond_exact_integers_are_refused(tmp_path: Path, capsys: Capture) -> None:
+    made(capsys, good_raw(tmp_path), tmp_path / "all.csv", "--report-only")
+    held = read(tmp_path / "all.csv").assign(counts_per_g=float(1 << 24))
+    held.loc[3, "samples"] = 1 << 30
+    held.to_csv(tmp_path / "changed.csv", index=False)
+    ran = run(capsys, "fit", tmp_path / "changed.csv")
+    assert ran.code == 3
+    assert_one_line(ran, "line 5: has no possible number of samples")
+
+
+def test_a_calibrated_recording_is_no_table_of_windows(tmp_path: Path, capsys: Capture) -> None:
+    run(capsys, "calibrate", good_raw(tmp_path))
+    ran = run(capsys, "fit", tmp_path / "good.calibrated.parquet")
+    assert ran.code == 3
+    assert_one_line(ran, "holds a recording, not its still windows", "calibrate --windows")
+
+
+def test_of_a_recording_that_changes_meanwhile_none_are_written(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = good_raw(tmp_path)
+    plain = OwnCalibration.verdict
+
+    def growing(*words: object) -> object:
+        with path.open("ab") as file:
+            file.write(bytes(6))
+        return plain(*words)
+
+    monkeypatch.setattr(OwnCalibration, "verdict", growing)
+    ran, _ = made(capsys, path, tmp_path / "all.csv")
+    assert ran.code == 3 and not (tmp_path / "all.csv").exists()
+    assert_one_line(ran, "changed while it was read")
