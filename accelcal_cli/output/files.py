@@ -34,7 +34,7 @@ WIDEST = 64
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
 METADATA_KEY = b"accelcal"
-_MODES = {"rb": os.O_RDONLY, "r+": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
+_MODES = {"rb": os.O_RDONLY, "r+b": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
 _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
@@ -81,7 +81,7 @@ def discard(temporary: Path) -> None:
 
 
 def open_plain(path: Path, mode: str) -> IO[Any]:
-    """Open a file of ours in a user's folder; mode `rb`, or `r+` or `a` for UTF-8 text.
+    """Open a file of ours in a user's folder; mode `rb` or `r+b`, or `a` for UTF-8 text.
 
     A link could lead to somebody else's file, and a pipe would be waited for without end.
 

@@ -8,7 +8,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from accelcal_cli.core.errors import LockedError, OutputError
 from accelcal_cli.core.system import host, lives
@@ -114,13 +114,13 @@ def take_over(path: Path, owner: dict[str, Any], me: dict[str, Any]) -> bool:
 
     The file stays in place, so that of two that find it stale one cannot remove the other's.
     """
-    with contextlib.suppress(FileNotFoundError), open_plain(path, "r+") as file:
+    with contextlib.suppress(FileNotFoundError), open_plain(path, "r+b") as file:
         if fcntl is not None:
             fcntl.flock(file, fcntl.LOCK_EX)
-        if _parsed(file.read()) == owner and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
+        if _parsed(_text(file)) == owner and path.stat().st_ino == os.fstat(file.fileno()).st_ino:
             file.seek(0)
             file.truncate()
-            json.dump(me, file)
+            file.write(json.dumps(me).encode())
             return True
     return False
 
@@ -133,7 +133,7 @@ def _read(path: Path) -> dict[str, Any] | None:
     """
     try:
         with open_plain(path, "rb") as file:
-            text = file.read(LONGEST).decode(errors="replace")
+            text = _text(file)
     except FileNotFoundError:
         return None
     owner = _parsed(text)
@@ -141,6 +141,10 @@ def _read(path: Path) -> dict[str, Any] | None:
         hint = "move it away, or choose another folder with -d"
         raise OutputError("was not written by accelcal", path=path, hint=hint)
     return owner
+
+
+def _text(file: IO[bytes]) -> str:
+    return file.read(LONGEST).decode(errors="replace")
 
 
 def _parsed(text: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Damaged files of our own kinds, through the command: reports, points, poses, tables of a study.
+"""Damaged files of our own kinds, through the command: reports, points, poses, tables of a study; odd words.
 
 A target is made for a folder, in which the files that its mutants damage are written once.
 """
@@ -6,6 +6,7 @@ A target is made for a folder, in which the files that its mutants damage are wr
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +19,8 @@ import pyarrow.parquet as pq
 
 from tests.fuzz import command
 from tests.fuzz.blind import blind
+from tests.fuzz.made import GAIN, OFFSET, directions, recording
+from tests.fuzz.options import options
 
 ODD: tuple[Any, ...] = (
     *(None, True, False, 0, -1, 1, 1e308, -1e308, 1e-320, 2**31, 2**63, -(2**63), 10**30, 10**400, "", "x"),
@@ -65,26 +68,6 @@ FITS = ([], [], ["--json"], ["--model", "9"], ["--no-temperature"], ["--latitude
 SESSIONS = ([], ["--segment-seconds", "0.1"], ["--face-degrees", "45"])
 TABLES = ([], ["--json"], ["--csv"], ["--device", "1"], ["--reference-c", "25"])
 Attempt = Callable[[Random, int, Path, Any], "tuple[bytes, str, str | None]"]
-GAIN = np.array([[1.03, 0, 0], [0.012, 0.98, 0], [-0.008, 0.009, 1.015]])
-OFFSET = np.array([0.03, -0.025, 0.045])
-
-
-def directions(number: int) -> np.ndarray:
-    """Points (n, 3) that a sensor with GAIN and OFFSET measures at rest."""
-    random = np.random.RandomState(1)
-    truth = random.standard_normal((number, 3))
-    truth /= np.linalg.norm(truth, axis=1)[:, None]
-    raw: np.ndarray = np.linalg.solve(GAIN, truth.T).T - OFFSET
-    return raw + 0.001 * random.standard_normal(raw.shape)
-
-
-def recording(path: Path) -> Path:
-    """A text table of a few seconds of rest in each of many postures."""
-    rows = np.repeat(directions(40), 12 * 20, axis=0)
-    rows += 0.003 * np.random.RandomState(2).standard_normal(rows.shape)
-    lines = [f"{k / 20:.2f},{x:.5f},{y:.5f},{z:.5f}" for k, (x, y, z) in enumerate(rows.tolist())]
-    path.write_text("\n".join(["t,x [g],y [g],z [g]", *lines]) + "\n")
-    return path
 
 
 def places(node: Any, at: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -337,9 +320,74 @@ def damaged_table(rows: list[dict[str, Any]], schema: Any, random: Random) -> tu
     return table, f"form {form} of {name}"
 
 
+def study_files(folder: Path) -> Attempt:
+    """The files by which a study remembers, for the next run of it: ledger, lock, list of outputs, tables."""
+    source, good, out = folder / "given", folder / "done", folder / "again"
+    source.mkdir(exist_ok=True)
+    recording(source / "a.csv")
+    (source / "b.csv").write_text("".join((source / "a.csv").read_text().splitlines(keepends=True)[:300]))
+    words = ["study", source, "-j", "1", "-q", "-d"]
+    code = command.run([*words, good]).code
+    tables = {name: (good / name).read_bytes() for name in ("study.csv", "study.parquet", "study.json")}
+    names = sorted([path.name for path in good.iterdir()] + ["study.lock"])
+
+    def attempt(random: Random, number: int, folder: Path, tally: Any) -> tuple[bytes, str, str | None]:
+        shutil.rmtree(out, ignore_errors=True)
+        shutil.copytree(good, out)
+        other = folder / "other.txt"
+        other.write_bytes(b"not ours")
+        chosen = random.sample(names, 1 + number % 2)
+        what = [damaged_file(out, name, other, random) for name in chosen]
+        ran = command.run([*words, out])
+        found = command.wrong(ran)
+        if found is None and other.read_bytes() != b"not ours":
+            found = "ANOTHER'S FILE WRITTEN through a link"
+        if found is None and ran.code == code and all(name.startswith("study.") for name in chosen):
+            found = other_result(out, tables)
+        tally.refused += ran.code != code
+        return "".join(what).encode(), " ".join(what), found
+
+    return attempt
+
+
+def other_result(out: Path, tables: dict[str, bytes]) -> str | None:
+    """A study that remembers less works more, and says the same."""
+    changed = [name for name, data in tables.items() if (out / name).read_bytes() != data]
+    return f"ANOTHER RESULT: {changed}" if changed else None
+
+
+def damaged_file(folder: Path, name: str, other: Path, random: Random) -> str:
+    """Damage, remove, replace or link one of a folder's files; gives what was done."""
+    path, form = folder / name, random.randrange(8)
+    data = path.read_bytes() if path.exists() else b'{"host": "elsewhere", "pid": 1, "started": 1}'
+    if form == 0:
+        path.unlink(missing_ok=True)
+    elif form == 1:
+        path.unlink(missing_ok=True)
+        path.symlink_to(random.choice([other, folder / "nowhere", path]))
+    elif form == 2:
+        path.unlink(missing_ok=True)
+        path.mkdir()
+    elif form == 3:
+        path.write_bytes(random.choice([b"", b"[" * 100_000, b"x" * 5000, b"\xff\xfe", other.read_bytes()]))
+    elif form == 4 and name.endswith("json"):
+        path.write_bytes(
+            json.dumps(damaged_document(json.loads(data), random)[0]).encode("utf-8", "surrogatepass")
+        )
+    elif form == 5:
+        path.write_bytes(data[: random.randrange(len(data) + 1)])
+    else:
+        path.write_bytes(blind(data, random))
+    if random.random() < 0.5 and path.is_file() and not path.is_symlink():
+        os.utime(path, (1e9, 1e9))
+    return f"{name} {form}"
+
+
 TARGETS: dict[str, Callable[[Path], Attempt]] = {
     "reports": reports,
     "points": points,
     "poses": poses,
     "studies": study_tables,
+    "remembered": study_files,
+    "options": options,
 }

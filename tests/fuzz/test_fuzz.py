@@ -21,7 +21,8 @@ FEW, MANY = range(1, 13), range(100, 700)
 LATE = {"gt3x": 50, "csv": 30}
 """Formats whose first mutants lose nothing."""
 
-SLOWEST = {"points", "poses", "reports", "studies"}
+SLOWEST = {"points", "poses", "reports", "studies", "remembered", "options"}
+NIGHTLY = {"reports", "studies", "remembered"}
 
 
 @pytest.fixture(autouse=True)
@@ -31,7 +32,7 @@ def _patient(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "CPU_SECONDS", 60.0)
 
 
-@pytest.mark.parametrize("name", [name for name in engine.NAMES if name not in {"reports", "studies"}])
+@pytest.mark.parametrize("name", [name for name in engine.NAMES if name not in NIGHTLY])
 def test_damaged_files_give_true_rows_or_errors_of_ours(name: str, tmp_path: Path) -> None:
     numbers = FEW[:3] if name in SLOWEST else FEW
     assert engine.fuzz(name, 1, numbers, tmp_path).failures == []

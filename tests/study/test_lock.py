@@ -80,6 +80,14 @@ def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: st
         assert json.loads(path.read_text())["pid"] == os.getpid()
 
 
+def test_a_lock_with_damaged_text_is_taken_over(tmp_path: Path) -> None:
+    path = tmp_path / "study.lock"
+    path.write_bytes(b'{"host": "\xff", "pid": 1')
+    os.utime(path, (0, 0))
+    with held(path):
+        assert json.loads(path.read_text())["pid"] == os.getpid()
+
+
 @pytest.mark.parametrize("text", ["my notes", "[]", '{"pid": "x"}', "[" * 100_000])
 def test_a_file_that_is_not_a_lock_is_kept(tmp_path: Path, text: str) -> None:
     path = tmp_path / "study.lock"
