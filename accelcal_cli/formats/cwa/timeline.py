@@ -24,7 +24,7 @@ STAMP_TOLERANCE_US = 250_000
 """Beside RATE_TOLERANCE the clock may always differ by this: a stamp comes late when the memory was slow."""
 
 LONGEST_PERIODS = 4
-"""After a sector that is not full the clock may not pass more sampling periods than this for each sample."""
+"""Where anchors have few samples between them, the clock may not pass more sampling periods for each."""
 
 LONGEST_BRIDGE = 100
 """Times are interpolated across fewer lost sectors than this, and begin anew after more."""
@@ -123,7 +123,8 @@ class Linker:
         anchor_us, source = self._filled(block, anchor_row, last)
         lost = (steps.forward - 1 - bridged) * self._full_rows
         passed = _steps(anchor_row, last.anchor_row) + lost
-        off = self._clock_jumps(passed, _steps(anchor_us, last.anchor_us), rows_before < self._full_rows)
+        few = (rows_before < self._full_rows) | (2 * passed < self._full_rows)
+        off = self._clock_jumps(passed, _steps(anchor_us, last.anchor_us), few)
         session = _steps(block.session, last.session) != 0
         fresh = (off != 0) | steps.restarted | session | (steps.forward > LONGEST_BRIDGE)
         broken = fresh | (steps.forward > 1) | block.overflow
@@ -188,17 +189,18 @@ class Linker:
         return np.where(known, time_us, filled), (int(from_row[-1]), int(from_us[-1]))
 
     def _clock_jumps(
-        self, passed: NDArray[np.int64], passed_us: NDArray[np.int64], short: NDArray[np.bool_]
+        self, passed: NDArray[np.int64], passed_us: NDArray[np.int64], few: NDArray[np.bool_]
     ) -> NDArray[np.int64]:
         """By how much the clock jumps before each sector [us], 0 where it goes on as it should.
 
         Args:
-            short: where the sector before is not full: its few samples may not be spread over a hole.
+            few: where the sector before is not full, or anchors are close: few samples may not be spread
+                over a hole.
         """
         expected = passed * (MICROSECONDS * self._rate.denominator / self._rate.numerator)
         off = passed_us - expected
         jump = np.abs(off) > np.maximum(RATE_TOLERANCE * np.abs(expected), STAMP_TOLERANCE_US)
-        jump |= (passed <= 0) | (passed_us <= 0) | (short & (passed_us > LONGEST_PERIODS * expected))
+        jump |= (passed <= 0) | (passed_us <= 0) | (few & (passed_us > LONGEST_PERIODS * expected))
         if not jump.any():
             return np.zeros(len(jump), np.int64)
         size = np.rint(off).astype(np.int64)

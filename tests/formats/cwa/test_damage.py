@@ -145,6 +145,16 @@ def test_a_hole_after_a_sector_that_is_not_full_is_told(tmp_path: Path) -> None:
     assert steps[404] == pytest.approx(170_000, abs=80)
 
 
+def test_a_hole_between_stamps_of_neighbouring_samples_is_told(tmp_path: Path) -> None:
+    """The last sample of one sector and the first of the next are stamped: 19 samples fit between them."""
+    late = [replace(page, time_us=page.time_us + 190_000 * (page.sequence > 5)) for page in pages()]
+    moved = 79 - late[5].anchor
+    late[5] = replace(late[5], anchor=79, time_us=late[5].time_us + moved * SAMPLE_US)
+    late[6] = replace(late[6], anchor=0, time_us=late[6].time_us - late[6].anchor * SAMPLE_US)
+    _, breaks, problems = read(written(tmp_path / "a.cwa", late))
+    assert (breaks, problems) == ([480], [("clock_gap", 1024 + 6 * 512, 480, 1)])
+
+
 def test_overflow_of_the_device_is_a_break(tmp_path: Path) -> None:
     lossy = [replace(page, events=0x20 * (page.sequence == 4)) for page in pages()]
     _, breaks, problems = read(written(tmp_path / "a.cwa", lossy))
