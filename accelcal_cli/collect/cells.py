@@ -5,7 +5,8 @@ all orientations and bounds the memory. Cells are cubes of about 0.05 g (the mea
 lies inside the sphere by the square of its spread: 0.1 g cells leave a bias of 0.03 mg on simulated
 days, 0.05 g cells none that shows). Each group of 2 x 2 x 2 cells counts as one point, shared by its
 cells in proportion to their windows, so that frequent postures do not outweigh rare ones. Where
-temperature is used, cells are split by whole degrees C too.
+temperature is used, cells are split by whole degrees C too; and they are kept apart by blocks of
+time, so that a sensor that changes can be seen.
 
 All sums are integers: adding windows in any order, or merging collectors, gives the same result.
 """
@@ -35,6 +36,9 @@ from accelcal_cli.core.points import (
 from accelcal_cli.core.settings import Settings
 
 MAX_POINTS = 4096
+MAX_TIMED = 1 << 15
+"""Cells of all blocks of time; if there are more, blocks are twice as long."""
+
 LEADING_BITS = 8
 FAR_MC, FAR_DEVIATIONS = 40_000, 10
 """Temperatures [thousandths of a degree C] further than this from the median of the windows, and than so
@@ -46,7 +50,7 @@ NEARLY_CONSTANT_SHARE = 10
 NEAR_G = 0.05
 """So near to where an axis saturates, breath and noise may have taken samples of a still window beyond."""
 
-_CONSTANT = 4
+_CONSTANT, _BLOCK = 4, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,10 +155,17 @@ class Histogram:
 
 
 class CellCollector:
-    """Collects windows of one recording; see the module for how."""
+    """Collects windows of one recording; see the module for how.
 
-    def __init__(self, lsb_per_g: float, settings: Settings, *, temperature: bool) -> None:
+    Args:
+        block_samples: samples of the recording that make a block of time; 0 for no blocks.
+    """
+
+    def __init__(
+        self, lsb_per_g: float, settings: Settings, *, temperature: bool, block_samples: int = 0
+    ) -> None:
         self.lsb_per_g = lsb_per_g
+        self.block_samples = block_samples
         self.temperature = temperature
         self.settings = settings
         self.implausible = 0
@@ -181,17 +192,19 @@ class CellCollector:
             np.add.at(values[:, 4], inverse, windows.temperature_sums)
         for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
             _add(self._cells, tuple(key), [count, *row])
+        while self.block_samples and len(self._cells) > MAX_TIMED:
+            self._cells, self.block_samples = _longer_blocks(self._cells), 2 * self.block_samples
 
     def merge(self, other: CellCollector) -> None:
         """Take in what another collector holds; exact.
 
-        It has the same scale and settings, and temperature where this one has.
+        It has the same scale and settings, and temperature where this one has; blocks of time are left out.
         """
         self.implausible += other.implausible
         self.spreads.merge(other.spreads)
         self.saturation.merge(other.saturation)
         for key, value in other._cells.items():
-            _add(self._cells, key if self.temperature else (*key[:3], 0, key[_CONSTANT]), value)
+            _add(self._cells, (*key[:3], key[3] * self.temperature, key[_CONSTANT], 0), value)
 
     def points(self) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates."""
@@ -200,6 +213,16 @@ class CellCollector:
         weights = shared_weights([_group(key) for key, _ in ordered], [value[0] for _, value in ordered])
         sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for _, v in ordered]
         return to_points(sums, weights, self.lsb_per_g, temperature=self.temperature)
+
+    def timed(self) -> list[tuple[int, Sums]]:
+        """The number of each block of time, and the sums of each orientation in it; in order."""
+        _, left_out = self._settled()
+        real = self._constants_are_real()
+        found: dict[tuple[int, ...], list[int]] = {}
+        for key, value in self._cells.items():
+            if (real or not key[_CONSTANT]) and key[:_CONSTANT] not in left_out:
+                _add(found, (key[_BLOCK], *_group(key)), value)
+        return [(key[0], Sums(v[0], v[1], (v[2], v[3], v[4]), v[5])) for key, v in sorted(found.items())]
 
     def counts(self) -> CellCounts:
         """What was left out and why."""
@@ -250,13 +273,15 @@ class CellCollector:
         return cells, dict.fromkeys(far, Role.TEMPERATURE) | dict.fromkeys(saturated, Role.SATURATED)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
-        keys = np.zeros((len(windows), 5), np.int64)
+        keys = np.zeros((len(windows), 6), np.int64)
         border = Fraction(self.lsb_per_g).limit_denominator(1000)
         g = windows.samples[:, np.newaxis] * border.numerator
         keys[:, :3] = windows.sums * (self.settings.cells_per_g * border.denominator) // g
         if self.temperature and windows.temperature_sums is not None:
             keys[:, 3] = windows.temperature_sums // (windows.samples * 1000)
         keys[:, _CONSTANT] = constant
+        if self.block_samples:
+            keys[:, _BLOCK] = windows.first_sample // self.block_samples
         return keys
 
     def _constants_are_real(self) -> bool:
@@ -326,6 +351,13 @@ def _median(values: list[tuple[int, int]]) -> int:
         if seen >= half:
             return value
     return 0
+
+
+def _longer_blocks(cells: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
+    longer: dict[tuple[int, ...], list[int]] = {}
+    for key, value in cells.items():
+        _add(longer, (*key[:_BLOCK], key[_BLOCK] >> 1), value)
+    return longer
 
 
 def _group(key: tuple[int, ...]) -> tuple[int, ...]:

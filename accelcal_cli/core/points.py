@@ -79,6 +79,31 @@ def joined_windows(parts: Sequence[Windows]) -> Windows:
     return Windows(**joined_columns((NO_WINDOWS, *parts), NO_WINDOWS.__dataclass_fields__))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedMeans:
+    """n observations along a recording: the mean of the still windows of one orientation in a block of time.
+
+    Attributes:
+        block: (n,) number of the block that each is in, from 0; a block is a number of samples in a row.
+        mean_g: (n, 3) raw mean [standard g].
+        celsius: (n,) mean temperature [degrees C], or None.
+        block_h: hours that the samples of a block take.
+    """
+
+    block: NDArray[np.int64]
+    mean_g: NDArray[np.float64]
+    celsius: NDArray[np.float64] | None
+    block_h: float
+
+    def blocks(self) -> int:
+        """Number of blocks, up to the last one with stillness."""
+        return int(self.block.max(initial=-1)) + 1
+
+    def hours(self) -> float:
+        """Length of all blocks."""
+        return self.blocks() * self.block_h
+
+
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
     """How many windows there were and why some were not used; sums over chunks by +.

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 from math import fsum
+from typing import Literal
 
 from accelcal_cli.core.daylight import ZoneChange
 from accelcal_cli.core.points import Calibration, Fit, Penalty, Saturated
@@ -124,6 +125,49 @@ class Trial:
     prior: str | None = None
 
 
+ChangeKind = Literal["none", "drift", "step", "gain", "device", "walk"]
+"""How a sensor changes: not; its offsets in proportion to time; its offsets at once; its scales and offsets
+at once; all its parameters at once, as those of another device; its offsets from knot to knot."""
+
+
+@dataclass(frozen=True, slots=True)
+class TimeHoldout:
+    """Mean errors [mg] on stretches of time, each judged by a fit of the others.
+
+    Attributes:
+        constant_mg: of a sensor that stays as it is.
+        changing_mg: of one that changes; None where none was found that is clearly better.
+        standard_error_mg: of their difference.
+    """
+
+    stretches: int
+    constant_mg: float
+    changing_mg: float | None = None
+    standard_error_mg: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """How the sensor changed while it recorded.
+
+    Attributes:
+        unchecked: why this could not be seen, None if it could.
+        at_block: number of the block of time at which a sudden change took place; at_us: when that begins, on
+            the device's clock.
+        size_mg: the largest change of |a|, over all directions.
+        offset_mg, scale_percent: by how much those of raw x, y, z changed from beginning to end.
+    """
+
+    kind: ChangeKind
+    unchecked: str | None = None
+    holdout: TimeHoldout | None = None
+    at_block: int | None = None
+    at_us: int | None = None
+    size_mg: float | None = None
+    offset_mg: tuple[float, float, float] | None = None
+    scale_percent: tuple[float, float, float] | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class FitErrors:
     """Errors on the very points that were fitted; not the number to quote."""
@@ -142,6 +186,7 @@ class Judgement:
         candidate: what was fitted with a prior, also if it is not good enough to be the calibration.
         penalty: the prior as the fit had it; None without one.
         sphere: error of the calibration over all directions; sphere_before: of the raw values.
+        change: how the sensor changed meanwhile; None where nobody looked.
     """
 
     outcome: Outcome
@@ -157,6 +202,7 @@ class Judgement:
     penalty: Penalty | None = None
     sphere: SphereError | None = None
     sphere_before: SphereError | None = None
+    change: Change | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -205,6 +205,10 @@ def interval95(values: list[float]) -> tuple[float, float]:
     centre, freedom = mean(values), len(values) - 1
     if freedom < 1:
         return (0.0, float("inf"))
-    t = STUDENT_T_975[freedom - 1] if freedom <= len(STUDENT_T_975) else 1.96 + 2.4 / freedom
-    half = t * standard_error(values)
+    half = student_t_975(freedom) * standard_error(values)
     return (max(0.0, centre - half), centre + half)
+
+
+def student_t_975(freedom: int) -> float:
+    """97.5 % quantile of Student's t for one degree of freedom or more."""
+    return STUDENT_T_975[freedom - 1] if freedom <= len(STUDENT_T_975) else 1.96 + 2.4 / freedom

@@ -191,6 +191,22 @@ def sphere_json(verdict: Judgement) -> dict[str, Any] | None:
     }
 
 
+def change_json(change: results.Change | None, offset_s: int | None) -> dict[str, Any] | None:
+    """The `change` object; None where nobody looked for a change."""
+    if change is None:
+        return None
+    held = change.holdout
+    return {
+        "kind": change.kind,
+        "unchecked": change.unchecked,
+        "at": iso_time(change.at_us, offset_s),
+        "size_mg": change.size_mg and significant(change.size_mg),
+        "offset_mg": change.offset_mg and [significant(value) for value in change.offset_mg],
+        "scale_percent": change.scale_percent and [significant(value) for value in change.scale_percent],
+        "holdout": held and {name: value and significant(value) for name, value in asdict(held).items()},
+    }
+
+
 def sphere_columns(report: dict[str, Any]) -> dict[str, float | None]:
     """What tables and the terminal say of a report's `sphere_mg`, by column."""
     sphere = report.get("sphere_mg")
@@ -352,11 +368,16 @@ def build(data: ReportInput) -> dict[str, Any]:
     """The report without `provenance`: the same for the same input, settings and version."""
     raw = data.facts.rest.error_mg
     windows = {**asdict(data.windows), "raw_error_mg": rounded(raw)}
-    return document(_recording(data), _health(data), windows, data) | data.taken
+    change = change_json(data.judgement.change, data.facts.utc_offset_s)
+    return document(_recording(data), _health(data), windows, data, change) | data.taken
 
 
 def document(
-    recording: ReportRecording, health: FileHealth, windows: dict[str, Any], data: JudgedInput
+    recording: ReportRecording,
+    health: FileHealth,
+    windows: dict[str, Any],
+    data: JudgedInput,
+    change: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """A report in the order of its keys; `windows` is the object `fit.windows`."""
     verdict = data.judgement
@@ -369,6 +390,7 @@ def document(
         "message": verdict.message,
         "calibration": calibration_json(verdict, data.optimizer),
         "sphere_mg": sphere_json(verdict),
+        "change": change,
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
         "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),

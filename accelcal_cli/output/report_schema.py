@@ -41,6 +41,7 @@ LATER = {
     "holdout.improvement_factor": "0.2.0",
     "settings.prior": "0.2.0",
     "sphere_mg": "0.2.0",
+    "change": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",
     "fit.windows.saturated_left_out": "0.2.0",
     "coverage.saturated": "0.2.0",

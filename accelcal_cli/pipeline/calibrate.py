@@ -20,6 +20,7 @@ from accelcal_cli.core.recording import Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import give_back_freed_memory
+from accelcal_cli.judge import change
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
@@ -118,6 +119,8 @@ class OwnCalibration(Judge):
         if repeated := found.method.segmenter.counts.repeated:
             told = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
             judgement = replace(judgement, message=f"{judgement.message}; {told}")
+        if judgement.change and (changes := change.told(judgement.change, found.facts.utc_offset_s)):
+            judgement = replace(judgement, message=f"{judgement.message}; {changes}")
         return Verdict(judgement)
 
 

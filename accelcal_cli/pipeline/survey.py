@@ -31,6 +31,7 @@ from accelcal_cli.core.points import (
     Model,
     Optimizer,
     PointSet,
+    TimedMeans,
     WindowCounts,
     Windows,
     joined_windows,
@@ -39,6 +40,7 @@ from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Valid
 from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps, SampleCounts
 from accelcal_cli.core.settings import NO_PRIOR, Settings
 from accelcal_cli.formats import open_recording
+from accelcal_cli.judge.change import find_change
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.judge.verdict import FAR_FROM_1_G, NO_STILLNESS, judge, judge_paper
 from accelcal_cli.optimize import named_optimizer
@@ -54,6 +56,8 @@ BATCH_WINDOWS = 4096
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000
 GAP_PERIODS = 1.5
+BLOCK_S = 3600
+"""Samples of so long make a block of time, in which a sensor is taken not to change."""
 
 
 class Observer:
@@ -163,7 +167,9 @@ def _procedure(recording: Recording, settings: Settings, lsb_per_g: float) -> Pr
 
         return PaperProcedure(PaperCollector(lsb_per_g, settings))
     temperature = settings.temperature and recording.has_temperature
-    return CellProcedure(CellCollector(lsb_per_g, settings, temperature=temperature))
+    hour = max(1, round(BLOCK_S * recording.rate_hz))
+    collector = CellCollector(lsb_per_g, settings, temperature=temperature, block_samples=hour)
+    return TimedCellProcedure(collector, recording, settings)
 
 
 def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
@@ -210,6 +216,52 @@ class CellProcedure(Procedure):
     def fates(self, windows: Windows) -> Fates:
         """By the cells."""
         return self.collector.fates(windows)
+
+
+class TimedCellProcedure(CellProcedure):
+    """The same along one recording: also whether its sensor changed."""
+
+    def __init__(self, collector: CellCollector, recording: Recording, settings: Settings) -> None:
+        super().__init__(collector)
+        self._hour_samples = collector.block_samples
+        self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
+        self._begun_us: list[int] = []
+
+    def see(self, chunk: Chunk) -> None:
+        """Note when hours begin; of one that a preview leaves out, when the next row comes."""
+        while (row := max(0, self._next_hour() - chunk.first_sample)) < len(chunk):
+            self._begun_us += chunk.clock.times(row, row + 1).tolist()
+
+    def _next_hour(self) -> int:
+        """The first sample of the hour that has not begun."""
+        return len(self._begun_us) * self._hour_samples
+
+    def judge(self, how: Fitting) -> Judgement:
+        """Choose a model, judge it, and look for a change of the sensor."""
+        verdict = super().judge(how)
+        about = verdict.candidate or verdict.calibration
+        if about is None:
+            return verdict
+        change = find_change(self.means(), about)
+        if change.at_block is not None:
+            hour = change.at_block * self.collector.block_samples // self._hour_samples
+            change = replace(change, at_us=self._begun_us[hour])
+        return replace(verdict, change=change)
+
+    def means(self) -> TimedMeans:
+        """What each orientation measured in each block of time, where it can be used."""
+        timed, collector = self.collector.timed(), self.collector
+        sums = [one for _, one in timed]
+        samples = np.array([one.samples for one in sums], np.int64)
+        scale = samples[:, np.newaxis] * (collector.lsb_per_g / self._local_g)
+        mean_g = np.array([one.xyz for one in sums], np.int64).reshape(-1, 3) / scale
+        celsius = np.array([one.temperature_mc for one in sums], np.int64) / (1000 * samples)
+        return TimedMeans(
+            np.array([block for block, _ in timed], np.int64),
+            mean_g,
+            celsius if collector.temperature else None,
+            collector.block_samples / self._rate_hz / BLOCK_S,
+        )
 
 
 class PaperProcedure(Procedure):

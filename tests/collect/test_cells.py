@@ -371,3 +371,56 @@ def test_int16_and_int32_recordings_of_one_wear_give_identical_points() -> None:
 def test_nothing_collected_is_no_points() -> None:
     assert len(collector(temperature=True).points()) == 0
     assert collector().counts() == CellCounts(0, 0, False)
+
+
+def rested(hours: int, *, postures: int = 3) -> Windows:
+    """Windows of 8 samples in turn in each posture, 450 of them an hour of one sample a second."""
+    number = hours * 450
+    g = np.eye(3)[np.arange(number) % postures] * np.where(np.arange(number) % 2, 1, -1)[:, None]
+    sums = np.rint(g * 256 * LENGTH).astype(np.int64)
+    made = windows(np.full(number, LENGTH), sums.tolist(), np.ones((number, 3), np.int64))
+    return replace(made, first_sample=LENGTH * np.arange(number))
+
+
+def test_blocks_of_time_add_up_to_the_points() -> None:
+    held = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600)
+    items = rested(5)
+    for part in np.array_split(np.arange(len(items)), 7):
+        held.add(items.select(part))
+    timed = held.timed()
+    assert sorted({block for block, _ in timed}) == [0, 1, 2, 3, 4]
+    assert sum(one.windows for _, one in timed) == len(items)
+    assert [sum(one.xyz[axis] for _, one in timed) for axis in range(3)] == items.sums.sum(axis=0).tolist()
+    points = collected(items).points()
+    assert held.points().xyz.tolist() == points.xyz.tolist()
+    assert held.points().weights.tolist() == points.weights.tolist()
+
+
+@pytest.mark.parametrize("parts", [1, 2, 9])
+def test_blocks_become_longer_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch, parts: int) -> None:
+    monkeypatch.setattr(cells, "MAX_TIMED", 20)
+    held = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600)
+    items = rested(30)
+    for part in np.array_split(np.arange(len(items)), parts):
+        held.add(items.select(part))
+    assert held.block_samples == 16 * 3600
+    assert sorted({block for block, _ in held.timed()}) == [0, 1]
+    assert sum(one.windows for _, one in held.timed()) == len(items)
+
+
+def test_a_pool_has_no_blocks_of_time() -> None:
+    held, merged = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600), collector()
+    held.add(rested(3))
+    merged.merge(held)
+    assert {block for block, _ in merged.timed()} == {0}
+    assert merged.points().xyz.tolist() == held.points().xyz.tolist()
+
+
+def test_what_makes_no_points_is_in_no_block() -> None:
+    items = rested(2)
+    items = replace(items, spread=np.repeat(7 + np.arange(len(items)) % 2, 3).reshape(-1, 3))
+    far = replace(items.select(np.arange(3)), sums=np.full((3, 3), 9 * 256 * LENGTH, np.int64))
+    constant = replace(items.select(np.arange(5)), spread=np.zeros((5, 3), np.int64))
+    held = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600)
+    held.add(joined_windows([items, far, constant]))
+    assert sum(one.windows for _, one in held.timed()) == len(items)

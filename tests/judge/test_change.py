@@ -1,0 +1,147 @@
+"""Sensors that change while they record, and sensors that do not: observations made here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import Calibration, TemperatureScale, TimedMeans
+from accelcal_cli.core.results import Change
+from accelcal_cli.judge.change import find_change, told
+
+GAIN = np.array([[1.02, 0.0, 0.0], [0.012, 0.985, 0.0], [-0.008, 0.006, 1.01]])
+OFFSET_G = np.array([0.03, -0.02, 0.045])
+SLOPE_G_PER_C = np.array([0.001, -0.0005, 0.0008])
+HOURS = 60
+Course = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Of raw means (n, 3) of a sensor that stays as it is, and their blocks: what it measures."""
+
+
+def calibration(*, slopes: float = 0) -> Calibration:
+    """The true one of the sensor that stays as it is; its slopes are so many times those of SLOPE_G_PER_C."""
+    parameters = (1.02, 0.985, 1.01, 0.012, -0.008, 0.006, *OFFSET_G, *(SLOPE_G_PER_C * slopes))
+    scale = TemperatureScale(30_000, 1.0) if slopes else None
+    return Calibration("9", tuple(round(value * ONE) for value in parameters), scale)
+
+
+def means(
+    course: Course, *, seed: int = 1, hours: int = HOURS, noise_g: float = 0.0018, warm: bool = False
+) -> TimedMeans:
+    """Eight postures an hour, of forty, whose |a| scatters as that of real bouts does."""
+    random = np.random.RandomState(seed)
+    postures = random.standard_normal((40, 3))
+    postures /= np.linalg.norm(postures, axis=1)[:, None]
+    block = np.repeat(np.arange(hours), 8)
+    true = postures[random.randint(40, size=len(block))]
+    true = true * (1 + noise_g * random.standard_normal(len(block)))[:, None]
+    celsius = 30 + 4 * np.sin(block / 4) + random.standard_normal(len(block)) if warm else None
+    raw = true @ np.linalg.inv(GAIN).T - OFFSET_G
+    if celsius is not None:
+        raw = raw - np.outer(celsius - 30, SLOPE_G_PER_C)
+    return TimedMeans(block, course(raw, block), celsius, 1.0)
+
+
+def constant(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    return raw
+
+
+def step(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    return raw + np.outer(block >= 23, [0.012, -0.010, 0.012])
+
+
+def gain(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    return raw * (1 + 0.03 * (block >= 31))[:, None]
+
+
+def drift(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    return raw + np.outer(block / HOURS, [0.010, -0.010, 0.010])
+
+
+def wander(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    return raw + np.outer(np.sin(2 * np.pi * block / 48), [0.010, -0.010, 0.010])
+
+
+def device(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    other = (raw + OFFSET_G) @ GAIN.T @ np.linalg.inv(np.diag([0.97, 1.02, 0.98])).T - [0.0, 0.05, -0.03]
+    return np.where((block >= 40)[:, None], other, raw)
+
+
+@pytest.mark.parametrize("warm", [False, True])
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_a_sensor_that_stays_as_it_is_gives_no_alarm(seed: int, warm: bool) -> None:
+    found = find_change(means(constant, seed=seed, warm=warm), calibration(slopes=warm))
+    assert (found.kind, found.unchecked, found.size_mg) == ("none", None, None)
+    assert found.holdout is not None
+    assert found.holdout.stretches == 20  # of three hours
+    assert found.holdout.constant_mg == pytest.approx(0.0018 * 0.798 * 1000, rel=0.15)  # mean of |normal|
+
+
+@pytest.mark.parametrize(
+    ("course", "kind", "block", "offset_mg", "scale_percent"),
+    [
+        (step, "step", 23, (12, -10, 12), (0, 0, 0)),
+        (gain, "gain", 31, (0, 0, 0), (3, 3, 3)),
+        (drift, "drift", None, (10, -10, 10), (0, 0, 0)),
+    ],
+)
+def test_a_change_is_found_with_its_kind_place_and_size(
+    course: Course,
+    kind: str,
+    block: int | None,
+    offset_mg: tuple[float, ...],
+    scale_percent: tuple[float, ...],
+) -> None:
+    found = find_change(means(course), calibration())
+    assert (found.kind, found.at_block) == (kind, block)
+    assert found.offset_mg == pytest.approx(offset_mg, abs=1.5)
+    assert found.scale_percent == pytest.approx(scale_percent, abs=0.15)
+    assert found.holdout is not None and found.holdout.changing_mg is not None
+    assert found.holdout.changing_mg < 2 < found.holdout.constant_mg
+    largest = 1000 * np.linalg.norm(np.array([0.012, -0.010, 0.012]) @ GAIN.T)
+    if kind == "step":
+        assert found.size_mg == pytest.approx(largest, rel=0.1)
+
+
+def test_another_device_and_wandering_offsets_are_told_apart() -> None:
+    found = find_change(means(device), calibration())
+    assert (found.kind, found.at_block) == ("device", 40)
+    assert find_change(means(wander), calibration()).kind == "walk"
+
+
+def test_what_temperature_explains_is_no_change() -> None:
+    """Offsets that follow a temperature that rises throughout."""
+    cold = means(constant, hours=48)
+    celsius = 20 + cold.block / 4.0 + np.random.RandomState(3).standard_normal(len(cold.block))
+    raw = cold.mean_g - np.outer(celsius - 30, 3 * SLOPE_G_PER_C)
+    assert find_change(TimedMeans(cold.block, raw, celsius, 1.0), calibration(slopes=3)).kind == "none"
+    assert find_change(TimedMeans(cold.block, raw, None, 1.0), calibration()).kind == "drift"
+
+
+@pytest.mark.parametrize("hours", [1, 7])
+def test_what_is_too_short_is_said(hours: int) -> None:
+    found = find_change(means(step, hours=hours), calibration())
+    assert (found.kind, found.holdout) == ("none", None)
+    assert "too short" in str(found.unchecked)
+
+
+def test_nothing_at_all_is_too_short() -> None:
+    empty = TimedMeans(np.zeros(0, np.int64), np.zeros((0, 3)), None, 1.0)
+    assert find_change(empty, calibration()).unchecked is not None
+
+
+def test_blocks_without_stillness_are_passed_over() -> None:
+    """As where the device was not worn; the numbers of blocks go on."""
+    worn = means(step)
+    away = np.where(worn.block >= 23, worn.block + 10, worn.block)
+    found = find_change(TimedMeans(away, worn.mean_g, None, 1.0), calibration())
+    assert (found.kind, found.at_block) == ("step", 33)
+
+
+def test_the_sentence_for_people() -> None:
+    found = find_change(means(step), calibration())
+    assert told(Change("none"), None) is None
+    text = str(told(found, None))
+    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg" in text
