@@ -165,7 +165,7 @@ def _unused(report: dict[str, Any]) -> tuple[str, ...]:
 
 def _words(report: dict[str, Any], name: str) -> str:
     given = _part(report, name)
-    text = ",".join(given) if isinstance(given, list) else str(given)
+    text = ",".join(map(str, given)) if isinstance(given, list) else str(given)
     return f"a run without --{name}" if given is None else f"a run with --{name} {printable(text)}"
 
 

@@ -70,6 +70,14 @@ def test_a_report_that_is_no_json(tmp_path: Path, capsys: Capture, text: bytes) 
         assert_one_line(ran, str(report))
 
 
+def test_columns_that_are_no_names_in_the_report_in_the_way(tmp_path: Path, capsys: Capture) -> None:
+    columns = {"columns": [None, 1, "x"]}
+    report = edit(donor(tmp_path), lambda held: held["settings"]["input"].update(columns))
+    ran = run(capsys, "calibrate", "--report-only", tmp_path / "donor.raw")
+    assert ran.code == 5
+    assert_one_line(ran, str(report), "a run with --columns None,1,x")
+
+
 def test_nested_metadata_of_a_parquet_file(tmp_path: Path, capsys: Capture) -> None:
     report, path = donor(tmp_path), tmp_path / "donor.raw"
     schema = pa.schema([("x", pa.float32())], {b"accelcal": NESTED.encode()})
