@@ -146,4 +146,4 @@ def of_member(pool: Document, report: Path, holdout: Holdout | None) -> dict[str
         own = {"points": holdout.points, "postures": holdout.postures, **errors}
     pooled = pool.report["pool"]
     section = {**pooled, "path": printable(relative), "sha256": pool.content_sha256, "own_windows": own}
-    return {**{name: pool.report[name] for name in TAKEN}, "pool": section}
+    return {**{name: pool.report.get(name) for name in TAKEN}, "pool": section}

@@ -125,7 +125,7 @@ class GivenCoefficients(Judge):
         report = self.donor.document.report
         copied = COPIED if self.relation is Relation.OWN else ()
         section = _calibration(report["calibration"], self.donor.calibration, self.calibration)
-        return {"calibration": section, **{name: report[name] for name in copied}}
+        return {"calibration": section, **{name: report.get(name) for name in copied}}
 
 
 def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:

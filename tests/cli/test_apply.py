@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from accelcal_cli.output.report_schema import LATER
 from tests.cli.run import assert_one_line, run, run_process
 from tests.device_recordings import donor, edit, rest, set_coefficients, week, write_device
 from tests.recordings import directions, good_csv
@@ -54,6 +55,26 @@ def test_its_own_coefficients_give_the_values_of_calibrate(
     used = now.pop("coefficients")
     assert now == then
     assert used["recording_sha256"] == then["recording"]["sha256"]
+
+
+def older(report: dict) -> None:
+    """Take out what reports of version 0.1.0 did not say."""
+    report["accelcal_version"] = "0.1.0"
+    for place in LATER:
+        *outer, name = place.split(".")
+        held = report
+        for key in outer:
+            held = held.get(key) or {}
+        held.pop(name, None)
+
+
+def test_its_own_coefficients_of_an_older_version_are_applied(tmp_path: Path, capsys: Capture) -> None:
+    report = edit(donor(tmp_path), older)
+    ran = run(capsys, "apply", "--coefficients", report, tmp_path / "donor.raw", "-d", tmp_path / "out")
+    assert ran.code == 0, ran
+    now = report_of(tmp_path / "out" / "donor.calibration.json")
+    assert now["calibration"]["fixed_point"] == json.loads(report.read_text())["calibration"]["fixed_point"]
+    assert now["sphere_mg"] is None
 
 
 def test_another_recording_of_the_device_is_judged_by_its_own_stillness(
