@@ -51,7 +51,7 @@ def cluster(folder: Path, workers: int = 2) -> Iterator[Path]:
     (folder / "endless.py").write_text(ENDLESS)
     with contextlib.ExitStack() as stack:
         start(stack, folder, "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file),
-              "--idle-timeout", "600")  # fmt: skip
+              "--idle-timeout", "3600")  # fmt: skip
         if workers:
             start_workers(stack, file, workers)
         soon(file.exists)
