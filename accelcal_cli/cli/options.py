@@ -20,6 +20,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import (
     DEFAULT,
+    NEVER,
     NO_PRIOR,
     PROFILES,
     RANGE_RULES,
@@ -268,7 +269,18 @@ def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Sett
     """
     changed = with_given(chosen, values)
     prior = _prior(changed, values.get("prior"))
-    return replace(changed, temperature=changed.temperature and not values["no_temperature"], prior=prior)
+    recalibrate = _recalibrate(changed, values.get("recalibrate"))
+    temperature = changed.temperature and not values["no_temperature"]
+    return replace(changed, temperature=temperature, prior=prior, recalibrate=recalibrate)
+
+
+def _recalibrate(chosen: Settings, given: str | None) -> str:
+    """Whether to follow a sensor that changes; profile `paper` has no windows along time to see it by."""
+    if chosen.profile == DEFAULT.profile:
+        return chosen.recalibrate
+    if given not in (None, NEVER):
+        raise UsageError(f"--recalibrate {given} does not go with --profile paper", hint="omit one of them")
+    return NEVER
 
 
 def _prior(chosen: Settings, given: str | None) -> str:
@@ -308,7 +320,8 @@ def gravity(values: dict[str, Any]) -> Gravity:
 
 def calibrating_options(command: Command) -> Command:
     """The options that `request_of` needs, and how much is printed."""
-    for decorator in (method_options, damage_option, reading_options, printing_options):
+    along_time = _decorate(_settings_options("recalibrate"))
+    for decorator in (along_time, method_options, damage_option, reading_options, printing_options):
         command = decorator(command)
     return _REPORT_ONLY(_INTEGERS(command))
 

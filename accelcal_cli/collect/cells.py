@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.saturation import Saturation
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import (
     WEIGHT_ONE,
@@ -64,7 +65,7 @@ class Sums:
 
 
 def to_points(
-    sums: Sequence[Sums], weights: Sequence[int], lsb_per_g: float, *, temperature: bool
+    sums: Sequence[Sums], weights: Sequence[int], lsb_per_g: float | Fraction, *, temperature: bool
 ) -> PointSet:
     """Means in fixed-point g; temperatures scaled to a power-of-two span about their mean."""
     scale = Fraction(lsb_per_g)
@@ -206,13 +207,36 @@ class CellCollector:
         for key, value in other._cells.items():
             _add(self._cells, (*key[:3], key[3] * self.temperature, key[_CONSTANT], 0), value)
 
-    def points(self) -> PointSet:
-        """The points: one per cell, in the order of the cells' coordinates."""
-        cells, _ = self._bounded()
+    def points(self, course: Course | None = None) -> PointSet:
+        """The points: one per cell, in the order of the cells' coordinates.
+
+        Args:
+            course: what puts a sensor right that changed, in units of local gravity; blocks of time as in
+                their middle.
+        """
+        cells, halvings = self._bounded()
         ordered = sorted(cells.items())
         weights = shared_weights([_group(key) for key, _ in ordered], [value[0] for _, value in ordered])
-        sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for _, v in ordered]
-        return to_points(sums, weights, self.lsb_per_g, temperature=self.temperature)
+        scale = Fraction(self.lsb_per_g)
+        if course is not None:
+            cells, scale = self._along(course, halvings), scale * scale.denominator * ONE
+        sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for v in (cells[key] for key, _ in ordered)]
+        return to_points(sums, weights, scale, temperature=self.temperature)
+
+    def _along(self, course: Course, halvings: int) -> dict[tuple[int, ...], list[int]]:
+        """The cells with sums put right, in whole parts of a count."""
+        scale, real = Fraction(self.lsb_per_g), self._constants_are_real()
+        found: dict[tuple[int, ...], list[int]] = {}
+        for key, (windows, samples, *sums, heat) in self._cells.items():
+            if real or not key[_CONSTANT]:
+                middle = key[_BLOCK] * self.block_samples + self.block_samples // 2
+                right = [
+                    total * scale.denominator * stretch + samples * scale.numerator * shift
+                    for total, stretch, shift in zip(sums, *course.at(middle), strict=True)
+                ]
+                cell = tuple(part >> halvings for part in key[:_CONSTANT])
+                _add(found, cell, [windows, samples, *right, heat])
+        return found
 
     def timed(self) -> list[tuple[int, Sums]]:
         """The number of each block of time, and the sums of each orientation in it; in order."""

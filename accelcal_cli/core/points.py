@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from fractions import Fraction
 from typing import Any, Literal
@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import ONE, Fixed, rounded_quotient, to_float
 from accelcal_cli.core.gravity import STANDARD, Gravity
 from accelcal_cli.core.recording import cut_columns, joined_columns
@@ -84,15 +85,16 @@ class TimedMeans:
     """n observations along a recording: the mean of the still windows of one orientation in a block of time.
 
     Attributes:
-        block: (n,) number of the block that each is in, from 0; a block is a number of samples in a row.
+        block: (n,) number of the block that each is in, from 0.
         mean_g: (n, 3) raw mean [standard g].
         celsius: (n,) mean temperature [degrees C], or None.
-        block_h: hours that the samples of a block take.
+        block_samples: samples in a row that make a block; block_h: the hours that they take.
     """
 
     block: NDArray[np.int64]
     mean_g: NDArray[np.float64]
     celsius: NDArray[np.float64] | None
+    block_samples: int
     block_h: float
 
     def blocks(self) -> int:
@@ -102,6 +104,12 @@ class TimedMeans:
     def hours(self) -> float:
         """Length of all blocks."""
         return self.blocks() * self.block_h
+
+    def along(self, course: Course) -> TimedMeans:
+        """The same of a sensor that is put right; blocks as in their middle."""
+        middle = self.block * self.block_samples + self.block_samples // 2
+        stretch, shift = course.values(middle)
+        return replace(self, mean_g=stretch * self.mean_g + shift)
 
 
 @dataclass(frozen=True, slots=True)
@@ -336,6 +344,7 @@ class Calibration:
         temperature: scale of the slopes, None if the model has none.
         gravity: what rest measures.
         upper: entries of K above its diagonal, in the order of UPPER_NAMES.
+        course: what takes the place of v, sample by sample, where the sensor changed; None: v itself.
     """
 
     model: str
@@ -343,6 +352,7 @@ class Calibration:
     temperature: TemperatureScale | None = None
     gravity: Gravity = STANDARD
     upper: tuple[int, int, int] = (0, 0, 0)
+    course: Course | None = None
 
     def gain(self) -> NDArray[np.float64]:
         """K, (3, 3); lower triangular unless orientations were known."""

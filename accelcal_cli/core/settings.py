@@ -126,6 +126,7 @@ RANGE_RULES = tuple(
 
 
 NO_PRIOR = "none"
+NEVER = "never"
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,6 +139,8 @@ class Settings:
         model: `auto`, or the model (9, 6, 3) the user insists on.
         prior: what is known of sensors before any point is seen (docs/prior.md): `population`, which DEFAULT
             has, or `none`: the simplest model that held-out postures support. Older reports had none.
+        recalibrate: `auto`, which DEFAULT has: the calibration follows a sensor that changes while it records
+            (docs/change.md); or `never`: that is only told. Older reports did neither.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
         stillness: rule of stillness, a key of STILLNESS, which sets the next five.
         segment_seconds: length of a window [s] (F II.B.1: 5 s; van Hees et al. 2014: 10 s; G 4.4:
@@ -196,6 +199,15 @@ class Settings:
             default="population; none with --model, --profile paper, and optimizers that know no prior",
         ),
         choices=("population", NO_PRIOR),
+    )
+    recalibrate: str = setting(
+        NEVER,
+        option=Option(
+            "--recalibrate",
+            "auto: follow a sensor that changes while it records; never: only say so (docs/change.md).",
+            default="auto",
+        ),
+        choices=("auto", NEVER),
     )
     temperature: bool = setting(
         True, option=Option("--no-temperature", "Do not use the recording's temperature.")
@@ -389,6 +401,6 @@ def with_stillness(settings: Settings, name: str) -> Settings:
     return replace(settings, stillness=name, **STILLNESS[name])
 
 
-DEFAULT = Settings(prior="population")
+DEFAULT = Settings(prior="population", recalibrate="auto")
 PAPER = replace(with_stillness(Settings(), "range"), profile="paper", temperature=False, min_distance_g=0.2)
 PROFILES = {"default": DEFAULT, "paper": PAPER}

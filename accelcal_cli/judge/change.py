@@ -12,13 +12,15 @@ to the sensor that stays as it is.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.course import Course
+from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.points import Calibration, TimedMeans
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
 from accelcal_cli.judge.errors import directions, mean, standard_error, student_t_975
@@ -38,6 +40,7 @@ LEAST_MG = 3.0
 ALIKE_MG = 0.05
 """Errors that differ by less are as good as equal."""
 
+KNOT_BITS = 17
 KNOTS_H = (24, 12, 6)
 MG = 1e-3
 WIDTHS = {"offset": 30 * MG, "scale": 0.03, "misalignment": 0.01, "knot": 10 * MG}
@@ -56,75 +59,174 @@ class Suspect:
     Attributes:
         columns: numbers of the q columns whose parameters change.
         widths: of the prior of each, (q,).
-        places: (c,) block at which the change may begin; (0,) where it has no place.
-        courses: (c, blocks, f) for each place f functions of time.
+        courses: (c, blocks, f): for each of c moments f functions of time.
+        moments: (c,) block at which the change may begin; empty where it has no moment.
+        knots_h: (k,) where lines begin and end; empty where there are none.
+        at_knots: (k, f) the functions there.
     """
 
     kind: ChangeKind
     columns: list[int]
     widths: list[float]
-    places: Ints
     courses: Floats
+    moments: Ints
+    knots_h: Floats
+    at_knots: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What a suspect explains.
+    """What a suspect explains, at the number `moment` of its moments.
 
     Attributes:
-        path: (blocks, q) by how much each of its columns' parameters is off in each block.
+        values: (f, q) by how much its functions change each of its columns' parameters.
         errors_mg: mean error of each stretch, when a fit of the others is held against it.
     """
 
     suspect: Suspect
-    place: int
-    path: Floats
+    moment: int
+    values: Floats
     errors_mg: list[float]
 
+    def path(self) -> Floats:
+        """(blocks, q) by how much each column's parameter is off in each block."""
+        return np.asarray(self.suspect.courses[self.moment] @ self.values)
 
-def find_change(means: TimedMeans, found: Calibration) -> Change:
-    """Whether a recording's sensor changed, and how.
+
+class ChangeSearch:
+    """Whether the sensor of a recording changed, and what puts it right.
 
     Args:
         means: observations in standard g.
-        found: the calibration about which a change is sought.
     """
-    stretch = means.block // _stretch_blocks(means)
-    if means.hours() < 2 * LEAST_H or len(set(stretch.tolist())) < LEAST_STRETCHES:
-        return Change("none", "the recording is too short to show a change")
-    design = Design(means, found, stretch)
-    still = design.errors_mg(None)
-    alarms = []
-    for suspect in _suspects(means):
-        one = design.found(suspect)
-        if _falls(still, one.errors_mg) and design.size_mg(one) >= LEAST_MG:
-            alarms.append(one)
-    if not alarms:
-        return Change("none", None, TimeHoldout(len(still), mean(still)))
-    return _change(design, _simplest(alarms), still)
+
+    def __init__(self, means: TimedMeans) -> None:
+        self._means = means
+        self._one: Found | None = None
+
+    def find(self, found: Calibration) -> Change:
+        """Look for a change about a calibration."""
+        means = self._means
+        stretch = means.block // _stretch_blocks(means)
+        if means.hours() < 2 * LEAST_H or len(set(stretch.tolist())) < LEAST_STRETCHES:
+            return Change("none", "the recording is too short to show a change")
+        design = Design(means, found, stretch)
+        still = design.errors_mg(None)
+        alarms = []
+        for suspect in _suspects(means):
+            one = design.found(suspect)
+            if _falls(still, one.errors_mg) and design.size_mg(one) >= LEAST_MG:
+                alarms.append(one)
+        if not alarms:
+            return Change("none", None, TimeHoldout(len(still), mean(still)))
+        self._one = one = _simplest(alarms)
+        gain = [before - after for before, after in zip(still, one.errors_mg, strict=True)]
+        holdout = TimeHoldout(len(still), mean(still), mean(one.errors_mg), standard_error(gain))
+        moments = one.suspect.moments
+        change = Change(
+            one.suspect.kind,
+            None,
+            holdout,
+            at_block=int(moments[one.moment]) if len(moments) else None,
+            size_mg=design.size_mg(one),
+        )
+        return _measured(replace(change, course=_course(means, one)), one)
+
+    def refined(self, found: Calibration, change: Change) -> Change:
+        """A change about the calibration of what was put right by it: what it leaves is added to it."""
+        assert self._one is not None and change.course is not None
+        means = self._means.along(change.course)
+        design = Design(means, replace(found, course=None), means.block)
+        rest = design.explained(_at_moment(self._one))
+        more = _course(means, rest)
+        assert more is not None
+        return _measured(replace(change, course=_after(change.course, more)), rest)
 
 
-def told(change: Change, offset_s: int | None) -> str | None:
+def _at_moment(one: Found) -> Suspect:
+    """A suspect that can have changed at one moment only."""
+    suspect, moment = one.suspect, slice(one.moment, one.moment + 1)
+    return replace(suspect, courses=suspect.courses[moment], moments=suspect.moments[moment])
+
+
+def _course(means: TimedMeans, one: Found) -> Course | None:
+    """What makes up for a change; of another device there is nothing to go on with."""
+    suspect = one.suspect
+    if suspect.kind == "device":
+        return None
+    if len(suspect.moments):
+        samples = (0, int(suspect.moments[one.moment]) * means.block_samples)
+        at_knots = np.concatenate([np.zeros_like(one.values), one.values])
+    else:
+        samples_per_h = means.block_samples / means.block_h
+        samples = tuple(round(knot * samples_per_h) for knot in suspect.knots_h.tolist())
+        at_knots = suspect.at_knots @ one.values
+    rows = [dict(zip(suspect.columns, row, strict=True)) for row in at_knots.tolist()]
+    stretch = tuple(_knot([1 + row.get(column, 0.0) for column in _RAW_SCALES]) for row in rows)
+    shift = tuple(_knot([row.get(column, 0.0) for column in _OFFSETS]) for row in rows)
+    return Course(samples, stretch, shift, lines=not len(suspect.moments))
+
+
+def _knot(values: list[float]) -> tuple[int, int, int]:
+    """In fixed point, in steps so long that the last bits of linear algebra do not matter."""
+    x, y, z = (round(value * (1 << KNOT_BITS)) << FRACTION_BITS - KNOT_BITS for value in values)
+    return x, y, z
+
+
+def _after(first: Course, then: Course) -> Course:
+    """What two courses with the same knots do one after the other."""
+    stretch, shift = [], []
+    for knots in zip(first.stretch, first.shift, then.stretch, then.shift, strict=True):
+        axes = list(zip(*knots, strict=True))
+        rx, ry, rz = (rounded_quotient(r * more, ONE) for r, _, more, _ in axes)
+        dx, dy, dz = (rounded_quotient(d * more, ONE) + rest for _, d, more, rest in axes)
+        stretch.append((rx, ry, rz))
+        shift.append((dx, dy, dz))
+    return replace(first, stretch=tuple(stretch), shift=tuple(shift))
+
+
+def _measured(change: Change, one: Found) -> Change:
+    """The change with what the sensor itself did from beginning to end."""
+    if change.course is None:
+        moved = dict(zip(one.suspect.columns, (one.path()[0] - one.path()[-1]).tolist(), strict=True))
+        offset = [moved.get(column, 0.0) for column in _OFFSETS]
+        scale = [moved.get(column, 0.0) for column in (0, 1, 2)]
+        return replace(change, offset_mg=_three(1000, offset), scale_percent=_three(100, scale))
+    stretch, shift = (np.array(knots) / ONE for knots in (change.course.stretch, change.course.shift))
+    offset = (shift[0] / stretch[0] - shift[-1] / stretch[-1]).tolist()
+    scale = (stretch[0] / stretch[-1] - 1).tolist()
+    return replace(change, offset_mg=_three(1000, offset), scale_percent=_three(100, scale))
+
+
+def _three(factor: float, values: list[float]) -> tuple[float, float, float]:
+    x, y, z = (factor * value for value in values)
+    return x, y, z
+
+
+def told(change: Change, offset_s: int | None, *, followed: bool) -> str | None:
     """A sentence for people; None where nothing changed.
 
     Args:
         offset_s: seconds that the device's clock is ahead of UTC; None if not known.
+        followed: whether the calibration goes with it.
     """
-    if change.kind == "none" or change.holdout is None or change.size_mg is None:
+    held = change.holdout
+    if held is None or change.size_mg is None:
         return None
     when = (iso_time(change.at_us, offset_s) or "").partition(".")[0]
     what = {
+        "none": "",
         "drift": "its offsets drift",
         "step": f"its offsets jump at {when}",
         "gain": f"its scales jump at {when}",
         "device": f"all its errors jump at {when}, as if another device went on",
         "walk": "its offsets wander",
     }[change.kind]
-    held = change.holdout
-    return (
-        f"the sensor changes while it records: {what}, by up to {change.size_mg:.1f} mg; one calibration for "
-        f"all of it leaves {held.constant_mg:.1f} mg, one that follows would leave {held.changing_mg:.1f} mg"
-    )
+    text = f"the sensor changes while it records: {what}, by up to {change.size_mg:.1f} mg"
+    if followed:
+        return f"{text}, and the calibration follows"
+    worse = f"one calibration for all of it leaves {held.constant_mg:.1f} mg"
+    return f"{text}; {worse}, one that follows would leave {held.changing_mg:.1f} mg"
 
 
 def _stretch_blocks(means: TimedMeans) -> int:
@@ -147,52 +249,33 @@ def _simplest(alarms: list[Found]) -> Found:
     return best
 
 
-def _change(design: Design, one: Found, still: list[float]) -> Change:
-    gain = [before - after for before, after in zip(still, one.errors_mg, strict=True)]
-    holdout = TimeHoldout(len(still), mean(still), mean(one.errors_mg), standard_error(gain))
-    moved = one.path[0] - one.path[-1]  # of the sensor, not of the coefficients that make up for it
-    named = dict(zip(one.suspect.columns, moved.tolist(), strict=True))
-    offset_mg = [1000 * named.get(column, 0.0) for column in _OFFSETS]
-    scale = [100 * named.get(column, 0.0) for column in _RAW_SCALES]
-    place = one.place if len(one.suspect.places) > 1 or one.place else None
-    return Change(
-        one.suspect.kind,
-        None,
-        holdout,
-        at_block=place,
-        size_mg=design.size_mg(one),
-        offset_mg=(offset_mg[0], offset_mg[1], offset_mg[2]),
-        scale_percent=(scale[0], scale[1], scale[2]),
-    )
-
-
 def _suspects(means: TimedMeans) -> list[Suspect]:
     """All ways to change that a recording is long enough for, by number of parameters."""
-    blocks = means.blocks()
-    time_h = np.asarray((np.arange(blocks) + 0.5) * means.block_h, np.float64)
+    time_h = np.asarray((np.arange(means.blocks()) + 0.5) * means.block_h, np.float64)
     offset, scale, other = WIDTHS["offset"], WIDTHS["scale"], WIDTHS["misalignment"]
+    moments, nowhere, nothing = _moments(means), np.zeros(0, np.int64), np.zeros(0)
     line = (time_h / means.hours() - 0.5)[np.newaxis, :, np.newaxis]
-    nowhere, found = np.zeros(1, np.int64), []
-    found.append(Suspect("drift", _OFFSETS, [offset] * 3, nowhere, line))
-    places = _places(means)
-    if len(places):
-        after = (np.arange(blocks) >= places[:, np.newaxis]).astype(float)[:, :, np.newaxis]
-        found += [
-            Suspect("step", _OFFSETS, [offset] * 3, places, after),
-            Suspect("gain", _RAW_SCALES + _OFFSETS, [scale] * 3 + [offset] * 3, places, after),
-            Suspect("device", _EVERYTHING, [scale] * 3 + [other] * 3 + [offset] * 3, places, after),
+    ends, halves = np.array([0.0, means.hours()]), np.array([[-0.5], [0.5]])
+    found = [Suspect("drift", _OFFSETS, [offset] * 3, line, nowhere, ends, halves)]
+    if len(moments):
+        after = (np.arange(means.blocks()) >= moments[:, np.newaxis]).astype(float)[:, :, np.newaxis]
+        sudden: list[tuple[ChangeKind, list[int], list[float]]] = [
+            ("step", _OFFSETS, [offset] * 3),
+            ("gain", _RAW_SCALES + _OFFSETS, [scale] * 3 + [offset] * 3),
+            ("device", _EVERYTHING, [scale] * 3 + [other] * 3 + [offset] * 3),
         ]
+        found += [Suspect(*one, after, moments, nothing, nothing) for one in sudden]
     for apart_h in KNOTS_H:
         if means.hours() >= 2 * apart_h:
             number = round(means.hours() / apart_h)
             knots = np.asarray(np.arange(number + 1) * (means.hours() / number), np.float64)
-            away = np.abs(time_h[:, np.newaxis] - knots) / knots[1]
-            hats = np.maximum(0.0, 1.0 - away)[np.newaxis]
-            found.append(Suspect("walk", _OFFSETS, [WIDTHS["knot"]] * 3, nowhere, hats))
+            hats = np.maximum(0.0, 1.0 - np.abs(time_h[:, np.newaxis] - knots) / knots[1])[np.newaxis]
+            widths = [WIDTHS["knot"]] * 3
+            found.append(Suspect("walk", _OFFSETS, widths, hats, nowhere, knots, np.eye(number + 1)))
     return found
 
 
-def _places(means: TimedMeans) -> Ints:
+def _moments(means: TimedMeans) -> Ints:
     """Blocks at which a change may begin: those with stillness, LEAST_H of them before and after."""
     known = np.array(sorted(set(means.block.tolist())), np.int64)
     least = ceil(LEAST_H / means.block_h)
@@ -221,8 +304,8 @@ class Design:
         self._base = list(range(9 if warmth is None else 12))
         self._base_widths = [width for width in kinds for _ in range(3)][: len(self._base)]
         full = np.column_stack([self._rows, self._error])
-        self._moments = np.zeros((means.blocks(), _ERROR + 1, _ERROR + 1))
-        np.add.at(self._moments, means.block, full[:, :, np.newaxis] * full[:, np.newaxis, :])
+        self._products = np.zeros((means.blocks(), _ERROR + 1, _ERROR + 1))
+        np.add.at(self._products, means.block, full[:, :, np.newaxis] * full[:, np.newaxis, :])
         fold = np.full(means.blocks(), -1)
         fold[means.block] = stretch % FOLDS
         self._fold = fold
@@ -240,32 +323,35 @@ class Design:
 
     def found(self, suspect: Suspect) -> Found:
         """What a suspect explains of all observations, and of those that are held out."""
-        place, values = self._fit(suspect, np.ones(len(self._fold), np.bool_))
+        return replace(self.explained(suspect), errors_mg=self.errors_mg(suspect))
+
+    def explained(self, suspect: Suspect) -> Found:
+        """What a suspect explains of all observations."""
+        moment, values = self._fit(suspect, np.ones(len(self._fold), np.bool_))
         changing = values[len(self._base) :].reshape(suspect.courses.shape[2], -1)
-        path = suspect.courses[place] @ changing
-        return Found(suspect, int(suspect.places[place]), path, self.errors_mg(suspect))
+        return Found(suspect, moment, changing, [])
 
     def size_mg(self, one: Found) -> float:
         """The largest change of |a| between two times, over all directions."""
         gain, true = self._found.gain(), directions()
         raw = np.asarray(np.linalg.solve(gain, true.T).T, np.float64)
         _, rows = _linear(raw, raw - _shift(self._found, None), gain)
-        moved = rows[:, one.suspect.columns] @ one.path.T
+        moved = rows[:, one.suspect.columns] @ one.path().T
         return float(1000 * (moved.max(axis=1) - moved.min(axis=1)).max())
 
     def _left(self, fitted: tuple[int, Floats], suspect: Suspect | None) -> Floats:
-        place, values = fitted
+        moment, values = fitted
         explained = self._rows[:, self._base] @ values[: len(self._base)]
         if suspect is not None:
             changing = values[len(self._base) :].reshape(suspect.courses.shape[2], -1)
-            path = suspect.courses[place] @ changing
+            path = suspect.courses[moment] @ changing
             explained = explained + (self._rows[:, suspect.columns] * path[self._block]).sum(axis=1)
         return np.asarray(self._error - explained)
 
     def _fit(self, suspect: Suspect | None, blocks: NDArray[np.bool_]) -> tuple[int, Floats]:
-        """The best place (its number) and parameters for the observations of some blocks."""
-        moments = self._moments[blocks]
-        total, base = moments.sum(axis=0), self._base
+        """The best moment (its number) and parameters for the observations of some blocks."""
+        products = self._products[blocks]
+        total, base = products.sum(axis=0), self._base
         noise = POPULATION.noise_g**2
         first = total[np.ix_(base, base)] + noise * np.diag(1 / np.square(self._base_widths))
         if suspect is None:
@@ -273,10 +359,10 @@ class Design:
         courses, columns = suspect.courses[:, blocks], suspect.columns
         number, _, functions = courses.shape
         size = functions * len(columns)
-        with_base = np.tensordot(courses, moments[:, columns][:, :, [*base, _ERROR]], (1, 0))
+        with_base = np.tensordot(courses, products[:, columns][:, :, [*base, _ERROR]], (1, 0))
         with_base = with_base.reshape(number, size, len(base) + 1)
-        products = courses[:, :, :, np.newaxis] * courses[:, :, np.newaxis, :]
-        among = np.tensordot(products, moments[:, columns][:, :, columns], (1, 0))
+        pairs = courses[:, :, :, np.newaxis] * courses[:, :, np.newaxis, :]
+        among = np.tensordot(pairs, products[:, columns][:, :, columns], (1, 0))
         among = among.transpose(0, 1, 3, 2, 4).reshape(number, size, size)
         among += noise * np.diag(np.tile(1 / np.square(suspect.widths), functions))
         whole = np.empty((number, len(base) + size, len(base) + size))

@@ -380,6 +380,18 @@ def advised(verdict: Judgement, facts: Facts, recording: Recording) -> Judgement
     return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))
 
 
+def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
+    """A verdict on points that were put right, with the errors before calibration of those that were not."""
+    holdout, errors, message = followed.holdout, followed.fit_errors, followed.message
+    if holdout is not None and raw.holdout is not None:
+        message = message.replace(_change(holdout), _change(replace(holdout, before=raw.holdout.before)))
+        holdout = replace(holdout, before=raw.holdout.before)
+    if errors is not None and raw.fit_errors is not None:
+        errors = replace(errors, before_mg=raw.fit_errors.before_mg)
+    before = raw.sphere_before or followed.sphere_before
+    return replace(followed, message=message, holdout=holdout, fit_errors=errors, sphere_before=before)
+
+
 def held_out(
     points: PointSet, calibration: Calibration, rest: Gravity, degrees: float, method: str
 ) -> Holdout | None:

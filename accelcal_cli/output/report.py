@@ -16,6 +16,7 @@ from typing import Any
 from accelcal_cli import __version__
 from accelcal_cli.core import results
 from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.daylight import ZoneChange
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS, to_float
@@ -66,6 +67,7 @@ def coefficients_json(calibration: Calibration) -> dict[str, Any]:
         "offset_g": calibration.offset_g().tolist(),
         "parameters": {name: to_float(value) for name, value in _integers(calibration, 9).items()},
         "temperature": _temperature(calibration),
+        "course": _course(calibration.course),
         "equation": EQUATION,
         "fixed_point": _fixed_point(calibration),
         "gravity": {
@@ -73,6 +75,25 @@ def coefficients_json(calibration: Calibration) -> dict[str, Any]:
             "latitude": calibration.gravity.latitude,
             "altitude": calibration.gravity.altitude_m,
         },
+    }
+
+
+def _course(course: Course | None) -> dict[str, Any] | None:
+    """What takes the place of v, knot by knot."""
+    if course is None:
+        return None
+    knots = zip(course.samples, course.stretch, course.shift, strict=True)
+    return {
+        "between": "lines" if course.lines else "jumps",
+        "knots": [
+            {
+                "sample": sample,
+                "stretch": [to_float(value) for value in stretch],
+                "shift_g": [to_float(value) for value in shift],
+                "fixed_point": {"stretch": list(stretch), "shift": list(shift)},
+            }
+            for sample, stretch, shift in knots
+        ],
     }
 
 

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli.core import points
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.errors import UnreadableError, printable
-from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT
+from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
@@ -27,6 +28,7 @@ STRETCH = (0.5, 2.0)
 LARGEST_OFFSET_G = 1.0
 LARGEST_SLOPE_G_PER_C = 0.1
 ABSOLUTE_ZERO_MC = -273_150
+LAST_SAMPLE = 1 << 53
 
 FULL_GAIN = "12"
 """Nine entries of K and the offsets, of orientations that were known."""
@@ -214,9 +216,38 @@ def calibration_of(section: Mapping[str, Any]) -> points.Calibration:
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
     xy, xz, yz = upper.values()
-    calibration = points.Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz))
+    course = _course(section.get("course"))
+    calibration = points.Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz), course)
     _check_model(calibration)
     return calibration
+
+
+def _course(section: Any) -> Course | None:
+    """What follows a sensor that changed; raises ValueError for what cannot be."""
+    if section is None:
+        return None
+    try:
+        knots, lines = section["knots"], {"lines": True, "jumps": False}[section["between"]]
+        samples = tuple(knot["sample"] for knot in knots)
+        stretch, shift = (
+            tuple(_knot(knot["fixed_point"][name], name) for knot in knots) for name in ("stretch", "shift")
+        )
+    except (KeyError, TypeError) as error:
+        raise ValueError(f"calibration.course lacks what is needed ({error})") from error
+    ascend = all(type(sample) is int for sample in samples) and list(samples) == sorted(set(samples))
+    if not ascend or samples[:1] != (0,) or samples[-1] >= LAST_SAMPLE:
+        raise ValueError("calibration.course does not begin at sample 0, or its knots do not ascend")
+    return Course(samples, stretch, shift, lines)
+
+
+def _knot(values: Any, name: str) -> tuple[int, int, int]:
+    low, high = (STRETCH[0] * ONE, STRETCH[1] * ONE) if name == "stretch" else (-ONE, ONE)
+    if not isinstance(values, list) or any(type(value) is not int for value in values):
+        raise ValueError(f"calibration.course has a {name} that is no list of integers")
+    if len(values) != 3 or not all(low <= value <= high for value in values):
+        raise ValueError(f"calibration.course has a {name} that no sensor has")
+    x, y, z = values
+    return x, y, z
 
 
 def _scale(reference_mc: Any, span_c: Any) -> points.TemperatureScale | None:

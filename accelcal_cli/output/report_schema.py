@@ -42,6 +42,8 @@ LATER = {
     "settings.prior": "0.2.0",
     "sphere_mg": "0.2.0",
     "change": "0.2.0",
+    "settings.recalibrate": "0.2.0",
+    "calibration.course": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",
     "fit.windows.saturated_left_out": "0.2.0",
     "coverage.saturated": "0.2.0",

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.points import Calibration, Fates, Role, Windows
 from accelcal_cli.core.zones import UTC
 from accelcal_cli.output.files import (
@@ -73,7 +74,10 @@ class WindowTable:
         heat = nothing
         if windows.temperature_sums is not None:
             heat = windows.temperature_sums / (windows.samples * 1000)
-        after = nothing if self.calibration is None else _lengths(_calibrated(mean_g, heat, self.calibration))
+        after = nothing
+        if self.calibration is not None:
+            right = _put_right(mean_g, windows, self.calibration.course)
+            after = _lengths(_calibrated(right, heat, self.calibration))
         return {
             TIME: windows.start_us,
             "first_sample": windows.first_sample,
@@ -89,6 +93,14 @@ class WindowTable:
             "raw_g": _lengths(mean_g),
             "calibrated_g": after,
         }
+
+
+def _put_right(mean_g: Floats, windows: Windows, course: Course | None) -> Floats:
+    """What takes the place of means where the sensor changed: as in the middle of each window."""
+    if course is None:
+        return mean_g
+    stretch, shift = course.values(windows.first_sample + windows.samples // 2)
+    return stretch * mean_g + shift
 
 
 def _calibrated(mean_g: Floats, heat_c: Floats, calibration: Calibration) -> Floats:

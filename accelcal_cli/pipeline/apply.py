@@ -138,7 +138,14 @@ def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, 
     relation = relation_of(donor, recording, bytes_at, request)
     if relation is Relation.OWN:
         _refuse_changes(donor, recording, request.recording_settings)
-    elif not request.any_device:
+        return relation
+    if donor.calibration.course is not None:
+        raise UsageError(
+            "the coefficients follow a sensor that changed while it made their own recording",
+            path=recording.path,
+            hint="find coefficients with --recalibrate never, or from the part of that recording that fits",
+        )
+    if not request.any_device:
         _refuse_other_device(donor, recording, relation)
     return relation
 

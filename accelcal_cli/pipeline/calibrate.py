@@ -20,7 +20,7 @@ from accelcal_cli.core.recording import Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import give_back_freed_memory
-from accelcal_cli.judge import change
+from accelcal_cli.judge.change import told
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
@@ -117,11 +117,18 @@ class OwnCalibration(Judge):
             found.method.procedure.judge(survey.fitting(self.settings)), found.facts, found.recording
         )
         if repeated := found.method.segmenter.counts.repeated:
-            told = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
-            judgement = replace(judgement, message=f"{judgement.message}; {told}")
-        if judgement.change and (changes := change.told(judgement.change, found.facts.utc_offset_s)):
-            judgement = replace(judgement, message=f"{judgement.message}; {changes}")
-        return Verdict(judgement)
+            text = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
+            judgement = replace(judgement, message=f"{judgement.message}; {text}")
+        return Verdict(_with_change(judgement, found.facts))
+
+
+def _with_change(judgement: Judgement, facts: Facts) -> Judgement:
+    """The judgement whose message says how the sensor changed."""
+    if judgement.change is None:
+        return judgement
+    followed = judgement.calibration is not None and judgement.calibration.course is not None
+    text = told(judgement.change, facts.utc_offset_s, followed=followed)
+    return judgement if text is None else replace(judgement, message=f"{judgement.message}; {text}")
 
 
 @contextmanager
@@ -211,6 +218,7 @@ class RecordingRun:
             covered = coverage(points, postures(points, settings.posture_degrees))
             damage = damage_verdict(facts, settings.max_damage_percent, covered)
             verdict = judge.verdict(self, Survey(recording, facts, method, points, covered, damage))
+            points = method.procedure.result()  # of a sensor that changed they are put right
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows

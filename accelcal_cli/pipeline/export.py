@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.output.report import ReportInput
@@ -29,6 +30,7 @@ class Transform:
 
     Attributes:
         steps_per_g: a power of two; calibrated values are rounded to 1 / steps_per_g. None: they are not.
+        course: what takes the place of v where the sensor changed.
     """
 
     gain: Floats
@@ -37,6 +39,7 @@ class Transform:
     reference_c: float
     lsb_per_g: float
     steps_per_g: float | None = None
+    course: Course | None = None
 
     def apply(self, chunk: Chunk) -> list[NDArray[np.float32]]:
         """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
@@ -53,12 +56,18 @@ class Transform:
         An axis of one count, or two, has values that repeat; one of all three has not.
         """
         mixed = np.count_nonzero(self.gain, axis=1) == 3
-        return "".join(name for name, fine in zip("xyz", mixed, strict=True) if fine or self.steps_per_g)
+        finer = self.steps_per_g is not None or self.course is not None
+        return "".join(name for name, fine in zip("xyz", mixed, strict=True) if fine or finer)
 
     def _block(self, chunk: Chunk, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
         shifted, total, product = buffers[:3], buffers[3], buffers[4]
+        right = None if self.course is None else self.course.values(chunk.first_sample + _numbers(part))
         for axis in range(3):
+            np.divide(chunk.counts[part, axis], self.lsb_per_g, out=shifted[axis])
+            if right is not None:
+                shifted[axis] *= right[0][:, axis]
+                shifted[axis] += right[1][:, axis]
             self._shift(chunk, part, axis, (shifted[axis], product))
         for row in range(3):
             np.multiply(shifted[row], self.gain[row, row], out=total)
@@ -76,15 +85,18 @@ class Transform:
         return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
     def _shift(self, chunk: Chunk, part: slice, axis: int, buffers: tuple[Floats, Floats]) -> None:
-        """v + o + s (T - Tref) of one axis."""
+        """v + o + s (T - Tref) of one axis, where v is."""
         values, drift = buffers
-        np.divide(chunk.counts[part, axis], self.lsb_per_g, out=values)
         values += self.offset_g[axis]
         if self.slope_g_per_c[axis] and chunk.temperature_mc is not None:
             np.divide(chunk.temperature_mc[part], 1000.0, out=drift)
             drift -= self.reference_c
             drift *= self.slope_g_per_c[axis]
             values += drift
+
+
+def _numbers(part: slice) -> NDArray[np.int64]:
+    return np.arange(part.start, part.stop, dtype=np.int64)
 
 
 def steps_per_g(precision_mg: float | None) -> float | None:
@@ -103,6 +115,7 @@ def transform_of(data: ReportInput) -> Transform:
         calibration.reference_c(),
         data.recording.lsb_per_g,
         steps_per_g(data.settings.precision_mg),
+        calibration.course,
     )
 
 

@@ -21,6 +21,7 @@ from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.repetition import Repetitions
 from accelcal_cli.collect.rest import RestSums
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.daylight import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
@@ -37,12 +38,18 @@ from accelcal_cli.core.points import (
     joined_windows,
 )
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
-from accelcal_cli.core.results import Facts, Gap, Judgement, Jumps, SampleCounts
-from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.core.results import Change, Facts, Gap, Judgement, Jumps, SampleCounts
+from accelcal_cli.core.settings import NEVER, NO_PRIOR, Settings
 from accelcal_cli.formats import open_recording
-from accelcal_cli.judge.change import find_change
+from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
-from accelcal_cli.judge.verdict import FAR_FROM_1_G, NO_STILLNESS, judge, judge_paper
+from accelcal_cli.judge.verdict import (
+    FAR_FROM_1_G,
+    NO_STILLNESS,
+    judge,
+    judge_paper,
+    with_errors_before,
+)
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.pipeline.jobs import Progress
@@ -219,10 +226,11 @@ class CellProcedure(Procedure):
 
 
 class TimedCellProcedure(CellProcedure):
-    """The same along one recording: also whether its sensor changed."""
+    """The same along one recording: also whether its sensor changed, and then with what puts that right."""
 
     def __init__(self, collector: CellCollector, recording: Recording, settings: Settings) -> None:
         super().__init__(collector)
+        self._course: Course | None = None
         self._hour_samples = collector.block_samples
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
         self._begun_us: list[int] = []
@@ -237,16 +245,46 @@ class TimedCellProcedure(CellProcedure):
         return len(self._begun_us) * self._hour_samples
 
     def judge(self, how: Fitting) -> Judgement:
-        """Choose a model, judge it, and look for a change of the sensor."""
+        """Choose a model, judge it, look for a change of the sensor, and follow it where there is one."""
         verdict = super().judge(how)
         about = verdict.candidate or verdict.calibration
         if about is None:
             return verdict
-        change = find_change(self.means(), about)
+        search = ChangeSearch(self.means())
+        change = search.find(about)
         if change.at_block is not None:
             hour = change.at_block * self.collector.block_samples // self._hour_samples
             change = replace(change, at_us=self._begun_us[hour])
-        return replace(verdict, change=change)
+        verdict = replace(verdict, change=change)
+        return verdict if how.settings.recalibrate == NEVER else self._followed(verdict, how, search)
+
+    def result(self) -> PointSet:
+        """One point a cell, put right where the sensor changed."""
+        return self.collector.points(self._course)
+
+    def _followed(self, verdict: Judgement, how: Fitting, search: ChangeSearch) -> Judgement:
+        """The verdict on the points of a sensor that is put right, if that gives a calibration."""
+        if verdict.change is None or verdict.change.course is None:
+            return verdict
+        change = verdict.change
+        better = self._along(change, how)
+        about = better.candidate or better.calibration
+        if about is not None:
+            change = search.refined(about, change)
+            better = self._along(change, how)
+        if better.calibration is None:
+            self._course = None
+            return verdict
+        followed = replace(
+            better, calibration=replace(better.calibration, course=change.course), change=change
+        )
+        return with_errors_before(followed, verdict)
+
+    def _along(self, change: Change, how: Fitting) -> Judgement:
+        """The verdict on points that are put right."""
+        assert change.course is not None
+        self._course = change.course.in_local_g(how.settings.gravity.local_g())
+        return super().judge(how)
 
     def means(self) -> TimedMeans:
         """What each orientation measured in each block of time, where it can be used."""
@@ -260,6 +298,7 @@ class TimedCellProcedure(CellProcedure):
             np.array([block for block, _ in timed], np.int64),
             mean_g,
             celsius if collector.temperature else None,
+            collector.block_samples,
             collector.block_samples / self._rate_hz / BLOCK_S,
         )
 

@@ -39,7 +39,8 @@ best recording, and so many mg more; otherwise a study of good recordings would 
 def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]:
     """Names of the recordings that are calibrated as one, by device and name; each pool has two at least.
 
-    They agree in serial, model, counts per g and range, are not too damaged, and have a result of their own.
+    They agree in serial, model, counts per g and range, are not too damaged, have a result of their own, and
+    their sensor did not change meanwhile.
     Of copies of one recording only the first is named.
 
     Args:
@@ -49,6 +50,8 @@ def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]
     for serial, device in _devices(rows).items():
         for name, row in device.items():
             refused = row["outcome"] == Outcome.REFUSED
+            if _changed(row):
+                continue
             if row["outcome"] in GOOD or (refused and not _damaged(row, max_damage_percent)):
                 key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
                 alike.setdefault(key, []).append(name)
@@ -64,6 +67,11 @@ def copies(rows: Mapping[str, Row]) -> dict[str, str]:
         first.setdefault((rows[name]["device_serial"], rows[name]["sha256"]), name)
     firsts = {name: first[row["device_serial"], row["sha256"]] for name, row in rows.items()}
     return {name: one for name, one in firsts.items() if name != one and rows[name]["device_serial"]}
+
+
+def _changed(row: Row) -> bool:
+    """Whether the sensor changed meanwhile: then no one set of coefficients is the recording's."""
+    return row.get("change") not in (None, "none")
 
 
 def _damaged(row: Row, max_percent: float) -> bool:
@@ -89,7 +97,8 @@ def donors(
             for name in device.keys() - set(settled)
             if _borrows(name, device, max_damage_percent, compare=compare)
         }
-        lending = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
+        good = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
+        lending = [name for name in good if not _changed(device[name])]
         for name in sorted(recipients):
             near = sorted((_apart_s(device[name], rows[one]), one) for one in _alike(name, lending, device))
             if near:

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from accelcal_cli.collect import cells
 from accelcal_cli.collect.cells import CellCollector, CellCounts
+from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Windows, joined_windows
 from accelcal_cli.core.settings import DEFAULT
@@ -424,3 +425,29 @@ def test_what_makes_no_points_is_in_no_block() -> None:
     held = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600)
     held.add(joined_windows([items, far, constant]))
     assert sum(one.windows for _, one in held.timed()) == len(items)
+
+
+@pytest.mark.parametrize("lsb_per_g", [256.0, 341.3, 8192.5])
+def test_points_of_a_sensor_that_is_put_right(lsb_per_g: float) -> None:
+    """The same as of windows whose sums were put right before; exact but for one rounding of each mean."""
+    g = np.array([[0.6, 0.64, 0.48], [-0.8, 0.36, 0.48], [0.28, -0.96, 0.0]])
+    raw = np.rint(np.tile(g, (600, 1)) * lsb_per_g * LENGTH).astype(np.int64)
+    made = windows(np.full(len(raw), LENGTH), raw.tolist(), np.full((len(raw), 3), 7))
+    made = replace(made, first_sample=LENGTH * np.arange(len(raw)))
+    course = Course(
+        (0, 7200),
+        ((ONE, ONE, ONE), (ONE * 3 // 4, ONE, ONE)),
+        ((0, 0, 0), (ONE // 64, 0, ONE // 32)),
+        lines=False,
+    )
+    held = CellCollector(lsb_per_g, DEFAULT, temperature=False, block_samples=3600)
+    held.add(made)
+    found = held.points(course)
+    plain = held.points()
+    assert found.windows.tolist() == plain.windows.tolist()
+    assert found.weights.tolist() == plain.weights.tolist()
+    share = Fraction(1, 2)  # of each orientation's windows are in either half
+    for before, after in zip(plain.xyz.tolist(), found.xyz.tolist(), strict=True):
+        x, y, z = (Fraction(value) for value in before)
+        expected = (x * (1 + Fraction(3, 4)) * share + share * ONE / 64, y, z + share * ONE / 32)
+        assert [abs(value - one) <= 1 for value, one in zip(after, expected, strict=True)] == [True] * 3

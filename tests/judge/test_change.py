@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +11,12 @@ import pytest
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import Calibration, TemperatureScale, TimedMeans
 from accelcal_cli.core.results import Change
-from accelcal_cli.judge.change import find_change, told
+from accelcal_cli.judge.change import ChangeSearch, told
 
 GAIN = np.array([[1.02, 0.0, 0.0], [0.012, 0.985, 0.0], [-0.008, 0.006, 1.01]])
 OFFSET_G = np.array([0.03, -0.02, 0.045])
 SLOPE_G_PER_C = np.array([0.001, -0.0005, 0.0008])
-HOURS = 60
+HOURS, HOUR_SAMPLES = 60, 3600
 Course = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Of raw means (n, 3) of a sensor that stays as it is, and their blocks: what it measures."""
 
@@ -41,7 +42,11 @@ def means(
     raw = true @ np.linalg.inv(GAIN).T - OFFSET_G
     if celsius is not None:
         raw = raw - np.outer(celsius - 30, SLOPE_G_PER_C)
-    return TimedMeans(block, course(raw, block), celsius, 1.0)
+    return TimedMeans(block, course(raw, block), celsius, HOUR_SAMPLES, 1.0)
+
+
+def find_change(observed: TimedMeans, found: Calibration) -> Change:
+    return ChangeSearch(observed).find(found)
 
 
 def constant(raw: np.ndarray, block: np.ndarray) -> np.ndarray:
@@ -116,8 +121,9 @@ def test_what_temperature_explains_is_no_change() -> None:
     cold = means(constant, hours=48)
     celsius = 20 + cold.block / 4.0 + np.random.RandomState(3).standard_normal(len(cold.block))
     raw = cold.mean_g - np.outer(celsius - 30, 3 * SLOPE_G_PER_C)
-    assert find_change(TimedMeans(cold.block, raw, celsius, 1.0), calibration(slopes=3)).kind == "none"
-    assert find_change(TimedMeans(cold.block, raw, None, 1.0), calibration()).kind == "drift"
+    warm = replace(cold, mean_g=raw, celsius=celsius)
+    assert find_change(warm, calibration(slopes=3)).kind == "none"
+    assert find_change(replace(warm, celsius=None), calibration()).kind == "drift"
 
 
 @pytest.mark.parametrize("hours", [1, 7])
@@ -128,7 +134,7 @@ def test_what_is_too_short_is_said(hours: int) -> None:
 
 
 def test_nothing_at_all_is_too_short() -> None:
-    empty = TimedMeans(np.zeros(0, np.int64), np.zeros((0, 3)), None, 1.0)
+    empty = TimedMeans(np.zeros(0, np.int64), np.zeros((0, 3)), None, HOUR_SAMPLES, 1.0)
     assert find_change(empty, calibration()).unchecked is not None
 
 
@@ -136,12 +142,42 @@ def test_blocks_without_stillness_are_passed_over() -> None:
     """As where the device was not worn; the numbers of blocks go on."""
     worn = means(step)
     away = np.where(worn.block >= 23, worn.block + 10, worn.block)
-    found = find_change(TimedMeans(away, worn.mean_g, None, 1.0), calibration())
+    found = find_change(TimedMeans(away, worn.mean_g, None, HOUR_SAMPLES, 1.0), calibration())
     assert (found.kind, found.at_block) == ("step", 33)
 
 
 def test_the_sentence_for_people() -> None:
     found = find_change(means(step), calibration())
-    assert told(Change("none"), None) is None
-    text = str(told(found, None))
-    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg" in text
+    assert told(Change("none"), None, followed=False) is None
+    text = str(told(found, None, followed=False))
+    assert "its offsets jump at" in text and f"up to {found.size_mg:.1f} mg; one calibration for all" in text
+    assert str(told(found, None, followed=True)).endswith(", and the calibration follows")
+
+
+@pytest.mark.parametrize(
+    ("course", "samples", "lines"),
+    [
+        (step, (0, 23 * HOUR_SAMPLES), False),
+        (gain, (0, 31 * HOUR_SAMPLES), False),
+        (drift, (0, HOURS * HOUR_SAMPLES), True),
+        (wander, tuple(HOUR_SAMPLES * hour for hour in range(0, HOURS + 1, 6)), True),
+    ],
+)
+def test_what_puts_a_sensor_right_gives_that_of_one_that_stays(
+    course: Course, samples: tuple[int, ...], lines: bool
+) -> None:
+    observed, quiet = means(course, noise_g=0.0002), means(constant, noise_g=0.0002)
+    search = ChangeSearch(observed)
+    found = search.find(calibration())
+    assert found.course is not None
+    assert (found.course.samples, found.course.lines) == (samples, lines)
+    found = search.refined(calibration(), search.refined(calibration(), found))
+    assert found.course is not None
+    put_right = observed.along(found.course).mean_g
+    constant_shift = (put_right - quiet.mean_g).mean(axis=0)
+    limit = 0.003 if course is wander else 0.0003
+    assert np.abs(put_right - quiet.mean_g - constant_shift).max() < limit
+
+
+def test_another_device_is_not_followed() -> None:
+    assert find_change(means(device), calibration()).course is None
