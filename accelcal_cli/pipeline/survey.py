@@ -246,6 +246,7 @@ class TimedCellProcedure(CellProcedure):
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model, judge it, look for a change of the sensor, and follow it where there is one."""
+        self._course = None
         verdict = super().judge(how)
         about = verdict.candidate or verdict.calibration
         if about is None:
