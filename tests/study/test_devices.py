@@ -131,3 +131,9 @@ def test_a_pool_agrees_in_device_counts_per_g_and_range() -> None:
 def test_any_change_of_a_result_is_another_identity() -> None:
     assert identity(row()) == identity(row())
     assert identity(row()) != identity(row(after_mg=1.0001))
+
+
+def test_a_recording_whose_sensor_changed_lends_nothing_and_is_in_no_pool() -> None:
+    rows = {"x": row("refused"), "a": row(change="step"), "b": row(change="none"), "c": row(change=None)}
+    assert asked(rows, compare=False) == {"x": ["b", "c"]}
+    assert pools(rows, 50.0) == [["b", "c", "x"]]
