@@ -134,6 +134,8 @@ def test_any_change_of_a_result_is_another_identity() -> None:
 
 
 def test_a_recording_whose_sensor_changed_lends_nothing_and_is_in_no_pool() -> None:
-    rows = {"x": row("refused"), "a": row(change="step"), "b": row(change="none"), "c": row(change=None)}
+    kinds = {"a": "step", "b": "none", "c": None}
+    rows = {"x": row("refused"), **{name: row(change=kind) for name, kind in kinds.items()}}
+    rows = {name: {**held, "sha256": name} for name, held in rows.items()}
     assert asked(rows, compare=False) == {"x": ["b", "c"]}
     assert pools(rows, 50.0) == [["b", "c", "x"]]
