@@ -337,11 +337,11 @@ def warning(report: dict[str, Any]) -> str | None:
 
 
 def _calibration(section: dict[str, Any], whole: Calibration, used: Calibration) -> dict[str, Any]:
-    if used == whole:
-        return section
+    """The section as this version writes it, of the coefficients that are used."""
     errors = section["standard_errors"]
-    kept = None if errors is None else {name: errors[name] for name in errors if not name.startswith("s")}
-    return {**section, **coefficients_json(used), "standard_errors": kept}
+    if used != whole and errors is not None:
+        errors = {name: errors[name] for name in errors if not name.startswith("s")}
+    return {**section, **coefficients_json(used), "standard_errors": errors}
 
 
 def _coefficients(donor: Coefficients) -> dict[str, Any]:
