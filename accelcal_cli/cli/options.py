@@ -197,6 +197,7 @@ precision_option = _decorate(_settings_options("precision_mg"))
 gravity_options = _decorate(_GRAVITY)
 fitting_options = _decorate([*_FITTING, *_GRAVITY])
 method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
+_recalibrate_option = _decorate(_settings_options("recalibrate"))
 comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperature"), *_GRAVITY])
 """Those of a method but for the optimizer and the prior."""
 
@@ -320,8 +321,7 @@ def gravity(values: dict[str, Any]) -> Gravity:
 
 def calibrating_options(command: Command) -> Command:
     """The options that `request_of` needs, and how much is printed."""
-    along_time = _decorate(_settings_options("recalibrate"))
-    for decorator in (along_time, method_options, damage_option, reading_options, printing_options):
+    for decorator in (_recalibrate_option, method_options, damage_option, reading_options, printing_options):
         command = decorator(command)
     return _REPORT_ONLY(_INTEGERS(command))
 

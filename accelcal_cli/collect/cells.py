@@ -37,8 +37,8 @@ from accelcal_cli.core.points import (
 from accelcal_cli.core.settings import Settings
 
 MAX_POINTS = 4096
-MAX_TIMED = 1 << 15
-"""Cells of all blocks of time; if there are more, blocks are twice as long."""
+MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
+"""Cells of all blocks of time, and blocks; if there are more, blocks are twice as long."""
 
 LEADING_BITS = 8
 FAR_MC, FAR_DEVIATIONS = 40_000, 10
@@ -193,8 +193,12 @@ class CellCollector:
             np.add.at(values[:, 4], inverse, windows.temperature_sums)
         for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
             _add(self._cells, tuple(key), [count, *row])
-        while self.block_samples and len(self._cells) > MAX_TIMED:
+        while self.block_samples and self._too_many(int(windows.first_sample[-1])):
             self._cells, self.block_samples = _longer_blocks(self._cells), 2 * self.block_samples
+
+    def _too_many(self, last_sample: int) -> bool:
+        """Whether blocks of time have to be longer; windows come in the order of time."""
+        return len(self._cells) > MAX_TIMED or last_sample // self.block_samples >= MAX_BLOCKS
 
     def merge(self, other: CellCollector) -> None:
         """Take in what another collector holds; exact.

@@ -85,7 +85,7 @@ class TimedMeans:
     """n observations along a recording: the mean of the still windows of one orientation in a block of time.
 
     Attributes:
-        block: (n,) number of the block that each is in, from 0.
+        block: (n,) number of the block that each is in, from 0; they ascend.
         mean_g: (n, 3) raw mean [standard g].
         celsius: (n,) mean temperature [degrees C], or None.
         block_samples: samples in a row that make a block; block_h: the hours that they take.

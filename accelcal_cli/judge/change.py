@@ -266,7 +266,7 @@ def _suspects(means: TimedMeans) -> list[Suspect]:
         ]
         found += [Suspect(*one, after, moments, nothing, nothing) for one in sudden]
     for apart_h in KNOTS_H:
-        if means.hours() >= 2 * apart_h:
+        if means.hours() >= 2 * apart_h and apart_h >= 2 * means.block_h:
             number = round(means.hours() / apart_h)
             knots = np.asarray(np.arange(number + 1) * (means.hours() / number), np.float64)
             hats = np.maximum(0.0, 1.0 - np.abs(time_h[:, np.newaxis] - knots) / knots[1])[np.newaxis]
@@ -304,8 +304,8 @@ class Design:
         self._base = list(range(9 if warmth is None else 12))
         self._base_widths = [width for width in kinds for _ in range(3)][: len(self._base)]
         full = np.column_stack([self._rows, self._error])
-        self._products = np.zeros((means.blocks(), _ERROR + 1, _ERROR + 1))
-        np.add.at(self._products, means.block, full[:, :, np.newaxis] * full[:, np.newaxis, :])
+        ends = np.searchsorted(means.block, np.arange(means.blocks()), side="right")
+        self._products = np.stack([part.T @ part for part in np.split(full, ends[:-1])])
         fold = np.full(means.blocks(), -1)
         fold[means.block] = stretch % FOLDS
         self._fold = fold

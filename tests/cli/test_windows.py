@@ -38,7 +38,7 @@ def read(path: Path) -> pd.DataFrame:
     ("name", "words", "fitting"),
     [
         ("recording.bin", (), ()),
-        ("recording.bin", ("--stillness", "adaptive"), ()),
+        pytest.param("recording.bin", ("--stillness", "adaptive"), (), marks=pytest.mark.nightly),
         pytest.param("recording.bin", ("--latitude", 60), ("--latitude", 60), marks=pytest.mark.nightly),
         pytest.param(
             "recording.bin", ("--no-temperature",), ("--no-temperature",), marks=pytest.mark.nightly

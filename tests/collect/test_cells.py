@@ -398,8 +398,11 @@ def test_blocks_of_time_add_up_to_the_points() -> None:
 
 
 @pytest.mark.parametrize("parts", [1, 2, 9])
-def test_blocks_become_longer_where_there_are_too_many(monkeypatch: pytest.MonkeyPatch, parts: int) -> None:
-    monkeypatch.setattr(cells, "MAX_TIMED", 20)
+@pytest.mark.parametrize(("bound", "most"), [("MAX_TIMED", 20), ("MAX_BLOCKS", 2)])
+def test_blocks_become_longer_where_there_are_too_many(
+    monkeypatch: pytest.MonkeyPatch, bound: str, most: int, parts: int
+) -> None:
+    monkeypatch.setattr(cells, bound, most)
     held = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600)
     items = rested(30)
     for part in np.array_split(np.arange(len(items)), parts):
