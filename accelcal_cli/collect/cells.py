@@ -8,20 +8,21 @@ cells in proportion to their windows, so that frequent postures do not outweigh 
 temperature is used, cells are split by whole degrees C too; and they are kept apart by blocks of
 time, so that a sensor that changes can be seen.
 
-All sums are integers: adding windows in any order, or merging collectors, gives the same result.
+All sums are integers: adding windows in batches of any size, or merging collectors, gives the same result.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.collect.previous import PreviousPosture
 from accelcal_cli.collect.saturation import Saturation
 from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import ONE, rounded_quotient
@@ -56,12 +57,17 @@ _CONSTANT, _BLOCK = 4, 5
 
 @dataclass(frozen=True, slots=True)
 class Sums:
-    """One point before its division: sums over `samples` samples of `windows` windows."""
+    """One point before its division: sums over `samples` samples of `windows` windows.
+
+    Attributes:
+        previous: sums of what was measured in the posture before; None where it is not known.
+    """
 
     windows: int
     samples: int
     xyz: tuple[int, int, int]
     temperature_mc: int = 0
+    previous: tuple[int, int, int] | None = None
 
 
 def to_points(
@@ -74,8 +80,9 @@ def to_points(
     windows = np.array([item.windows for item in sums], np.int64)
     shares = np.array(weights, np.int64)
     places = np.array(xyz, np.int64).reshape(-1, 3)
+    held = PointSet(places, shares, windows, previous=_previous(sums, one, lsb))
     if not temperature or not sums:
-        return PointSet(places, shares, windows)
+        return held
     means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
     reference = rounded_quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
     span = _span_c(max(abs(mean - reference) for mean in means))
@@ -84,7 +91,16 @@ def to_points(
         for item in sums
     ]
     temperatures = TemperatureScale(reference, float(span))
-    return PointSet(places, shares, windows, np.array(tau, np.int64), temperatures)
+    return replace(held, tau=np.array(tau, np.int64), temperature=temperatures)
+
+
+def _previous(sums: Sequence[Sums], one: int, lsb: int) -> NDArray[np.int64] | None:
+    """Means of the postures before, in fixed-point g; None where one is not known."""
+    known = [(item.previous, item.samples) for item in sums if item.previous is not None]
+    if len(known) < len(sums):
+        return None
+    rows = [[rounded_quotient(axis * one, samples * lsb) for axis in total] for total, samples in known]
+    return np.array(rows, np.int64).reshape(-1, 3)
 
 
 def shared_weights(groups: Sequence[tuple[int, ...]], windows: Sequence[int]) -> list[int]:
@@ -172,7 +188,9 @@ class CellCollector:
         self.implausible = 0
         self.spreads = Histogram()
         self.saturation = Saturation()
+        self._previous = PreviousPosture()
         self._cells: dict[tuple[int, ...], list[int]] = {}
+        """By key: windows, samples, sums of x, y, z, of temperature, and of x, y, z in the posture before."""
 
     def add(self, windows: Windows) -> None:
         """Take still windows in."""
@@ -186,11 +204,13 @@ class CellCollector:
         self.spreads.add(widest)
         keys = self._keys(windows, widest == 0)
         unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        values = np.zeros((len(unique), 5), np.int64)
+        values = np.zeros((len(unique), 8), np.int64)
         np.add.at(values[:, 0], inverse, windows.samples)
         np.add.at(values[:, 1:4], inverse, windows.sums)
         if windows.temperature_sums is not None:
             np.add.at(values[:, 4], inverse, windows.temperature_sums)
+        before = self._previous.of(windows, keys[:, :3] >> 1)
+        np.add.at(values[:, 5:], inverse, before * windows.samples[:, np.newaxis])
         for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
             _add(self._cells, tuple(key), [count, *row])
         while self.block_samples and self._too_many(int(windows.first_sample[-1])):
@@ -224,22 +244,23 @@ class CellCollector:
         scale = Fraction(self.lsb_per_g)
         if course is not None:
             cells, scale = self._along(course, halvings), scale * scale.denominator * ONE
-        sums = [Sums(v[0], v[1], (v[2], v[3], v[4]), v[5]) for v in (cells[key] for key, _ in ordered)]
+        sums = [_sums(cells[key]) for key, _ in ordered]
         return to_points(sums, weights, scale, temperature=self.temperature)
 
     def _along(self, course: Course, halvings: int) -> dict[tuple[int, ...], list[int]]:
         """The cells with sums put right, in whole parts of a count."""
         scale, real = Fraction(self.lsb_per_g), self._constants_are_real()
         found: dict[tuple[int, ...], list[int]] = {}
-        for key, (windows, samples, *sums, heat) in self._cells.items():
+        for key, (windows, samples, *sums) in self._cells.items():
             if real or not key[_CONSTANT]:
                 middle = key[_BLOCK] * self.block_samples + self.block_samples // 2
                 right = [
                     total * scale.denominator * stretch + samples * scale.numerator * shift
-                    for total, stretch, shift in zip(sums, *course.at(middle), strict=True)
+                    for total, stretch, shift in zip(sums[:3], *course.at(middle), strict=True)
                 ]
+                before = [total * scale.denominator * ONE for total in sums[4:]]
                 cell = tuple(part >> halvings for part in key[:_CONSTANT])
-                _add(found, cell, [windows, samples, *right, heat])
+                _add(found, cell, [windows, samples, *right, sums[3], *before])
         return found
 
     def timed(self) -> list[tuple[int, Sums]]:
@@ -250,7 +271,7 @@ class CellCollector:
         for key, value in self._cells.items():
             if (real or not key[_CONSTANT]) and key[:_CONSTANT] not in left_out:
                 _add(found, (key[_BLOCK], *_group(key)), value)
-        return [(key[0], Sums(v[0], v[1], (v[2], v[3], v[4]), v[5])) for key, v in sorted(found.items())]
+        return [(key[0], _sums(value)) for key, value in sorted(found.items())]
 
     def counts(self) -> CellCounts:
         """What was left out and why."""
@@ -342,6 +363,11 @@ def _step(spreads: dict[int, int]) -> int:
     if len(ordered) < 2:
         return 0
     return min(b - a for a, b in pairwise(ordered) if (b - a) * 64 >= ordered[1])
+
+
+def _sums(value: list[int]) -> Sums:
+    windows, samples, x, y, z, heat, *before = value
+    return Sums(windows, samples, (x, y, z), heat, (before[0], before[1], before[2]))
 
 
 def _add(cells: dict[tuple[int, ...], list[int]], key: tuple[int, ...], value: list[int]) -> None:

@@ -220,6 +220,7 @@ class PointSet:
         windows: (n,) number of still windows behind each point.
         tau: (n,) scaled temperatures in fixed point, or None.
         temperature: how tau was scaled, None without temperatures.
+        previous: (n, 3) fixed-point g, mean of what was measured in the postures before, or None.
     """
 
     xyz: Fixed
@@ -227,14 +228,17 @@ class PointSet:
     windows: NDArray[np.int64]
     tau: Fixed | None = None
     temperature: TemperatureScale | None = None
+    previous: Fixed | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)
 
     def select(self, which: NDArray[Any]) -> PointSet:
         """The points of a mask or an index array."""
-        tau = None if self.tau is None else self.tau[which]
-        return PointSet(self.xyz[which], self.weights[which], self.windows[which], tau, self.temperature)
+        tau, previous = (None if part is None else part[which] for part in (self.tau, self.previous))
+        return PointSet(
+            self.xyz[which], self.weights[which], self.windows[which], tau, self.temperature, previous
+        )
 
     def xyz_g(self) -> NDArray[np.float64]:
         """Raw positions in g, (n, 3) float64, exact."""

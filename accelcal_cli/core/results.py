@@ -171,6 +171,33 @@ class Change:
     scale_percent: tuple[float, float, float] | None = None
 
 
+MisfitKind = Literal["quadratic", "cubic", "gain by temperature", "curved by temperature", "previous posture"]
+"""What a sensor may do that the parameters do not describe: its response is bent, with the square or the
+cube of the acceleration; its scales change with temperature; its offsets do so on a curve; its offsets depend
+on the posture before."""
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """One thing that a sensor may do beyond its parameters, and how much of it the points show.
+
+    Attributes:
+        size, standard_errors: of x, y, z, in `unit`.
+        before_mg, after_mg: mean error on held-out postures without it and with it.
+        largest_mg: the most that it changes |a| by.
+        found: whether the error falls so clearly that it is believed.
+    """
+
+    kind: MisfitKind
+    unit: str
+    size: tuple[float, float, float]
+    standard_errors: tuple[float, float, float]
+    before_mg: float
+    after_mg: float
+    largest_mg: float
+    found: bool
+
+
 @dataclass(frozen=True, slots=True)
 class FitErrors:
     """Errors on the very points that were fitted; not the number to quote."""
@@ -190,6 +217,7 @@ class Judgement:
         penalty: the prior as the fit had it; None without one.
         sphere: error of the calibration over all directions; sphere_before: of the raw values.
         change: how the sensor changed meanwhile; None where nobody looked.
+        misfits: what was looked for that the parameters do not describe; None where nobody looked.
     """
 
     outcome: Outcome
@@ -206,6 +234,7 @@ class Judgement:
     sphere: SphereError | None = None
     sphere_before: SphereError | None = None
     change: Change | None = None
+    misfits: tuple[Misfit, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -85,6 +85,18 @@ POPULATION = Prior(
 
 
 @dataclass(frozen=True, slots=True)
+class Bend:
+    """What straightens the response of a sensor that is not a straight line: v + c v^power, axis by axis.
+
+    Attributes:
+        c: of raw x, y, z, in g.
+    """
+
+    power: int
+    c: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
 class Posterior:
     """The most probable parameters and what is known of them.
 
@@ -93,7 +105,8 @@ class Posterior:
         penalty: the prior at its parameters, as the fit had it; that of a part of the points is the same.
         noise_g: standard deviation of |a| from posture to posture [g].
         freedom: degrees of freedom of that noise.
-        covariance: of the free parameters (slopes per scaled degree).
+        covariance: of the free parameters (slopes per scaled degree), and of the bend where there is one.
+        bend: of a sensor whose response is bent; None of one that is as the model says.
     """
 
     model: Model
@@ -102,6 +115,7 @@ class Posterior:
     noise_g: float
     freedom: float
     covariance: tuple[tuple[float, ...], ...]
+    bend: Bend | None = None
 
     def fitter(self, penalized: PenalizedFitter) -> FitFunction:
         """A fit of parts of the points, with the same noise and prior."""
@@ -147,7 +161,8 @@ def posterior(
             break
         found, before = fitter(points, model, penalty, start), penalty
         start = found.fit.parameters
-        noise_g, freedom = _noise(found, _inverse(points, found, penalty), postures, prior)
+        used = _used(found, _inverse(points, found, penalty))
+        noise_g, freedom = noise(used, found.mean_square, postures, prior)
     found = fitter(points, model, penalty, IDENTITY)
     unit = 4 * noise_g * noise_g / postures
     covariance = tuple(tuple(unit * value for value in row) for row in _inverse(points, found, penalty))
@@ -196,17 +211,21 @@ def _inverse(points: PointSet, found: PenalizedFit, penalty: Penalty) -> list[li
     return inverse(around)
 
 
-def _noise(
-    found: PenalizedFit, spread: list[list[float]], postures: int, prior: Prior
-) -> tuple[float, float]:
+def _used(found: PenalizedFit, spread: list[list[float]]) -> float:
+    """How many postures the parameters use up: trace(H), where H takes the residuals' place in the fit."""
+    pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
+    return float(sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True)))
+
+
+def noise(used: float, mean_square: float, postures: int, prior: Prior) -> tuple[float, float]:
     """The noise [g] that residuals and prior speak for, and its degrees of freedom.
 
-    The parameters use up trace(H) of the postures, where H takes the residuals' place in the fit.
+    Args:
+        used: how many postures the parameters use up.
+        mean_square: weighted mean of (|a|^2 - 1)^2.
     """
-    pairs = zip(found.curvature, zip(*spread, strict=True), strict=True)
-    used = sum(one * other for row, column in pairs for one, other in zip(row, column, strict=True))
     surplus = postures - used
-    noise_g = _noise_g(surplus, postures * found.mean_square / 4, prior)
+    noise_g = _noise_g(surplus, postures * mean_square / 4, prior)
     return noise_g, max(1.0, max(surplus, 0.0) + _pull(noise_g, prior)[1] / 2)
 
 

@@ -18,7 +18,7 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PointSet, Saturated
 from accelcal_cli.core.results import SphereError
 from accelcal_cli.judge.errors import directions, jacobian, quantile
-from accelcal_cli.judge.posterior import Posterior
+from accelcal_cli.judge.posterior import Bend, Posterior
 
 DRAWS = 1000
 """Sensors: with so many the ends of the interval are known to about 2 % of its width, if it is normal."""
@@ -26,6 +26,9 @@ DRAWS = 1000
 SEED = 20181
 TAIL = 0.025
 """Share of the draws beyond each end of the interval."""
+
+BEND_ROUNDS = 4
+"""A bend of a few percent is turned round to 1e-7 g in so many."""
 
 LARGEST_RATIO = 6.0
 """Beyond so many standard deviations noise does not change a mean error."""
@@ -52,11 +55,11 @@ def sphere_errors(
         saturated: axes that measure nothing beyond a value.
     """
     noise, drawn = _drawn(known)
-    best = known.found.fit.parameters
-    free = list(known.model.free)
-    true = (_raw_directions(best), _posture_means(points, label))
-    raw = [_as_measured(where, saturated) for where in true]
-    scatter = [drawn @ (jacobian(where, None, best)[:, free] / 2).T for where in raw]
+    best, bend = known.found.fit.parameters, known.bend
+    visited = _posture_means(points, label)
+    true = (_raw_directions(best), _straight(visited, bend))
+    raw = (_as_measured(_bent(true[0], bend), saturated), _as_measured(visited, saturated))
+    scatter = [drawn @ (_columns(where, known) / 2).T for where in raw]
     lengths = [_lengths(where, best) for where in true]
     found = []
     for parameters in judged:
@@ -64,6 +67,36 @@ def sphere_errors(
         means = [_mean_error(shift - moved, noise) for shift, moved in zip(shifts, scatter, strict=True)]
         found.append(_summary(*means))
     return found
+
+
+def largest_error_mg(known: Posterior, judged: tuple[int, ...]) -> float:
+    """Largest | |a| - 1 g | of a calibration over all directions, of the most probable sensor [mg]."""
+    raw = _bent(_raw_directions(known.found.fit.parameters), known.bend)
+    return float(1000 * np.abs(_lengths(raw, judged) - 1).max())
+
+
+def _bent(straight: Floats, bend: Bend | None) -> Floats:
+    """What a sensor whose response is bent measures instead of vectors in g, (n, 3)."""
+    if bend is None:
+        return straight
+    measured, c = straight, np.array(bend.c)
+    for _ in range(BEND_ROUNDS):
+        measured = straight - c * measured**bend.power
+    return measured
+
+
+def _straight(measured: Floats, bend: Bend | None) -> Floats:
+    """What measured vectors in g would be without the bend, (n, 3)."""
+    return measured if bend is None else measured + np.array(bend.c) * measured**bend.power
+
+
+def _columns(measured: Floats, known: Posterior) -> Floats:
+    """d(|a|^2 - 1)/dp of the free parameters, and of the bend where there is one, at raw vectors (n, 3)."""
+    rows = jacobian(_straight(measured, known.bend), None, known.found.fit.parameters)
+    own = rows[:, list(known.model.free)]
+    if known.bend is None:
+        return own
+    return np.column_stack([own, rows[:, 6:9] * measured**known.bend.power])
 
 
 def _summary(everywhere: Floats, visited: Floats) -> SphereError:
@@ -125,9 +158,10 @@ def _drawn(known: Posterior) -> tuple[Floats, Floats]:
 
 @cache
 def _normal() -> tuple[Floats, Floats]:
-    """Standard normal numbers, (DRAWS, 13), and numbers from 0 to 1, (DRAWS,); always the same."""
+    """Standard normal numbers, (DRAWS, 16), and numbers from 0 to 1, (DRAWS,); always the same."""
     random = np.random.RandomState(SEED)
-    return random.standard_normal((DRAWS, 13)), random.uniform(size=DRAWS)
+    normal, uniform = random.standard_normal((DRAWS, 13)), random.uniform(size=DRAWS)
+    return np.column_stack([normal, random.standard_normal((DRAWS, 3))]), uniform
 
 
 def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:

@@ -32,6 +32,7 @@ from accelcal_cli.core.settings import PAPER, Settings
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, mean, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
+from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import POPULATION, posterior
 from accelcal_cli.judge.rest import picture
@@ -79,8 +80,9 @@ def judge(
     """
     label = postures(points, how.settings.posture_degrees) if label is None else label
     verdict = _judged(points, how, why_none, label, replace(coverage_of(points, label), saturated=saturated))
-    told = [f"{'xyz'[axis]} measures nothing beyond {at:.2f} g" for axis, at in saturated]
-    return replace(verdict, message="; ".join([verdict.message, *told]))
+    beyond = [f"{'xyz'[axis]} measures nothing beyond {at:.2f} g" for axis, at in saturated]
+    found = [told(one) for one in verdict.misfits or () if one.found]
+    return replace(verdict, message="; ".join([verdict.message, *beyond, *found]))
 
 
 def _judged(
@@ -123,8 +125,10 @@ def _most_probable(
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
     fitted = known.found.fit
-    judged = (fitted.parameters, IDENTITY)
-    sphere, before = sphere_errors(points, label, known, judged, coverage.saturated)
+    search = MisfitSearch(points, label, known, settings.folds)
+    misfits = search.misfits()
+    judged, truth = (fitted.parameters, IDENTITY), search.truth(misfits)
+    sphere, before = sphere_errors(points, label, truth, judged, coverage.saturated)
     verdict = Judgement(
         Outcome.REFUSED,
         "",
@@ -134,6 +138,7 @@ def _most_probable(
         candidate=_calibration(name, fitted, points, settings.gravity),
         sphere=sphere,
         sphere_before=before,
+        misfits=misfits,
     )
     outcome, text = _outcome_of_sphere(verdict, settings)
     verdict = replace(verdict, outcome=outcome, message=text)

@@ -228,6 +228,25 @@ def change_json(change: results.Change | None, offset_s: int | None) -> dict[str
     }
 
 
+def misfits_json(misfits: tuple[results.Misfit, ...] | None) -> list[dict[str, Any]] | None:
+    """The list `misfits`; None where nobody looked for any."""
+    if misfits is None:
+        return None
+    return [
+        {
+            "kind": one.kind,
+            "found": one.found,
+            "unit": one.unit,
+            "size": [significant(value) for value in one.size],
+            "standard_errors": [significant(value) for value in one.standard_errors],
+            "before_mg": round(one.before_mg, 4),
+            "after_mg": round(one.after_mg, 4),
+            "largest_mg": significant(one.largest_mg),
+        }
+        for one in misfits
+    ]
+
+
 def sphere_columns(report: dict[str, Any]) -> dict[str, float | None]:
     """What tables and the terminal say of a report's `sphere_mg`, by column."""
     sphere = report.get("sphere_mg")
@@ -412,6 +431,7 @@ def document(
         "calibration": calibration_json(verdict, data.optimizer),
         "sphere_mg": sphere_json(verdict),
         "change": change,
+        "misfits": misfits_json(verdict.misfits),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),
         "fit": fit_json(verdict, windows),
         "coverage": coverage_json(verdict.coverage),

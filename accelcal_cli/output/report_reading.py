@@ -36,7 +36,7 @@ FULL_GAIN = "12"
 USED = ("calibration", "recording", "coefficients", "outcome", "message")
 """Sections that applying a report's coefficients to any recording needs."""
 
-COPIED = ("sphere_mg", "change", "holdout", "fit", "coverage", "models_tried")
+COPIED = ("sphere_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried")
 """Sections that hold for the recording itself, whatever it is applied by."""
 
 

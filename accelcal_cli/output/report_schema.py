@@ -42,6 +42,7 @@ LATER = {
     "settings.prior": "0.2.0",
     "sphere_mg": "0.2.0",
     "change": "0.2.0",
+    "misfits": "0.2.0",
     "settings.recalibrate": "0.2.0",
     "calibration.course": "0.2.0",
     "fit.windows.temperature_left_out": "0.2.0",

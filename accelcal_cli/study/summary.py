@@ -30,6 +30,7 @@ TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
     "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
     "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at",
+    "misfits",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
@@ -45,7 +46,7 @@ COLUMNS = (
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
-    *SPHERE_COLUMNS, "change", "change_at", "change_mg",
+    *SPHERE_COLUMNS, "change", "change_at", "change_mg", "misfits",
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
@@ -76,7 +77,9 @@ def of_report(
     identity = {"path": printable(item.name), "exit_code": code}
     verdict = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
     figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
-    return dict.fromkeys(COLUMNS) | identity | verdict | figures | _change(report) | outputs
+    return (
+        dict.fromkeys(COLUMNS) | identity | verdict | figures | _change(report) | _misfits(report) | outputs
+    )
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
@@ -117,6 +120,14 @@ def _change(report: dict[str, Any]) -> dict[str, Any]:
     if change is None or change["unchecked"] is not None:
         return {}
     return {"change": change["kind"], "change_at": change["at"], "change_mg": change["size_mg"]}
+
+
+def _misfits(report: dict[str, Any]) -> dict[str, Any]:
+    """What was found that the parameters do not describe."""
+    misfits = report.get("misfits")
+    if misfits is None:
+        return {}
+    return {"misfits": ", ".join(one["kind"] for one in misfits if one["found"]) or "none"}
 
 
 def _coverage(report: dict[str, Any]) -> dict[str, Any]:

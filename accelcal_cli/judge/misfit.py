@@ -1,0 +1,220 @@
+"""Does the sensor do what its parameters say? Errors on held-out postures with and without more than that.
+
+A response that is bent, scales that change with temperature, offsets that do so on a curve, or that depend on
+the posture before: the fit takes the part of them that looks like its own parameters, and the rest looks like
+scatter of the postures, which is not what it is where the wrist has not been. Each is added to the fit in
+turn, about the calibration that was found, and believed where the postures that a fit did not see say so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import IDENTITY, PENALTY_BITS, WEIGHT_ONE, PointSet
+from accelcal_cli.core.results import Misfit, MisfitKind
+from accelcal_cli.judge.errors import jacobian, mean, per_posture, standard_error, student_t_975
+from accelcal_cli.judge.model_ladder import folds
+from accelcal_cli.judge.posterior import POPULATION, Bend, Posterior, noise
+from accelcal_cli.judge.sphere import largest_error_mg
+
+LEAST_MG = 3.0
+LEAST_FALL = 0.15
+"""A misfit is believed if it is at least so large in some direction, and if the error on held-out postures
+clearly falls (its 95 % interval is above 0), by at least this share."""
+
+POWERS: dict[MisfitKind, int] = {"quadratic": 2, "cubic": 3}
+WIDTH_BEND, WIDTH_GAIN_PER_C, WIDTH_CURVE_G_PER_C2, WIDTH_PREVIOUS = 0.01, 5e-4, 2e-4, 0.01
+"""How large each may well be, as scale parameter of its prior; those of bends and of the previous posture
+are for 1 g."""
+
+ROUNDS = 3
+_OFFSETS = slice(6, 9)
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """One thing that a sensor may do.
+
+    Attributes:
+        columns: (n, 3) d(|a|^2 - 1)/dc at each point, of what makes up for it on x, y, z.
+        width: of the prior of each c.
+        unit, factor: of what the sensor does; it is -c in this unit.
+    """
+
+    kind: MisfitKind
+    columns: Floats
+    width: float
+    unit: str
+    factor: float
+
+
+class MisfitSearch:
+    """What the points of a recording show beyond the parameters of a fit.
+
+    Args:
+        label: (n,) posture number of each point.
+        known: the fit to these points.
+        number: of the folds.
+    """
+
+    def __init__(self, points: PointSet, label: NDArray[np.int64], known: Posterior, number: int) -> None:
+        self._points, self._label, self._known = points, label, known
+        self._fold = folds(label, number)
+        self._tau = None if points.tau is None else points.tau / ONE
+        parameters, self._free = known.found.fit.parameters, list(known.model.free)
+        self._all = jacobian(points.xyz_g(), self._tau, parameters)
+        self._rows = self._all[:, self._free]
+        self._error = -_residual(points, self._tau, parameters)
+        self._weights = points.weights / WEIGHT_ONE
+        self._postures = int(label.max()) + 1
+        ideal = [(IDENTITY[index] - parameters[index]) / ONE for index in self._free]
+        self._centre = np.array(ideal)
+        self._still = self._held_out(None)
+
+    def misfits(self) -> tuple[Misfit, ...]:
+        """What was looked for, whether it was found or not."""
+        return tuple(self._misfit(suspect) for suspect in self._suspects())
+
+    def truth(self, found: tuple[Misfit, ...]) -> Posterior:
+        """What is known of the sensor with the bend that was found, if one was."""
+        bends = [one for one in found if one.found and one.kind in POWERS]
+        if not bends:
+            return self._known
+        kind = min(bends, key=lambda one: one.after_mg).kind
+        return self._bent(next(one for one in self._suspects() if one.kind == kind))
+
+    def _suspects(self) -> Iterator[Suspect]:
+        offsets, points = self._all[:, _OFFSETS], self._points
+        g = points.xyz_g()
+        for kind, power in POWERS.items():
+            yield Suspect(kind, offsets * g**power, WIDTH_BEND, "percent at 1 g", 100)
+        if self._known.model.has_temperature and self._tau is not None and points.temperature is not None:
+            tau, span = self._tau[:, np.newaxis], points.temperature.span_c
+            by_gain = offsets * g * tau
+            yield Suspect(
+                "gain by temperature", by_gain, WIDTH_GAIN_PER_C * span, "percent per degree C", 100 / span
+            )
+            curve, width = offsets * tau * tau, WIDTH_CURVE_G_PER_C2 * span * span
+            yield Suspect(
+                "curved by temperature", curve, width, "mg per square degree C", 1000 / (span * span)
+            )
+        if points.previous is not None:
+            before = offsets * (points.previous / ONE)
+            yield Suspect("previous posture", before, WIDTH_PREVIOUS, "mg per g", 1000)
+
+    def _misfit(self, suspect: Suspect) -> Misfit:
+        after = self._held_out(suspect)
+        falls = [one - other for one, other in zip(self._still, after, strict=True)]
+        clearly = mean(falls) > student_t_975(max(1, len(falls) - 1)) * standard_error(falls)
+        bent = self._bent(suspect)
+        c = np.array(bent.bend.c if bent.bend else (0.0,) * 3)
+        errors = np.sqrt(np.diag(np.array(bent.covariance))[-3:])
+        largest = float(500 * np.abs(suspect.columns @ c).max())
+        if suspect.kind in POWERS:
+            largest = largest_error_mg(bent, self._known.found.fit.parameters)
+        before_mg, after_mg = mean(self._still), mean(after)
+        return Misfit(
+            suspect.kind,
+            suspect.unit,
+            _three(-suspect.factor * c),
+            _three(suspect.factor * errors),
+            before_mg,
+            after_mg,
+            largest,
+            clearly and largest >= LEAST_MG and before_mg - after_mg >= LEAST_FALL * before_mg,
+        )
+
+    def _bent(self, suspect: Suspect) -> Posterior:
+        """The posterior of parameters and suspect together; its noise is what they leave."""
+        known, everything = self._known, np.ones(len(self._label), np.bool_)
+        noise_g, freedom = known.noise_g, known.freedom
+        full = np.column_stack([self._rows, suspect.columns])
+        for _ in range(ROUNDS):
+            moved, around = self._fit(suspect, everything, noise_g)
+            left = self._error - full @ moved
+            total = float(self._weights.sum())
+            squares = float((self._weights * left * left).sum()) / total
+            curvature = (full * self._weights[:, np.newaxis]).T @ full
+            used = float(np.trace(np.linalg.solve(around, curvature)))
+            noise_g, freedom = noise(used, squares, self._postures, POPULATION)
+        unit = 4 * noise_g * noise_g / self._postures * total
+        covariance = unit * np.linalg.inv(around)
+        parameters = list(known.found.fit.parameters)
+        for index, value in zip(self._free, moved.tolist(), strict=False):
+            parameters[index] += round(value * ONE)
+        x, y, z = moved[-3:].tolist()
+        return replace(
+            known,
+            found=replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters))),
+            noise_g=noise_g,
+            freedom=freedom,
+            covariance=tuple(map(tuple, covariance.tolist())),
+            bend=Bend(POWERS.get(suspect.kind, 1), (x, y, z)),
+        )
+
+    def _held_out(self, suspect: Suspect | None) -> list[float]:
+        """Mean error of each posture [mg] by a fit of the other folds."""
+        full = self._rows if suspect is None else np.column_stack([self._rows, suspect.columns])
+        left = np.empty(len(self._label))
+        for fold in sorted(set(self._fold.tolist())):
+            out = self._fold == fold
+            moved, _ = self._fit(suspect, ~out, self._known.noise_g)
+            left[out] = self._error[out] - full[out] @ moved
+        return list(per_posture(500 * np.abs(left), self._points.weights, self._label).values())
+
+    def _fit(
+        self, suspect: Suspect | None, which: NDArray[np.bool_], noise_g: float
+    ) -> tuple[Floats, Floats]:
+        """By how much parameters and suspect move, and the curvature with their priors."""
+        full, strength, centre = self._rows, self._strength(noise_g), self._centre
+        if suspect is not None:
+            full = np.column_stack([full, suspect.columns])
+            own = self._unit(noise_g) / (suspect.width * suspect.width)
+            strength, centre = np.append(strength, [own] * 3), np.append(centre, [0.0] * 3)
+        weighted = full[which] * self._weights[which, np.newaxis]
+        around = weighted.T @ full[which] + np.diag(strength)
+        return np.linalg.solve(around, weighted.T @ self._error[which] + strength * centre), around
+
+    def _unit(self, noise_g: float) -> float:
+        """What a prior of width 1 adds to the curvature of the weighted sum."""
+        return 4 * noise_g * noise_g / self._postures * float(self._weights.sum())
+
+    def _strength(self, noise_g: float) -> Floats:
+        """The prior of the fit's own parameters, at another noise."""
+        own = np.array([self._known.penalty.strength[index] for index in self._free])
+        return np.asarray(own / (1 << PENALTY_BITS) * (noise_g / self._known.noise_g) ** 2)
+
+
+def told(found: Misfit) -> str:
+    """A sentence for people about a misfit that was found."""
+    shown = ", ".join(f"{axis} {value:.2g}" for axis, value in zip("xyz", found.size, strict=True))
+    what = {
+        "quadratic": f"the sensor's response is bent, with the square of the acceleration ({shown} % at 1 g)",
+        "cubic": f"the sensor's response is bent, with the cube of the acceleration ({shown} % at 1 g)",
+        "gain by temperature": f"the sensor's scales change with temperature ({shown} % per °C)",
+        "curved by temperature": f"the sensor's offsets follow temperature on a curve ({shown} mg per °C²)",
+        "previous posture": f"what the sensor measures depends on the posture before ({shown} mg per g)",
+    }[found.kind]
+    return f"{what}, by up to {found.largest_mg:.1f} mg"
+
+
+def _residual(points: PointSet, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
+    """|a|^2 - 1 of each point."""
+    p = np.array(parameters) / ONE
+    shifted = points.xyz_g() + p[_OFFSETS]
+    if tau is not None:
+        shifted = shifted + tau[:, np.newaxis] * p[9:12]
+    a = shifted @ np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]]).T
+    return np.asarray((a * a).sum(axis=1) - 1)
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

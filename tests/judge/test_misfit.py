@@ -1,0 +1,136 @@
+"""Sensors that do what their parameters do not describe, with known sizes, and sensors that do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import MODELS, PointSet
+from accelcal_cli.core.results import Misfit, SphereError
+from accelcal_cli.judge.misfit import MisfitSearch, told
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.judge.posterior import POPULATION, Posterior, posterior
+from accelcal_cli.judge.sphere import sphere_errors
+from accelcal_cli.optimize.fixed32 import OPTIMIZER
+from tests.judge.made import NINE, WARM
+from tests.optimize.oracle import directions, measured, points
+
+NOISE_G = 0.0015
+SQUARE, CUBE = np.array([0.02, -0.015, 0.01]), np.array([0.018, 0.02, -0.015])
+POSES = directions(70)
+
+
+def of(raw: np.ndarray, tau: np.ndarray | None = None, previous: np.ndarray | None = None) -> PointSet:
+    held = points(raw, tau=tau)
+    fixed = None if previous is None else np.rint(previous * ONE).astype(np.int64)
+    return replace(held, previous=fixed)
+
+
+def scattered(seed: int) -> np.ndarray:
+    """True directions whose lengths scatter as those of real postures do."""
+    return np.asarray(POSES * (1 + NOISE_G * np.random.RandomState(seed).standard_normal((len(POSES), 1))))
+
+
+def search(held: PointSet) -> tuple[MisfitSearch, Posterior, np.ndarray]:
+    assert OPTIMIZER.fit_penalized is not None
+    label = postures(held, 15.0)
+    model = MODELS["9" if held.tau is None else "9T"]
+    known = posterior(held, int(label.max()) + 1, model, POPULATION, OPTIMIZER.fit_penalized)
+    return MisfitSearch(held, label, known, 5), known, label
+
+
+def misfits(held: PointSet) -> dict[str, Misfit]:
+    return {one.kind: one for one in search(held)[0].misfits()}
+
+
+def found(held: PointSet) -> set[str]:
+    return {kind for kind, one in misfits(held).items() if one.found}
+
+
+def assert_size(one: Misfit, size: np.ndarray) -> None:
+    away = np.abs(np.array(one.size) - size) / one.standard_errors
+    assert one.found and away.max() < 4, (one, size)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_sensor_that_is_as_the_parameters_say_has_none(seed: int) -> None:
+    tau = np.random.RandomState(seed).uniform(-1.5, 1.5, len(POSES))
+    previous = np.random.RandomState(seed).permutation(POSES)
+    held = of(measured(WARM, scattered(seed), tau), tau, previous)
+    assert set(misfits(held)) == {
+        "quadratic",
+        "cubic",
+        "gain by temperature",
+        "curved by temperature",
+        "previous posture",
+    }
+    assert not found(held)
+
+
+def test_only_what_the_points_know_is_looked_for() -> None:
+    assert set(misfits(of(measured(NINE, scattered(1))))) == {"quadratic", "cubic"}
+
+
+def test_a_response_that_is_bent_is_found_with_its_size() -> None:
+    straight = measured(NINE, scattered(1))
+    square = misfits(of(straight + SQUARE * straight**2))["quadratic"]
+    assert_size(square, 100 * SQUARE)
+    assert square.after_mg < 0.7 * square.before_mg and square.unit == "percent at 1 g"
+    assert_size(misfits(of(straight + CUBE * straight**3))["cubic"], 100 * CUBE)
+
+
+def test_what_temperature_does_beyond_slopes_is_found() -> None:
+    tau = np.random.RandomState(1).uniform(-1.5, 1.5, len(POSES))
+    raw, span = measured(WARM, scattered(1), tau), of(measured(WARM, POSES, tau), tau).temperature
+    assert span is not None
+    by_gain = np.array([0.01, -0.008, 0.009])
+    assert_size(
+        misfits(of(raw * (1 + by_gain * tau[:, None]), tau))["gain by temperature"],
+        100 * by_gain / span.span_c,
+    )
+    curve = np.array([0.006, 0.006, -0.006])
+    one = misfits(of(raw + curve * tau[:, None] ** 2, tau))["curved by temperature"]
+    assert_size(one, 1000 * curve / span.span_c**2)
+
+
+def test_a_sensor_that_remembers_the_posture_before_is_found() -> None:
+    previous = np.random.RandomState(3).permutation(POSES)
+    memory = np.array([0.01, 0.008, -0.01])
+    held = of(measured(NINE, scattered(1)) + memory * previous, previous=previous)
+    assert_size(misfits(held)["previous posture"], 1000 * memory)
+    assert found(held) == {"previous posture"}
+
+
+def sphere(held: PointSet) -> tuple[SphereError, float]:
+    """What is claimed of the calibration, and its true mean error over 5000 directions [mg]."""
+    one, known, label = search(held)
+    fitted = known.found.fit.parameters
+    (claimed,) = sphere_errors(held, label, one.truth(one.misfits()), (fitted,))
+    p, everywhere = np.array(fitted) / ONE, directions(5000)
+    straight = measured(NINE, everywhere)
+    k = np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]])
+    lengths = np.linalg.norm((straight + SQUARE * straight**2 + p[6:9]) @ k.T, axis=1)
+    noise = NOISE_G * np.random.RandomState(1).standard_normal(len(lengths))
+    return claimed, float(1000 * np.abs(lengths - 1 + noise).mean())
+
+
+def test_the_claim_counts_a_bend_where_the_wrist_has_not_been() -> None:
+    """Postures on nine tenths of the sphere: what is left out is where the bend shows most."""
+    straight = measured(NINE, scattered(1))
+    bent = straight + SQUARE * straight**2
+    claimed, true_mg = sphere(of(bent[POSES[:, 0] < 0.8]))
+    assert claimed.ci95[0] <= true_mg <= claimed.ci95[1]
+    assert claimed.mean == pytest.approx(true_mg, rel=0.15)
+
+
+def test_what_is_said() -> None:
+    square = Misfit("quadratic", "percent at 1 g", (2.0, -1.5, 0.04), (0.1, 0.1, 0.1), 3.0, 1.0, 9.26, True)
+    assert told(square) == (
+        "the sensor's response is bent, with the square of the acceleration (x 2, y -1.5, z 0.04 % at 1 g), "
+        "by up to 9.3 mg"
+    )
+    memory = replace(square, kind="previous posture", unit="mg per g")
+    assert told(memory).startswith("what the sensor measures depends on the posture before (x 2, ")
