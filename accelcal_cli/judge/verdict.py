@@ -44,6 +44,7 @@ FEWEST_CONTROL_POINTS = 2
 """Of profile `paper` where any distance will do; else all 18 are needed."""
 
 LONGER = "record longer, with more turns of the wrist"
+DISAGREE = "check that the device is sound, and that what is taken for rest is rest (--stillness)"
 NO_STILLNESS = f"no still window was found; {LONGER}"
 FAR_FROM_1_G = "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
 
@@ -164,23 +165,27 @@ def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> tuple[Outcome,
         text = _no_better(holdout)
         if verdict.sphere_before.mean < settings.max_error_mg:
             return Outcome.ALREADY_GOOD, text
-        return Outcome.REFUSED, f"{text}; {_missing(verdict.coverage, settings)}"
+        return Outcome.REFUSED, f"{text}; {_missing(verdict, settings)}"
     low, high = sphere.ci95
     everywhere = f"{sphere.mean:.1f} mg over the whole sphere (95 %: {low:.1f} to {high:.1f})"
     if sphere.mean >= settings.max_error_mg:
         text = (
             f"what the points leave open is too much: {everywhere}, {settings.max_error_mg:g} mg is the limit"
         )
-        return Outcome.REFUSED, f"{text}; {_missing(verdict.coverage, settings)}"
+        return Outcome.REFUSED, f"{text}; {_missing(verdict, settings)}"
     return Outcome.CALIBRATED, f"model {fitted.model}: {_change(holdout)} on {_unseen(holdout)}; {everywhere}"
 
 
-def _missing(coverage: Coverage, settings: Settings) -> str:
+def _missing(verdict: Judgement, settings: Settings) -> str:
     """What a recording lacks whose points leave too much open."""
+    coverage, holdout = verdict.coverage, verdict.holdout
     number = coverage.distinct_orientations
     if number < settings.min_postures:
         return f"there is stillness in only {counted(number, 'posture')}; {LONGER}"
-    return _advice(coverage, settings)
+    one_sided = model_ladder.one_sided_axes(coverage, settings.coverage_g)
+    if one_sided or holdout is None or holdout.after.mean < settings.max_error_mg / 2:
+        return _advice(coverage, settings)
+    return f"{number} postures disagree by {holdout.after.mean:.1f} mg: {DISAGREE}"
 
 
 def _warm_and_cool(points: PointSet, settings: Settings) -> bool:

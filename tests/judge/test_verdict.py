@@ -127,6 +127,14 @@ def test_a_sensor_that_nothing_helps_is_refused() -> None:
     assert "no model improves" in found.message and "record longer" in found.message
 
 
+def test_postures_that_disagree_are_not_told_to_be_more() -> None:
+    held = spread(NINE, noise=0.03, seed=4)
+    how = Fitting(DEFAULT, fixed32.fit_each, penalized=fixed32.OPTIMIZER.fit_penalized)
+    found = judge(held, how)
+    assert found.outcome is Outcome.REFUSED
+    assert " postures disagree by " in found.message and "record longer" not in found.message
+
+
 def test_an_error_above_the_limit_is_refused_with_the_figure() -> None:
     scaled = np.array([0.85, 0.85, 0.85, 0, 0, 0, 0, 0, 0, 0, 0, 0])
     found = judge(spread(scaled, noise=0.03), Fitting(LADDER_ONLY, fast_fits))
