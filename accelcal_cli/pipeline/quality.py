@@ -1,0 +1,252 @@
+"""`accelcal quality`: whether a calibration holds along a recording, in one pass that writes nothing.
+
+The coefficients are those of a report, which are tested as `apply` tests them, or the recording's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.errors import UsageError, counted, printable
+from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.results import Change, Judgement, Outcome
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, Compared, told
+from accelcal_cli.judge.quality import Check, Period, check, far_off
+from accelcal_cli.output.quality import QualityInput, rows_json
+from accelcal_cli.pipeline.apply import given
+from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
+from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
+from accelcal_cli.pipeline.survey import TimedCellProcedure
+
+RENEW = "find new coefficients"
+
+
+class State(StrEnum):
+    """What is said of a calibration along a recording; refused: the recording has none of its own."""
+
+    HOLDS = "holds"
+    DEGRADED = "degraded"
+    UNCHECKED = "unchecked"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quality:
+    """What a look along a recording showed.
+
+    Attributes:
+        made: the rows of its blocks of time, and its judgement.
+        message: one sentence.
+        since, until: times between which the calibration does not hold; None: from the first sample, or to
+            the last one, on.
+        periods: the parts of the recording that were judged.
+    """
+
+    path: Path
+    made: QualityInput
+    state: State
+    message: str
+    since: str | None = None
+    until: str | None = None
+    periods: tuple[Period, ...] = ()
+
+    def when(self, block: int) -> str | None:
+        """When a block of time begins; None for the end of the recording."""
+        begun = self.made.begun_us
+        return iso_time(begun[block], self.made.data.facts.utc_offset_s) if block < len(begun) else None
+
+
+def quality(
+    path: Path, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
+) -> Quality:
+    """Look at a recording along its time, with the request's coefficients or its own.
+
+    Args:
+        source: where the recording's bytes are, if not at its path.
+
+    Raises:
+        AccelcalError: it cannot be read, or the coefficients cannot be applied to it (see `apply`).
+    """
+    with open_run(Job(path, path, path), request, progress, source) as run:
+        ready, judge = _judged_by(run)
+        if not isinstance(judge.method(ready.reader.recording).procedure, TimedCellProcedure):
+            raise UsageError(
+                f"profile {judge.settings.profile} keeps no windows along time",
+                path=path,
+                hint="use --profile default, or coefficients that were found with it",
+            )
+        found = ready.result(judge)
+    made = found.quality()
+    assert made is not None
+    start = Quality(path, made, State.REFUSED, made.data.judgement.message)
+    if made.data.judgement.outcome is Outcome.REFUSED:
+        return start
+    return _of_own(start) if request.coefficients is None else _of_given(start, found, judge.settings)
+
+
+def _judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
+    """The run with the settings that go with what is checked, and who judges that."""
+    request = run.request
+    if request.coefficients is None:
+        return run, OwnCalibration(request.recording_settings)
+    return given(run, request.coefficients)
+
+
+def _of_own(start: Quality) -> Quality:
+    """A recording's own calibration holds as long as its sensor does not change."""
+    judgement, offset_s = start.made.data.judgement, start.made.data.facts.utc_offset_s
+    change = judgement.change or Change("none", "nobody looked for a change")
+    if change.unchecked is not None:
+        return _short(start, change.unchecked, LEAST_MG)
+    assert change.holdout is not None
+    if change.kind == "none":
+        seen = f"{change.holdout.constant_mg:.2f} mg {_on(change.holdout.stretches)}"
+        return replace(start, state=State.HOLDS, message=f"{seen}, and no change of the sensor")
+    followed = judgement.calibration is not None and judgement.calibration.course is not None
+    text = told(change, offset_s, followed=followed) or ""
+    since = None if change.at_us is None else iso_time(change.at_us, offset_s)
+    return replace(start, state=State.DEGRADED, message=text, since=since)
+
+
+def _on(stretches: int) -> str:
+    return f"on {stretches} stretches of time, none of which its fit had seen"
+
+
+def _of_given(start: Quality, found: FirstPass, settings: Settings) -> Quality:
+    """Coefficients of elsewhere hold where a calibration of the recording itself would gain little."""
+    judgement, procedure = start.made.data.judgement, found.method.procedure
+    calibration = judgement.calibration
+    assert calibration is not None and isinstance(procedure, TimedCellProcedure)
+    postures = judgement.coverage.distinct_orientations
+    if postures < settings.min_postures:
+        least = f"at least {settings.min_postures} are needed"
+        return _short(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
+    change, compared, blocks = _held_against(calibration, procedure)
+    if compared is None:
+        return _short(start, change.unchecked or "the recording is too short", LEAST_MG)
+    checked = _in_rows(check(compared, change, blocks, settings.max_error_mg), start.made, procedure)
+    start = replace(start, periods=checked.periods)
+    return _degraded(start, checked, change) if checked.degraded else _holding(start, compared, change)
+
+
+def _held_against(
+    calibration: Calibration, procedure: TimedCellProcedure
+) -> tuple[Change, Compared | None, int]:
+    """How the sensor changed about a calibration, what that leaves, and the number of blocks of time."""
+    means = procedure.means()
+    if calibration.course is not None and len(means.block):
+        means, calibration = means.along(calibration.course), replace(calibration, course=None)
+    search = ChangeSearch(means)
+    change = search.find(calibration)
+    return change, search.compared(), means.blocks()
+
+
+def _in_rows(checked: Check, made: QualityInput, procedure: TimedCellProcedure) -> Check:
+    """The periods by numbers of the rows, which may be longer than the blocks; the last goes to the end."""
+    each, last = made.rows.block_samples // procedure.collector.block_samples, len(made.rows)
+    *before, final = checked.periods
+    ends = [*(period.end // each for period in before), last]
+    pairs = zip((*before, final), ends, strict=True)
+    return Check(tuple(replace(one, first=one.first // each, end=end) for one, end in pairs))
+
+
+def _holding(start: Quality, compared: Compared, change: Change) -> Quality:
+    given_mg, unseen_mg = (
+        sum(getattr(one, name) * (one.end - one.first) for one in start.periods)
+        / sum(one.end - one.first for one in start.periods)
+        for name in ("given_mg", "unseen_mg")
+    )
+    number = len(set(compared.stretch.tolist()))
+    own = f"a calibration of the recording itself would leave {unseen_mg:.2f} mg {_on(number)}"
+    return replace(start, state=State.HOLDS, message=_with(f"{given_mg:.2f} mg; {own}", start, change))
+
+
+def _degraded(start: Quality, checked: Check, change: Change) -> Quality:
+    """From the first period that it does not hold in, up to the next one that it does."""
+    periods = list(checked.periods)
+    first = next(place for place, one in enumerate(periods) if one.degraded)
+    last = first
+    while last + 1 < len(periods) and periods[last + 1].degraded:
+        last += 1
+    worst = max(periods[first : last + 1], key=lambda one: one.given_mg - one.unseen_mg)
+    since = start.when(periods[first].first) if first else None
+    until = start.when(periods[last].end)
+    span = f"from {_seconds(since)}" if since else "from the beginning"
+    span = f"{span} to {_seconds(until)}" if until else f"{span} on"
+    new = f"a new calibration would leave {worst.unseen_mg:.1f} mg"
+    text = _with(f"{span} it leaves {worst.given_mg:.1f} mg, {new}; {RENEW}", start, change)
+    return replace(start, state=State.DEGRADED, message=text, since=since, until=until)
+
+
+def _with(text: str, start: Quality, change: Change) -> str:
+    """The sentence, and how the sensor changed meanwhile."""
+    changed = told(change, start.made.data.facts.utc_offset_s, followed=False)
+    return text if changed is None else f"{text}; {changed.split(';')[0]}"
+
+
+def _seconds(time: str | None) -> str:
+    """A time without fractions of a second."""
+    return "" if time is None else time.partition(".")[0]
+
+
+def _short(start: Quality, why: str, small_mg: float | None) -> Quality:
+    """What can be said where stretches of time cannot be compared: errors on postures that were not fitted.
+
+    Args:
+        small_mg: coefficients hold whose error is clearly below this: nothing could gain more. None: nothing
+            holds.
+    """
+    judgement, settings = start.made.data.judgement, start.made.data.settings.method
+    holdout = judgement.holdout
+    seen = "" if holdout is None else f"{holdout.after.mean:.2f} mg on {counted(holdout.postures, 'posture')}"
+    if far_off(holdout, settings.max_error_mg):
+        text = f"from the beginning on it leaves {seen}, {settings.max_error_mg:g} mg is the limit; {RENEW}"
+        return replace(start, state=State.DEGRADED, message=text)
+    if holdout is not None and small_mg is not None and holdout.ci95[1] < small_mg:
+        text = f"{seen}, 95 % interval up to {holdout.ci95[1]:.2f} mg; not checked along time: {why}"
+        return replace(start, state=State.HOLDS, message=text)
+    return replace(start, state=State.UNCHECKED, message=f"{why}{seen and f'; {seen}'}")
+
+
+def as_json(found: Quality) -> dict[str, Any]:
+    """The look as a JSON object."""
+    made, donor = found.made, found.made.data.taken.get("coefficients")
+    rows = made.rows
+    return {
+        "recording": printable(found.path),
+        "coefficients": None if donor is None else donor["path"],
+        "state": str(found.state),
+        "message": found.message,
+        "since": found.since,
+        "until": found.until,
+        "periods": [_period_json(found, one) for one in found.periods],
+        "holdout": _holdout(made.data.judgement),
+        "row": {"samples": rows.block_samples, "rate_hz": made.data.recording.rate_hz},
+        "rows": rows_json(made),
+    }
+
+
+def _holdout(judgement: Judgement) -> dict[str, Any] | None:
+    """Errors on postures that were not fitted."""
+    if (holdout := judgement.holdout) is None:
+        return None
+    pair = {"before_mg": holdout.before.mean, "after_mg": holdout.after.mean}
+    return {"postures": holdout.postures, **{name: round(value, 4) for name, value in pair.items()}}
+
+
+def _period_json(found: Quality, one: Period) -> dict[str, Any]:
+    known = all(map(isfinite, one.fall_mg))
+    return {
+        "start": found.when(one.first),
+        "end": found.when(one.end),
+        "given_mg": round(one.given_mg, 4),
+        "unseen_mg": round(one.unseen_mg, 4),
+        "fall_ci95_mg": [round(value, 4) for value in one.fall_mg] if known else None,
+        "degraded": one.degraded,
+    }
