@@ -13,6 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
@@ -164,12 +167,15 @@ class FirstPass:
     Attributes:
         data: all that the report says but what the second pass counts.
         points: the recording's points, put right where its sensor changed and the calibration follows.
+        raw: the points before that; posture: (n,) number of the posture of each.
         method: with all still windows taken in.
         timeline: what was counted along time; None for a procedure without blocks of time.
     """
 
     data: ReportInput
     points: PointSet
+    raw: PointSet
+    posture: NDArray[np.int64]
     method: survey.Method
     timeline: Timeline | None
 
@@ -177,7 +183,7 @@ class FirstPass:
         """The recording along time; None without blocks of time."""
         if self.timeline is None:
             return None
-        return along_time(self.data, self.points, self.method, self.timeline)
+        return along_time(self.data, self.raw, self.posture, self.method, self.timeline)
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,11 +243,11 @@ class RecordingRun:
         others = [one for one in (log, timeline) if one is not None]
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method, *others)
-            points = method.procedure.result()
-            settings = self.request.settings
-            covered = coverage(points, postures(points, settings.posture_degrees))
-            damage = damage_verdict(facts, settings.max_damage_percent, covered)
-            verdict = judge.verdict(self, Survey(recording, facts, method, points, covered, damage))
+            raw = method.procedure.result()
+            posture = postures(raw, self.request.settings.posture_degrees)
+            covered = coverage(raw, posture)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
+            verdict = judge.verdict(self, Survey(recording, facts, method, raw, covered, damage))
             points = method.procedure.result()  # of a sensor that changed they are put right
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
@@ -257,7 +263,7 @@ class RecordingRun:
             clipped_after=None,
             taken=verdict.sections,
         )
-        return FirstPass(data, points, method, timeline)
+        return FirstPass(data, points, raw, posture, method, timeline)
 
     def survey(self, method: survey.Method, *others: survey.Observer) -> Facts:
         """Facts of the recording, and its still windows into the method and other observers."""

@@ -132,7 +132,9 @@ def _of_given(start: Quality, found: FirstPass, settings: Settings) -> Quality:
         return _short(start, change.unchecked or "the recording is too short", LEAST_MG)
     checked = _in_rows(check(compared, change, blocks, settings.max_error_mg), start.made, procedure)
     start = replace(start, periods=checked.periods)
-    return _degraded(start, checked, change) if checked.degraded else _holding(start, compared, change)
+    if checked.degraded:
+        return _degraded(start, change)
+    return _rising(start) if checked.rises else _holding(start, compared, change)
 
 
 def _held_against(
@@ -153,7 +155,9 @@ def _in_rows(checked: Check, made: QualityInput, procedure: TimedCellProcedure) 
     *before, final = checked.periods
     ends = [*(period.end // each for period in before), last]
     pairs = zip((*before, final), ends, strict=True)
-    return Check(tuple(replace(one, first=one.first // each, end=end) for one, end in pairs))
+    return replace(
+        checked, periods=tuple(replace(one, first=one.first // each, end=end) for one, end in pairs)
+    )
 
 
 def _holding(start: Quality, compared: Compared, change: Change) -> Quality:
@@ -167,9 +171,18 @@ def _holding(start: Quality, compared: Compared, change: Change) -> Quality:
     return replace(start, state=State.HOLDS, message=_with(f"{given_mg:.2f} mg; {own}", start, change))
 
 
-def _degraded(start: Quality, checked: Check, change: Change) -> Quality:
+def _rising(start: Quality) -> Quality:
+    """The end of the recording is too short to tell what it is."""
+    before, late = start.periods[0], start.periods[-1]
+    since = start.when(late.first)
+    text = f"from {_seconds(since)} on it leaves {late.given_mg:.1f} mg, before that {before.given_mg:.1f} mg"
+    text = f"{text}; that is too short to tell a sensor that changed from a posture that is new"
+    return replace(start, state=State.UNCHECKED, message=text, since=since)
+
+
+def _degraded(start: Quality, change: Change) -> Quality:
     """From the first period that it does not hold in, up to the next one that it does."""
-    periods = list(checked.periods)
+    periods = list(start.periods)
     first = next(place for place, one in enumerate(periods) if one.degraded)
     last = first
     while last + 1 < len(periods) and periods[last + 1].degraded:

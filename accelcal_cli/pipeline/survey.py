@@ -238,11 +238,17 @@ class TimedCellProcedure(CellProcedure):
         self.hour_samples = collector.block_samples
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
         self._begun_us: list[int] = []
+        self._means: TimedMeans | None = None
 
     def see(self, chunk: Chunk) -> None:
         """Note when hours begin; of one that a preview leaves out, when the next row comes."""
         while (row := max(0, self._next_hour() - chunk.first_sample)) < len(chunk):
             self._begun_us += chunk.clock.times(row, row + 1).tolist()
+
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        super().see_still(windows)
+        self._means = None
 
     def begun_us(self, sample: int) -> int:
         """When the hour of a sample began, on the device's clock."""
@@ -297,6 +303,11 @@ class TimedCellProcedure(CellProcedure):
 
     def means(self) -> TimedMeans:
         """What each orientation measured in each block of time, where it can be used."""
+        if self._means is None:
+            self._means = self._timed_means()
+        return self._means
+
+    def _timed_means(self) -> TimedMeans:
         timed, collector = self.collector.timed(), self.collector
         sums = [one for _, one in timed]
         samples = np.array([one.samples for one in sums], np.int64)

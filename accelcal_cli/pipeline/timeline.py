@@ -7,6 +7,7 @@ on, so that memory is bounded. All counts are integers: the length of the chunks
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import MAX_BLOCKS
 from accelcal_cli.core.clock import MICROSECONDS
@@ -25,6 +26,9 @@ NOT_WORN_G, NOT_WORN_AXES = 0.05, 2
 """A device whose values stay within the first on so many axes for an hour is not worn (van Hees et al. 2011,
 PLoS ONE 6(7): e22922; 2013, PLoS ONE 8(4): e61691)."""
 
+LOOK_S = 5
+"""Range and temperature are those of one sample in so long: looking at all would slow the pass."""
+
 LEAST_LOOK_S = 900
 """So much of a block has to be measured to tell whether it was worn: a quarter of an hour."""
 
@@ -39,8 +43,6 @@ _FAR = 1 << 40
 class Timeline(Observer):
     """Counts what a recording is made of along time.
 
-    Range and temperature are those of one sample in a second.
-
     Args:
         block_samples: samples that make a block, as long as there are not too many.
         window_samples: samples of a window.
@@ -50,7 +52,7 @@ class Timeline(Observer):
         self.block_samples = block_samples
         self._window_samples = window_samples
         self._rate_hz, self._lsb_per_g = recording.rate_hz, recording.lsb_per_g
-        self._step = max(1, round(recording.rate_hz))
+        self._step = max(1, round(LOOK_S * recording.rate_hz))
         self._sums = np.zeros((MAX_BLOCKS, _COLUMNS), np.int64)
         self._low = np.full((MAX_BLOCKS, 3), _FAR, np.int64)
         self._high = np.full((MAX_BLOCKS, 3), -_FAR, np.int64)
@@ -180,11 +182,13 @@ def timeline_of(method: Method, recording: Recording) -> Timeline | None:
     return Timeline(recording, method.procedure.hour_samples, method.segmenter.length)
 
 
-def along_time(data: ReportInput, points: PointSet, method: Method, timeline: Timeline) -> QualityInput:
+def along_time(
+    data: ReportInput, raw: PointSet, posture: NDArray[np.int64], method: Method, timeline: Timeline
+) -> QualityInput:
     """What the quality file says.
 
     Args:
-        points: those that were judged.
+        raw: the points; posture: (n,) number of each one's posture.
         method: with all still windows taken in, as the timeline has.
     """
     procedure, settings = method.procedure, data.settings.method
@@ -197,7 +201,7 @@ def along_time(data: ReportInput, points: PointSet, method: Method, timeline: Ti
         rows=rows,
         begun_us=[procedure.begun_us(sample) for sample in samples],
         errors=_block_errors(procedure.means(), rows.block_samples, judged.calibration, settings),
-        points=_point_errors(points, procedure, judged.calibration, settings),
+        points=_point_errors(raw, posture, procedure, data),
         folds=settings.folds if judged.trials and judged.holdout is not None else None,
     )
 
@@ -222,17 +226,19 @@ def _block_errors(
 
 
 def _point_errors(
-    points: PointSet, procedure: TimedCellProcedure, calibration: Calibration | None, settings: Settings
+    raw: PointSet, posture: NDArray[np.int64], procedure: TimedCellProcedure, data: ReportInput
 ) -> PointErrors:
-    """The points with their errors; raw, also where the sensor changed and the calibration follows."""
-    rest, raw, right = settings.gravity, points, points
+    """The points with their errors; of a sensor that changed, after it was put right, with new postures."""
+    settings, calibration = data.settings.method, data.judgement.calibration
+    assert isinstance(settings, Settings)
+    rest, right = settings.gravity, raw
     if calibration is not None and calibration.course is not None:
-        raw = procedure.collector.points()
         right = procedure.collector.points(calibration.course.in_local_g(rest.local_g()))
+        posture = postures(right, settings.posture_degrees)
     return PointErrors(
         raw,
         point_deviations_mg(raw, None, rest),
         None if calibration is None else point_deviations_mg(right, calibration, rest),
-        postures(right, settings.posture_degrees),
+        posture,
         temperatures_c(raw) if raw.temperature is not None else None,
     )
