@@ -45,7 +45,7 @@ WORN = {True: "yes", False: "no", None: "-"}
               help="Report whose coefficients are checked; otherwise the recording's own.")  # fmt: skip
 @click.option("--any-device", is_flag=True, help="Accept coefficients of any device.")
 @click.option("--json", "as_json_", is_flag=True, help="Print a JSON object.")
-@click.option("--tsv", is_flag=True, help="Print tab-separated rows at a terminal too.")
+@click.option("--tsv", is_flag=True, help="Print tab-separated rows with all columns at a terminal too.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @options.reading_options
 @options.damage_option
@@ -92,7 +92,7 @@ def _settings_beside(values: dict[str, Any]) -> Settings:
 
 
 def text(found: Quality, shown: dict[str, Any], *, tsv: bool) -> str:
-    """Rows and a sentence for people: aligned at a terminal, else tab-separated."""
+    """Rows and a sentence: aligned and without what is rarely looked at for people, else tab-separated."""
     rows = shown["rows"]
     if not rows["start"]:
         return _sentence(found)
@@ -101,11 +101,15 @@ def text(found: Quality, shown: dict[str, Any], *, tsv: bool) -> str:
         both = rows[when] or dict.fromkeys(("mean", "p95"), [None] * len(rows["start"]))
         columns |= {f"{when}": both["mean"], f"{when.removesuffix('mg')}p95_mg": both["p95"]}
     columns |= {"celsius": rows["temperature_c"], "worn": [WORN[one] for one in rows["worn"]]}
-    columns |= {name: rows[name] for name in ("still", "moving", "gap_s", "filled", "clipped", "recovered")}
-    lines = [list(map(_cell, line)) for line in zip(*columns.values(), strict=True)]
     if sys.stdout.isatty() and not tsv:
-        return f"{aligned(list(columns), lines)}\n\n{_sentence(found)}"
+        return f"{aligned(list(columns), _lines(columns))}\n\n{_sentence(found)}"
+    columns |= {name: rows[name] for name in ("still", "moving", "gap_s", "filled", "clipped", "recovered")}
+    lines = _lines(columns)
     return "\n".join(["\t".join(line) for line in (columns, *lines)] + [_sentence(found)])
+
+
+def _lines(columns: dict[str, list[Any]]) -> list[list[str]]:
+    return [list(map(_cell, line)) for line in zip(*columns.values(), strict=True)]
 
 
 def _cell(value: Any) -> str:

@@ -17,12 +17,13 @@ from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.results import Change, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, Compared, told
-from accelcal_cli.judge.quality import Check, Period, check, far_off
+from accelcal_cli.judge.errors import mean
+from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
 from accelcal_cli.pipeline.apply import given
 from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
-from accelcal_cli.pipeline.survey import TimedCellProcedure
+from accelcal_cli.pipeline.survey import Procedure, TimedCellProcedure
 
 RENEW = "find new coefficients"
 
@@ -87,7 +88,7 @@ def quality(
     start = Quality(path, made, State.REFUSED, made.data.judgement.message)
     if made.data.judgement.outcome is Outcome.REFUSED:
         return start
-    return _of_own(start) if request.coefficients is None else _of_given(start, found, judge.settings)
+    return _of_own(start, found) if request.coefficients is None else _of_given(start, found, judge.settings)
 
 
 def _judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
@@ -98,77 +99,93 @@ def _judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
     return given(run, request.coefficients)
 
 
-def _of_own(start: Quality) -> Quality:
-    """A recording's own calibration holds as long as its sensor does not change."""
-    judgement, offset_s = start.made.data.judgement, start.made.data.facts.utc_offset_s
-    change = judgement.change or Change("none", "nobody looked for a change")
-    if change.unchecked is not None:
-        return _short(start, change.unchecked, LEAST_MG)
-    assert change.holdout is not None
-    if change.kind == "none":
-        seen = f"{change.holdout.constant_mg:.2f} mg {_on(change.holdout.stretches)}"
-        return replace(start, state=State.HOLDS, message=f"{seen}, and no change of the sensor")
-    followed = judgement.calibration is not None and judgement.calibration.course is not None
-    text = told(change, offset_s, followed=followed) or ""
-    since = None if change.at_us is None else iso_time(change.at_us, offset_s)
-    return replace(start, state=State.DEGRADED, message=text, since=since)
-
-
-def _on(stretches: int) -> str:
-    return f"on {stretches} stretches of time, none of which its fit had seen"
+def _of_own(start: Quality, found: FirstPass) -> Quality:
+    """A recording's own calibration, as it is before the sensor changes, holds as long as that does not."""
+    calibration = start.made.data.judgement.calibration
+    assert calibration is not None
+    held = _held_against(replace(calibration, course=None), found.method.procedure)
+    if held.compared is None:
+        return _short(start, held.change.unchecked or "", LEAST_MG)
+    return _judged(start, held, own=True)
 
 
 def _of_given(start: Quality, found: FirstPass, settings: Settings) -> Quality:
     """Coefficients of elsewhere hold where a calibration of the recording itself would gain little."""
-    judgement, procedure = start.made.data.judgement, found.method.procedure
-    calibration = judgement.calibration
-    assert calibration is not None and isinstance(procedure, TimedCellProcedure)
+    judgement = start.made.data.judgement
+    assert judgement.calibration is not None
     postures = judgement.coverage.distinct_orientations
     if postures < settings.min_postures:
         least = f"at least {settings.min_postures} are needed"
         return _short(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
-    change, compared, blocks = _held_against(calibration, procedure)
-    if compared is None:
-        return _short(start, change.unchecked or "the recording is too short", LEAST_MG)
-    checked = _in_rows(check(compared, change, blocks, settings.max_error_mg), start.made, procedure)
-    start = replace(start, periods=checked.periods)
-    if checked.degraded:
-        return _degraded(start, change)
-    return _rising(start) if checked.rises else _holding(start, compared, change)
+    held = _held_against(judgement.calibration, found.method.procedure)
+    if held.compared is None:
+        return _short(start, held.change.unchecked or "", LEAST_MG)
+    return _judged(start, held, own=False)
 
 
-def _held_against(
-    calibration: Calibration, procedure: TimedCellProcedure
-) -> tuple[Change, Compared | None, int]:
-    """How the sensor changed about a calibration, what that leaves, and the number of blocks of time."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """A calibration held against a recording.
+
+    Attributes:
+        change: how the sensor changed, as seen from the calibration.
+        compared: its errors; None where the recording is too short.
+        blocks: number of blocks of time, of so many samples each.
+    """
+
+    change: Change
+    compared: Compared | None
+    blocks: int
+    block_samples: int
+
+
+def _held_against(calibration: Calibration, procedure: Procedure) -> _Held:
+    assert isinstance(procedure, TimedCellProcedure)
     means = procedure.means()
     if calibration.course is not None and len(means.block):
         means, calibration = means.along(calibration.course), replace(calibration, course=None)
     search = ChangeSearch(means)
     change = search.find(calibration)
-    return change, search.compared(), means.blocks()
+    if change.at_block is not None:
+        change = replace(change, at_us=procedure.begun_us(change.at_block * means.block_samples))
+    return _Held(change, search.compared(), means.blocks(), means.block_samples)
 
 
-def _in_rows(checked: Check, made: QualityInput, procedure: TimedCellProcedure) -> Check:
-    """The periods by numbers of the rows, which may be longer than the blocks; the last goes to the end."""
-    each, last = made.rows.block_samples // procedure.collector.block_samples, len(made.rows)
-    *before, final = checked.periods
-    ends = [*(period.end // each for period in before), last]
-    pairs = zip((*before, final), ends, strict=True)
-    return replace(
-        checked, periods=tuple(replace(one, first=one.first // each, end=end) for one, end in pairs)
+def _judged(start: Quality, held: _Held, *, own: bool) -> Quality:
+    """What comes of the periods."""
+    assert held.compared is not None
+    limit_mg = start.made.data.settings.method.max_error_mg
+    checked = check(held.compared, held.change, held.blocks, limit_mg)
+    start = replace(start, periods=_in_rows(checked.periods, start.made, held.block_samples))
+    if checked.degraded:
+        return _degraded(start, held.change)
+    return _rising(start) if checked.rises else _holding(start, held, own=own)
+
+
+def _in_rows(periods: tuple[Period, ...], made: QualityInput, block_samples: int) -> tuple[Period, ...]:
+    """Periods by numbers of the rows, which may be longer than blocks; the last goes to the end."""
+    each = made.rows.block_samples // block_samples
+    ends = [*(period.end // each for period in periods[:-1]), len(made.rows)]
+    return tuple(
+        replace(one, first=one.first // each, end=end) for one, end in zip(periods, ends, strict=True)
     )
 
 
-def _holding(start: Quality, compared: Compared, change: Change) -> Quality:
+def _holding(start: Quality, held: _Held, *, own: bool) -> Quality:
+    """The mean over all stretches of time, and that of the recording's own calibration."""
+    compared = held.compared
+    assert compared is not None
+    numbers = sorted(set(compared.stretch.tolist()))
     given_mg, unseen_mg = (
-        sum(getattr(one, name) * (one.end - one.first) for one in start.periods)
-        / sum(one.end - one.first for one in start.periods)
-        for name in ("given_mg", "unseen_mg")
+        mean([float(errors[compared.stretch == number].mean()) for number in numbers])
+        for errors in (compared.given_mg, compared.unseen_mg)
     )
-    number = len(set(compared.stretch.tolist()))
-    own = f"a calibration of the recording itself would leave {unseen_mg:.2f} mg {_on(number)}"
-    return replace(start, state=State.HOLDS, message=_with(f"{given_mg:.2f} mg; {own}", start, change))
+    seen = f"{unseen_mg:.2f} mg on {len(numbers)} stretches of time, none of which its fit had seen"
+    if not own:
+        seen = f"{given_mg:.2f} mg; a calibration of the recording itself would leave {seen}"
+    elif held.change.kind == "none":
+        seen = f"{seen}, and no change of the sensor"
+    return replace(start, state=State.HOLDS, message=_with(seen, start, held.change))
 
 
 def _rising(start: Quality) -> Quality:
