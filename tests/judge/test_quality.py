@@ -12,7 +12,8 @@ from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.points import Calibration, TimedMeans
-from accelcal_cli.judge.change import ChangeSearch
+from accelcal_cli.core.results import Change
+from accelcal_cli.judge.change import ChangeSearch, Compared
 from accelcal_cli.judge.quality import Check, Period, by_block, check, deviations_mg
 from tests.judge.test_change import HOUR_SAMPLES, HOURS, calibration, constant, device, drift, means, step
 from tests.judge.test_change import Course as Raw
@@ -37,9 +38,9 @@ def off(found: Calibration, offset_g: tuple[float, float, float]) -> Calibration
 
 def test_errors_of_a_block_count_windows_alike() -> None:
     deviations = np.array([-3.0, 1.0, 2.0, -4.0, 9.0])
-    windows, block = np.array([1, 17, 2, 30, 1]), np.array([0, 0, 0, 2, 2])
+    windows, block = np.array([1, 18, 1, 30, 1]), np.array([0, 0, 0, 2, 2])
     found = by_block(deviations, windows, block)
-    assert found[0].mean == float(Fraction(3 + 17 + 4, 20)) and found[0].p95 == 2.0  # 19 of 20 are no larger
+    assert found[0].mean == float(Fraction(3 + 18 + 2, 20)) and found[0].p95 == 2.0  # 19 of 20 are no larger
     assert found[2].mean == pytest.approx((4 * 30 + 9) / 31) and found[2].p95 == 4.0
     assert sorted(found) == [0, 2]
 
@@ -152,6 +153,19 @@ def test_an_error_beyond_the_limit_needs_no_better_one() -> None:
     assert only.degraded and only.given_mg - only.unseen_mg < 1
     (only,) = check(compared, change, observed.blocks(), 20).periods
     assert not only.degraded
+
+
+def test_at_a_sudden_change_all_stretches_together_may_be_clear() -> None:
+    """Two stretches after it, with falls of 2 and 8 mg, say little by themselves."""
+    falls = np.array([1.5] * 8 + [2.0, 8.0])
+    number, unseen = np.arange(10), np.ones(10)
+    compared = Compared(number, number, unseen + falls, unseen)
+    before, after = check(compared, Change("step", at_block=8), 10, LIMIT_MG).periods
+    assert (before.degraded, after.degraded) == (False, True) and after.fall_mg[0] < 0
+    falls[:8] = 0.5
+    compared = Compared(number, number, unseen + falls, unseen)
+    before, after = check(compared, Change("step", at_block=8), 10, LIMIT_MG).periods
+    assert (before.degraded, after.degraded) == (False, False)
 
 
 def test_short_recordings_cannot_be_compared() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,6 +69,16 @@ def test_counts_are_those_of_the_whole(cuts: list[int]) -> None:
     assert rows.temperature_mc == tuple(float(HEAT_MC[hour].mean()) for hour in hours)
     assert rows.worn == (True, False, True, False, None)
     assert len(rows) == 5 and rows.block_samples == HOUR
+
+
+@pytest.mark.parametrize("cuts", [[], [3, 14, 1001], list(range(1, ROWS, 7))])
+def test_one_sample_in_five_seconds_is_looked_at(cuts: list[int]) -> None:
+    """Of the recording, wherever its chunks begin: at 2 Hz every tenth."""
+    timeline = Timeline(replace(RECORDING, rate_hz=2.0), ROWS, WINDOW)
+    for start, stop in itertools.pairwise([0, *cuts, ROWS]):
+        heat, clock = HEAT_MC[start:stop], StampClock(TIMES[start:stop])
+        timeline.see(Chunk(start, COUNTS[start:stop], clock, 0, temperature_mc=heat))
+    assert timeline.result().temperature_mc == (float(HEAT_MC[::10].mean()),)
 
 
 def test_longer_blocks_are_sums_of_shorter_ones() -> None:
