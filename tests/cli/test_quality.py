@@ -245,7 +245,7 @@ def test_two_weeks_with_all_points_are_below_200_kb(tmp_path: Path, monkeypatch:
     (one,) = made
     text = dumps_quality(quality_json(_largest(one)))
     validator().validate(json.loads(text))
-    assert 150_000 < len(text) < 200_000
+    assert 150_000 < len(text) < 200_000, len(text)
 
 
 def _largest(one: QualityInput) -> QualityInput:
