@@ -176,7 +176,7 @@ def reproduced(
         unused=noted_unused(document.report["recording"]),
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:
-        data = run.count_beyond(run.result(judge_of(run, document))[0])
+        data = run.count_beyond(run.result(judge_of(run, document)).data)
         written = (run, data) if calibrate.writes_parquet(data) else None
         return build(data), check_parquet(written, document, values=options.values)
 

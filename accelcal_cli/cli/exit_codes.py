@@ -22,6 +22,7 @@ from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, printa
 
 OK = 0
 SOME_FAILED = 1
+DEGRADED = 1
 REFUSED = 4
 BUG = 70
 NO_MEMORY = 71

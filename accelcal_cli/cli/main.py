@@ -48,6 +48,7 @@ COMMANDS = {
     "six-pose": "Calibrate a sensor from a session on its six faces.",
     "inspect": "Show what a recording holds and predict its outcome.",
     "fit": "Fit still-window means from another tool and judge the fit.",
+    "quality": "Show a recording's error by the hour, and whether its calibration holds.",
     "apply": "Apply known coefficients to recordings of the same device.",
     "verify": "Reproduce a report from its recording, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",

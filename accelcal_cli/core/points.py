@@ -89,6 +89,7 @@ class TimedMeans:
         mean_g: (n, 3) raw mean [standard g].
         celsius: (n,) mean temperature [degrees C], or None.
         block_samples: samples in a row that make a block; block_h: the hours that they take.
+        windows: (n,) how many still windows are behind each, where that matters.
     """
 
     block: NDArray[np.int64]
@@ -96,6 +97,7 @@ class TimedMeans:
     celsius: NDArray[np.float64] | None
     block_samples: int
     block_h: float
+    windows: NDArray[np.int64] | None = None
 
     def blocks(self) -> int:
         """Number of blocks, up to the last one with stillness."""

@@ -267,6 +267,39 @@ class Jumps:
 
 
 @dataclass(frozen=True, slots=True)
+class TimeRows:
+    """What a recording is made of along time: one number for each of its b blocks, in the order of time.
+
+    Attributes:
+        block_samples: samples of a block; the last one may have fewer.
+        samples: how many there are.
+        still: still windows that begin there, near 1 g or not; moving: how many windows the other samples
+            make that were measured.
+        filled, clipped, recovered: samples of the device's idle sleep, at the sensor's range, from a damaged
+            block.
+        lost_bytes: of the (uncompressed) file, that damage took there.
+        gap_us: time that is missing before its samples.
+        temperature_mc: mean [thousandths of a degree C]; None without thermometer.
+        worn: whether the device was worn, None where too little was measured to tell.
+    """
+
+    block_samples: int
+    samples: tuple[int, ...]
+    still: tuple[int, ...]
+    moving: tuple[int, ...]
+    filled: tuple[int, ...]
+    clipped: tuple[int, ...]
+    recovered: tuple[int, ...]
+    lost_bytes: tuple[int, ...]
+    gap_us: tuple[int, ...]
+    temperature_mc: tuple[float | None, ...]
+    worn: tuple[bool | None, ...]
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+
+@dataclass(frozen=True, slots=True)
 class SampleCounts:
     """Samples by what is particular to them; the report's `file_health` has them by these names.
 

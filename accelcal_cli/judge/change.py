@@ -93,6 +93,22 @@ class Found:
         return np.asarray(self.suspect.courses[self.moment] @ self.values)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """Errors of n observations along a recording, by a calibration and by what the recording itself says.
+
+    Attributes:
+        block: (n,) number of the block that each is in; stretch: (n,) that of its stretch of time.
+        given_mg: (n,) errors of the calibration.
+        unseen_mg: (n,) errors that a fit of the other stretches leaves; it follows a change if there is one.
+    """
+
+    block: Ints
+    stretch: Ints
+    given_mg: Floats
+    unseen_mg: Floats
+
+
 class ChangeSearch:
     """Whether the sensor of a recording changed, and what puts it right.
 
@@ -102,6 +118,7 @@ class ChangeSearch:
 
     def __init__(self, means: TimedMeans) -> None:
         self._means = means
+        self._design: Design | None = None
         self._one: Found | None = None
 
     def find(self, found: Calibration) -> Change:
@@ -110,7 +127,7 @@ class ChangeSearch:
         stretch = means.block // _stretch_blocks(means)
         if means.hours() < 2 * LEAST_H or len(set(stretch.tolist())) < LEAST_STRETCHES:
             return Change("none", "the recording is too short to show a change")
-        design = Design(means, found, stretch)
+        self._design = design = Design(means, found, stretch)
         still = design.errors_mg(None)
         alarms = []
         for suspect in _suspects(means):
@@ -131,6 +148,13 @@ class ChangeSearch:
             size_mg=design.size_mg(one),
         )
         return _measured(replace(change, course=_course(means, one)), one)
+
+    def compared(self) -> Compared | None:
+        """The calibration that `find` was given, held against the recording; None where it is too short."""
+        if self._design is None:
+            return None
+        suspect = None if self._one is None else self._one.suspect
+        return self._design.compared(suspect)
 
     def refined(self, found: Calibration, change: Change) -> Change:
         """A change about the calibration of what was put right by it: what it leaves is added to it."""
@@ -310,14 +334,23 @@ class Design:
         fold[means.block] = stretch % FOLDS
         self._fold = fold
 
-    def errors_mg(self, suspect: Suspect | None) -> list[float]:
-        """Mean error of each stretch by a fit of the others."""
+    def compared(self, suspect: Suspect | None) -> Compared:
+        """What the calibration leaves, and what fits do that have not seen the stretch in question."""
+        given_mg = np.asarray(1000 * np.abs(self._error))
+        return Compared(self._block, self._stretch, given_mg, self._unseen_mg(suspect))
+
+    def _unseen_mg(self, suspect: Suspect | None) -> Floats:
+        """Error of each observation by a fit of the other stretches."""
         left = np.empty(len(self._error))
         for fold in range(FOLDS):
             out = self._fold[self._block] == fold
             if out.any():
                 left[out] = self._left(self._fit(suspect, self._fold != fold), suspect)[out]
-        deviations = 1000 * np.abs(left)
+        return np.asarray(1000 * np.abs(left))
+
+    def errors_mg(self, suspect: Suspect | None) -> list[float]:
+        """Mean error of each stretch by a fit of the others."""
+        deviations = self._unseen_mg(suspect)
         stretches = sorted(set(self._stretch.tolist()))
         return [float(deviations[self._stretch == one].mean()) for one in stretches]
 

@@ -441,12 +441,26 @@ def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[N
     Elementwise, so that the figures are the same bits on every machine.
     """
     local_g = float(rest.local_g())
+    raw = [points.xyz[:, axis] / ONE * local_g for axis in range(3)]
+    celsius = None if calibration.temperature is None else temperatures_c(points)
+    return [value / local_g for value in calibrated(raw, celsius, calibration)]
+
+
+def calibrated(
+    raw: list[NDArray[np.float64]], celsius: NDArray[np.float64] | None, calibration: Calibration
+) -> list[NDArray[np.float64]]:
+    """x, y, z of a calibration that has no course, in and out in standard g, each (n,).
+
+    Args:
+        celsius: temperatures (n,), where it has slopes.
+    """
     offset, slope, gain = calibration.offset_g(), calibration.slope_g_per_c(), calibration.gain()
-    u = [points.xyz[:, axis] / ONE * local_g + offset[axis] for axis in range(3)]
+    u = [value + offset[axis] for axis, value in enumerate(raw)]
     if calibration.temperature is not None:
-        warmth = temperatures_c(points) - calibration.reference_c()
+        assert celsius is not None
+        warmth = celsius - calibration.reference_c()
         u = [value + slope[axis] * warmth for axis, value in enumerate(u)]
-    return [(gain[row, 0] * u[0] + gain[row, 1] * u[1] + gain[row, 2] * u[2]) / local_g for row in range(3)]
+    return [gain[row, 0] * u[0] + gain[row, 1] * u[1] + gain[row, 2] * u[2] for row in range(3)]
 
 
 def temperatures_c(points: PointSet) -> NDArray[np.float64]:

@@ -15,15 +15,23 @@ from typing import Any
 
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import noted_unused
-from accelcal_cli.core.points import Calibration, PointSet
+from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import DEFAULT, SIX_POSE, Settings
 from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
-from accelcal_cli.output.report import ReportInput, coefficients_json
+from accelcal_cli.output.report import coefficients_json
 from accelcal_cli.output.report_reading import COPIED, Coefficients, check_sections, read_coefficients
 from accelcal_cli.pipeline import jobs
-from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, Survey, Verdict, open_run
+from accelcal_cli.pipeline.calibrate import (
+    FirstPass,
+    Judge,
+    OwnCalibration,
+    RecordingRun,
+    Survey,
+    Verdict,
+    open_run,
+)
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.outputs import prepare
 from accelcal_cli.pipeline.report_settings import settings_from_report
@@ -265,7 +273,7 @@ def need_temperature(calibration: Calibration, recording: Recording, *, has: boo
 def keep_coefficients(path: Path, planned: Sequence[Job]) -> None:
     """Raise UsageError if a job would write over the very file that its coefficients come from."""
     for job in planned:
-        if jobs.real(path) in {jobs.real(target) for target in (job.report, job.parquet, job.integers)}:
+        if jobs.real(path) in {jobs.real(target) for target in job.outputs}:
             raise UsageError(
                 "holds the coefficients and would be overwritten",
                 path=path,
@@ -401,14 +409,15 @@ def borrow(
             donor = read_coefficients(path, by_content=True)
             try:
                 recipient, judge = _other(run, donor)
-                data, _ = recipient.result(judge)
-                if data.judgement.holdout is None:
-                    return Borrowed(None, (_untested(data.judgement),))
-                why = _why_not(judge, data.judgement.holdout) or _why_own(own, judge)
+                found = recipient.result(judge)
+                verdict = found.data.judgement
+                if verdict.holdout is None:
+                    return Borrowed(None, (_untested(verdict),))
+                why = _why_not(judge, verdict.holdout) or _why_own(own, judge)
             except UsageError as error:
                 why = error.message
             if why is None:
-                return Borrowed(recipient.write(_relocatable(data, job)), tuple(reasons))
+                return Borrowed(recipient.write(_relocatable(found, job)), tuple(reasons))
             reasons.append(printable(f"with the coefficients of {donor.origin.path}, {why}"))
         return Borrowed(None, tuple(reasons))
 
@@ -436,20 +445,21 @@ def _why_not(judge: GivenCoefficients, holdout: Holdout) -> str | None:
     return f"{changed}, {limit_mg:g} mg is the limit" if after >= limit_mg else None
 
 
-def _why_own(own: tuple[ReportInput, PointSet] | None, judge: GivenCoefficients) -> str | None:
+def _why_own(own: FirstPass | None, judge: GivenCoefficients) -> str | None:
     """Why the recording's own calibration, which its points come with, is preferred; or None."""
-    if own is None or (holdout := own[0].judgement.holdout) is None:
+    if own is None or (holdout := own.data.judgement.holdout) is None:
         return None
     settings = judge.settings
-    borrowed = held_out(own[1], judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
+    borrowed = held_out(own.points, judge.calibration, settings.gravity, settings.posture_degrees, UNSEEN)
     if borrowed is None or not better(borrowed, holdout):
         shown = "no" if borrowed is None else f"{borrowed.after.mean:.2f} mg"
         return f"{shown} instead of its own {holdout.after.mean:.2f} mg is no less beyond the uncertainty"
     return None
 
 
-def _relocatable(data: ReportInput, job: Job) -> ReportInput:
+def _relocatable(found: FirstPass, job: Job) -> FirstPass:
     """The coefficient file by its path from the report, so that both may be moved together."""
-    used = data.taken["coefficients"]
+    used = found.data.taken["coefficients"]
     path = Path(os.path.relpath(used["path"], job.report.parent)).as_posix()
-    return replace(data, taken={**data.taken, "coefficients": {**used, "path": path}})
+    taken = {**found.data.taken, "coefficients": {**used, "path": path}}
+    return replace(found, data=replace(found.data, taken=taken))

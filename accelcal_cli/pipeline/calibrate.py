@@ -13,6 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
@@ -26,9 +29,11 @@ from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
+from accelcal_cli.pipeline.timeline import Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.windows import WindowLog
 
 SURVEYED_AT_ONCE = 4
@@ -155,6 +160,32 @@ def open_run(
         yield RecordingRun(job, request, progress, reader, path, before)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstPass:
+    """What comes of the first pass.
+
+    Attributes:
+        data: all that the report says but what the second pass counts.
+        points: the recording's points, put right where its sensor changed and the calibration follows.
+        raw: the points before that; posture: (n,) number of the posture of each.
+        method: with all still windows taken in.
+        timeline: what was counted along time; None for a procedure without blocks of time.
+    """
+
+    data: ReportInput
+    points: PointSet
+    raw: PointSet
+    posture: NDArray[np.int64]
+    method: survey.Method
+    timeline: Timeline | None
+
+    def quality(self) -> QualityInput | None:
+        """The recording along time; None without blocks of time."""
+        if self.timeline is None:
+            return None
+        return along_time(self.data, self.raw, self.posture, self.method, self.timeline)
+
+
 @dataclass(frozen=True, slots=True)
 class RecordingRun:
     """One open recording, what is asked for, and where the results go.
@@ -180,30 +211,27 @@ class RecordingRun:
         """
         job, read = self.job, (self.reader.recording.companion, self.request.poses)
         log = None if self.request.windows is None else WindowLog()
-        jobs.refuse_overwriting((job.parquet, job.report, job.integers, *self._windows), read)
+        jobs.refuse_overwriting((*job.outputs, *self._windows), read)
         outputs.prepare(job, self._windows, force=self.request.force)
         if not self.request.force:
             existing = outputs.up_to_date(self.job, self.bytes_at, self.reader.recording, self.request)
             if existing is not None and log is None:
                 return existing
-        data, points = self.result(judge, log)
+        found = self.result(judge, log)
         if log is not None and self.request.windows is not None:
             jobs.check_unchanged(self.bytes_at, self.before)
-            log.write(self.request.windows, data, points)
-        return self.write(data, integers_json(data, points) if self.request.integers else None)
+            log.write(self.request.windows, found.data, found.points)
+        return self.write(found, integers_json(found.data, found.points) if self.request.integers else None)
 
     @property
     def _windows(self) -> tuple[Path, ...]:
         return () if self.request.windows is None else (self.request.windows,)
 
-    def result(self, judge: Judge, log: WindowLog | None = None) -> tuple[ReportInput, PointSet]:
+    def result(self, judge: Judge, log: WindowLog | None = None) -> FirstPass:
         """First pass: survey the recording and judge it; nothing is written.
 
         Args:
             log: takes in all still windows.
-
-        Returns:
-            all that the report says but what the second pass counts, and the recording's points.
 
         Raises:
             UnreadableError: the recording cannot be read on.
@@ -211,13 +239,15 @@ class RecordingRun:
         recording, optimizer = self.reader.recording, judge.optimizer()
         method = judge.method(recording)
         method = method if log is None else log.watch(method, recording.rate_hz)
+        timeline = timeline_of(method, recording)
+        others = [one for one in (log, timeline) if one is not None]
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
-            facts = self.survey(method, *(() if log is None else (log,)))
-            points = method.procedure.result()
-            settings = self.request.settings
-            covered = coverage(points, postures(points, settings.posture_degrees))
-            damage = damage_verdict(facts, settings.max_damage_percent, covered)
-            verdict = judge.verdict(self, Survey(recording, facts, method, points, covered, damage))
+            facts = self.survey(method, *others)
+            raw = method.procedure.result()
+            posture = postures(raw, self.request.settings.posture_degrees)
+            covered = coverage(raw, posture)
+            damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
+            verdict = judge.verdict(self, Survey(recording, facts, method, raw, covered, damage))
             points = method.procedure.result()  # of a sensor that changed they are put right
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
@@ -233,7 +263,7 @@ class RecordingRun:
             clipped_after=None,
             taken=verdict.sections,
         )
-        return data, points
+        return FirstPass(data, points, raw, posture, method, timeline)
 
     def survey(self, method: survey.Method, *others: survey.Observer) -> Facts:
         """Facts of the recording, and its still windows into the method and other observers."""
@@ -246,7 +276,7 @@ class RecordingRun:
         give_back_freed_memory()
         return facts.result()
 
-    def write(self, data: ReportInput, integers: dict[str, Any] | None = None) -> Result:
+    def write(self, found: FirstPass, integers: dict[str, Any] | None = None) -> Result:
         """Parquet first, the report last: it is the commit mark.
 
         The report of an earlier result is removed only when the new Parquet is complete.
@@ -255,6 +285,7 @@ class RecordingRun:
             UnreadableError: the recording changed between the passes or within one.
             OutputError: a file cannot be written.
         """
+        data = found.data
         jobs.check_unchanged(self.bytes_at, self.before)
         if writes_parquet(data):
             data = replace(data, clipped_after=self._write_parquet(data))
@@ -264,6 +295,10 @@ class RecordingRun:
             outputs.remove(self.job.integers)
         else:
             write_text(self.job.integers, reports.dumps(integers, pretty=False) + "\n")
+        if (quality := found.quality()) is None:
+            outputs.remove_ours(self.job.quality)
+        else:
+            write_text(self.job.quality, dumps_quality(quality_json(quality)))
         report = outputs.with_provenance(reports.build(data), self.request.command)
         if writes_parquet(data):
             outputs.refuse_replaced(self.job.parquet, reports.parquet_metadata(data))

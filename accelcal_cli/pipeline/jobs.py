@@ -27,6 +27,7 @@ STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
 INTEGERS_SUFFIX = ".integers.json"
+QUALITY_SUFFIX = ".quality.json"
 PARQUET, JSON = ".parquet", ".json"
 DEFAULT_CHUNK_SAMPLES = 1 << 18
 
@@ -56,7 +57,20 @@ class Job:
     @property
     def integers(self) -> Path:
         """Where the fit's integers go, if they are asked for."""
-        return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + INTEGERS_SUFFIX)
+        return self._beside(INTEGERS_SUFFIX)
+
+    @property
+    def quality(self) -> Path:
+        """Where the recording's quality along time goes, if it has blocks of time."""
+        return self._beside(QUALITY_SUFFIX)
+
+    @property
+    def outputs(self) -> tuple[Path, ...]:
+        """All files that may be written."""
+        return (self.parquet, self.report, self.integers, self.quality)
+
+    def _beside(self, suffix: str) -> Path:
+        return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + suffix)
 
 
 def real(path: Path) -> Path:

@@ -57,7 +57,8 @@ def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
         return
     refuse_foreign(job.parquet, known=written_by_us(job.parquet))
     refuse_foreign_report(job.report)
-    refuse_foreign(job.integers, known=load(job.integers) is not None)
+    for path in (job.integers, job.quality):
+        refuse_foreign(path, known=load(path) is not None)
     for path in windows:
         refuse_foreign(path, known=written_by_us(path) or is_window_table(path))
 
@@ -214,10 +215,10 @@ def withdraw(job: Job) -> None:
     if report is None or _made_by(report) != CALIBRATE:
         return
     if real(Path(report["recording"]["path"])) == real(Path(printable(job.source))):
-        ours = (written_by_us(job.parquet), load(job.integers) is not None)
-        for path, known in zip((job.parquet, job.integers), ours, strict=True):
-            if known:
-                remove(path)
+        if written_by_us(job.parquet):
+            remove(job.parquet)
+        remove_ours(job.integers)
+        remove_ours(job.quality)
         remove(job.report)
 
 
@@ -228,6 +229,16 @@ def remove_stale_parquet(path: Path, metadata: dict[str, Any]) -> None:
         OutputError: it cannot be removed.
     """
     if written_by_us(path) and metadata_of(path) != json_round_trip(metadata):
+        remove(path)
+
+
+def remove_ours(path: Path) -> None:
+    """Remove a JSON file of ours that no longer holds; leave foreign files.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    if load(path) is not None:
         remove(path)
 
 

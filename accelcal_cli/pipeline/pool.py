@@ -181,9 +181,9 @@ def apply_pool(
     """
     with open_run(job, request, progress, before=before) as run:
         prepare(job, force=request.force)
-        data, _ = run.result(PoolCoefficients(request.recording_settings, document))
-        why = _why_not(data, document)
-        return run.write(data) if why is None else why
+        found = run.result(PoolCoefficients(request.recording_settings, document))
+        why = _why_not(found.data, document)
+        return run.write(found) if why is None else why
 
 
 @dataclass(frozen=True)

@@ -226,23 +226,37 @@ class CellProcedure(Procedure):
 
 
 class TimedCellProcedure(CellProcedure):
-    """The same along one recording: also whether its sensor changed, and then with what puts that right."""
+    """The same along one recording: also whether its sensor changed, and then with what puts that right.
+
+    Attributes:
+        hour_samples: samples that make an hour.
+    """
 
     def __init__(self, collector: CellCollector, recording: Recording, settings: Settings) -> None:
         super().__init__(collector)
         self._course: Course | None = None
-        self._hour_samples = collector.block_samples
+        self.hour_samples = collector.block_samples
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
         self._begun_us: list[int] = []
+        self._means: TimedMeans | None = None
 
     def see(self, chunk: Chunk) -> None:
         """Note when hours begin; of one that a preview leaves out, when the next row comes."""
         while (row := max(0, self._next_hour() - chunk.first_sample)) < len(chunk):
             self._begun_us += chunk.clock.times(row, row + 1).tolist()
 
+    def see_still(self, windows: Windows) -> None:
+        """Take windows in."""
+        super().see_still(windows)
+        self._means = None
+
+    def begun_us(self, sample: int) -> int:
+        """When the hour of a sample began, on the device's clock."""
+        return self._begun_us[sample // self.hour_samples]
+
     def _next_hour(self) -> int:
         """The first sample of the hour that has not begun."""
-        return len(self._begun_us) * self._hour_samples
+        return len(self._begun_us) * self.hour_samples
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model, judge it, look for a change of the sensor, and follow it where there is one."""
@@ -254,8 +268,8 @@ class TimedCellProcedure(CellProcedure):
         search = ChangeSearch(self.means())
         change = search.find(about)
         if change.at_block is not None:
-            hour = change.at_block * self.collector.block_samples // self._hour_samples
-            change = replace(change, at_us=self._begun_us[hour])
+            at_us = self.begun_us(change.at_block * self.collector.block_samples)
+            change = replace(change, at_us=at_us)
         verdict = replace(verdict, change=change)
         return verdict if how.settings.recalibrate == NEVER else self._followed(verdict, how, search)
 
@@ -289,6 +303,11 @@ class TimedCellProcedure(CellProcedure):
 
     def means(self) -> TimedMeans:
         """What each orientation measured in each block of time, where it can be used."""
+        if self._means is None:
+            self._means = self._timed_means()
+        return self._means
+
+    def _timed_means(self) -> TimedMeans:
         timed, collector = self.collector.timed(), self.collector
         sums = [one for _, one in timed]
         samples = np.array([one.samples for one in sums], np.int64)
@@ -301,6 +320,7 @@ class TimedCellProcedure(CellProcedure):
             celsius if collector.temperature else None,
             collector.block_samples,
             collector.block_samples / self._rate_hz / BLOCK_S,
+            np.array([one.windows for one in sums], np.int64),
         )
 
 

@@ -26,7 +26,7 @@ def refuse_impossible(path: Path, jobs: list[Job]) -> None:
     if len(jobs) > 1:
         raise UsageError("--windows names one file, but there are several recordings", hint="give one")
     for job in jobs:
-        refuse_overwriting((path,), (job.source, job.parquet, job.report, job.integers))
+        refuse_overwriting((path,), (job.source, *job.outputs))
 
 
 class WindowLog(StillWindows):

@@ -32,7 +32,10 @@ SUMMARY = (".parquet", ".csv", ".json")
 FIRST = list(COLUMNS[:2])
 """With these columns the table of every version begins."""
 
-OURS = (jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, SUFFIX, ".truth.json", ".tmp", ".part")
+OURS = (
+    jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, jobs.QUALITY_SUFFIX, SUFFIX,
+    ".truth.json", ".tmp", ".part",
+)  # fmt: skip
 TABLES = "csv"
 """The one format whose suffixes other files often have."""
 

@@ -145,8 +145,8 @@ class _Planning:
 
     def _named(self, item: Item, entry: Entry) -> bool:
         """Whether the outputs have the names that they would be given now."""
-        job, out = item.job, self.study.out
-        return {out / name for name, _ in entry.outputs} <= {job.parquet, job.report, job.integers}
+        out = self.study.out
+        return {out / name for name, _ in entry.outputs} <= set(item.job.outputs)
 
     def _replaced(self, item: Item) -> bool:
         """Whether the outputs are those of a later round, which can be taken back if the file is the same."""

@@ -62,7 +62,7 @@ def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
 
 def tidy(task: Task, lost: str | None = None) -> None:
     """Remove what killed processes of this machine left, and one of another that is known to be gone."""
-    for path in (task.item.job.parquet, task.item.job.report, task.item.job.integers):
+    for path in task.item.job.outputs:
         with contextlib.suppress(OSError):
             sweep(path)
             if lost is not None:

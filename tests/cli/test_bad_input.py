@@ -33,7 +33,8 @@ def refuse(capsys: Capture, path: Path, code: int, *parts: str, options: tuple[o
     assert ran.code == code, ran
     assert_one_line(ran, str(path), *parts)
     left = [name for name in files(path.parent) if name not in before]
-    assert left in ([], [path.stem + ".calibration.json"] if code == 4 else [])
+    refused = [f"{path.stem}.{kind}.json" for kind in ("calibration", "quality")]
+    assert left in ([], refused if code == 4 else [])
     return ran
 
 
@@ -277,7 +278,7 @@ def test_temporaries_of_a_killed_run_are_cleared_by_the_next(
     process.communicate()
     assert any(name.endswith(".tmp") for name in files(out))
     assert run_process("calibrate", path, "-d", out).code == 0
-    assert files(out) == ["long.calibrated.parquet", "long.calibration.json"]
+    assert files(out) == ["long.calibrated.parquet", "long.calibration.json", "long.quality.json"]
 
 
 def test_closed_streams_do_not_stop_the_work(tmp_path: Path) -> None:

@@ -53,7 +53,12 @@ def test_a_recording_gives_parquet_report_and_one_line(tmp_path: Path, capsys: C
     assert fields[6] == str(tmp_path / "good.calibrated.parquet")
     assert float(fields[3]) > 20
     assert float(fields[4]) < 0.5
-    assert files(tmp_path) == ["good.calibrated.parquet", "good.calibration.json", "good.csv"]
+    assert files(tmp_path) == [
+        "good.calibrated.parquet",
+        "good.calibration.json",
+        "good.csv",
+        "good.quality.json",
+    ]
 
 
 def test_the_report_validates_and_holds_the_true_errors(tmp_path: Path, capsys: Capture) -> None:
@@ -185,7 +190,7 @@ def test_a_recording_that_is_now_refused_loses_its_old_parquet(tmp_path: Path, c
     run(capsys, "calibrate", path)
     write_csv(path, still_counts(directions(4)))
     assert run(capsys, "calibrate", path).code == 4
-    assert files(tmp_path) == ["good.calibration.json", "good.csv"]
+    assert files(tmp_path) == ["good.calibration.json", "good.csv", "good.quality.json"]
 
 
 def test_refused_has_a_reason_a_report_and_no_parquet(tmp_path: Path, capsys: Capture) -> None:
@@ -195,7 +200,7 @@ def test_refused_has_a_reason_a_report_and_no_parquet(tmp_path: Path, capsys: Ca
     assert_one_line(ran, str(path), "refused", "4 postures")
     outcome, model, before, *others = ran.lines[0].split("\t")[1:]
     assert (outcome, model, others) == ("refused", "-", ["-", "-", "-"]) and float(before) > 10
-    assert files(tmp_path) == ["few.calibration.json", "few.csv"]
+    assert files(tmp_path) == ["few.calibration.json", "few.csv", "few.quality.json"]
     report = report_of(tmp_path / "few.calibration.json")
     check_report(report)
     assert report["calibration"] is None
@@ -205,7 +210,7 @@ def test_report_only_writes_no_parquet(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "calibrate", "--report-only", good_csv(tmp_path))
     assert ran.code == 0
     assert ran.lines[0].endswith("\t-")
-    assert files(tmp_path) == ["good.calibration.json", "good.csv"]
+    assert files(tmp_path) == ["good.calibration.json", "good.csv", "good.quality.json"]
 
 
 def test_foreign_files_are_not_overwritten_without_force(tmp_path: Path, capsys: Capture) -> None:
@@ -242,7 +247,7 @@ def test_gz_and_plain_of_one_stem_collide(tmp_path: Path, capsys: Capture) -> No
 def test_output_names_the_parquet_and_the_report_lies_beside(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "calibrate", good_csv(tmp_path), "-o", tmp_path / "sub" / "mine.parquet")
     assert ran.code == 0
-    assert files(tmp_path / "sub") == ["mine.calibration.json", "mine.parquet"]
+    assert files(tmp_path / "sub") == ["mine.calibration.json", "mine.parquet", "mine.quality.json"]
     other = good_csv(tmp_path, "b.csv")
     assert run(capsys, "calibrate", other, other, "-o", tmp_path / "x.parquet").code == 2
 
@@ -260,7 +265,11 @@ def test_standard_input(tmp_path: Path) -> None:
     ran = run_process("calibrate", "-", "-d", tmp_path / "out", stdin=data)
     assert (ran.code, ran.err) == (0, "")
     assert ran.lines[0].split("\t")[:3] == ["-", "calibrated", "9"]
-    assert files(tmp_path / "out") == ["stdin.calibrated.parquet", "stdin.calibration.json"]
+    assert files(tmp_path / "out") == [
+        "stdin.calibrated.parquet",
+        "stdin.calibration.json",
+        "stdin.quality.json",
+    ]
 
 
 def test_model_and_profile_are_in_the_report(tmp_path: Path, capsys: Capture) -> None:

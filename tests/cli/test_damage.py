@@ -36,7 +36,11 @@ def test_more_than_the_limit_is_refused_with_a_report(tmp_path: Path, capsys: Ca
     ran = run(capsys, "calibrate", path, "-q")
     assert ran.code == 4
     assert_one_line(ran, "lost to damage", "50 % is the limit", "--max-damage")
-    assert sorted(item.name for item in tmp_path.iterdir()) == ["a.bin", "a.calibration.json"]
+    assert sorted(item.name for item in tmp_path.iterdir()) == [
+        "a.bin",
+        "a.calibration.json",
+        "a.quality.json",
+    ]
     report = report_of(tmp_path / "a.calibration.json")
     health = report["file_health"]
     lost = sum(1 for index in range(563) if index // 57 % 10 < 6)

@@ -180,7 +180,7 @@ def test_a_recording_and_its_own_export_are_both_calibrated(tmp_path: Path, caps
     write_raw(folder / "S01.raw", still_counts(directions(60)))
     ran = study(capsys, folder, "--integers")
     assert (ran.code, ran.err.count("\n")) == (0, 1), ran.err
-    kinds = (".calibrated.parquet", ".calibration.json", ".integers.json")
+    kinds = (".calibrated.parquet", ".calibration.json", ".integers.json", ".quality.json")
     expected = {f"{stem}{kind}" for stem in ("S01", "S01.csv") for kind in kinds}
     assert {name for name in held(out) if not name.startswith("study.")} == expected
     assert report(out / "S01.calibration.json")["recording"]["format"] == "raw"

@@ -84,6 +84,7 @@ def test_a_closed_standard_output_is_told_and_the_outputs_stay(tmp_path: Path) -
         "good.calibrated.parquet",
         "good.calibration.json",
         "good.csv",
+        "good.quality.json",
     ]
 
 

@@ -27,8 +27,9 @@ def test_the_folders_are_mirrored_and_summed_up(tmp_path: Path, capsys: Capture)
     assert ran.code == 0
     assert {line.split("\t")[0] for line in ran.lines} == {str(folder / name) for name in NAMES}
     assert ran.err == f"accelcal: 3 recordings: 3 calibrated, 1 no recording; see {out / 'study.csv'}\n"
-    pairs = [f"{name[:-4]}.calibrat{end}" for name in NAMES for end in ("ed.parquet", "ion.json")]
-    assert set(results(out)) == {*pairs, "study.csv", "study.parquet", "study.json"}
+    kinds = ("calibrated.parquet", "calibration.json", "quality.json")
+    written = [f"{name[:-4]}.{kind}" for name in NAMES for kind in kinds]
+    assert set(results(out)) == {*written, "study.csv", "study.parquet", "study.json"}
     assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 

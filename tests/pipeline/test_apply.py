@@ -178,7 +178,7 @@ def test_a_warning_where_the_coefficients_do_not_help(before: float, after: floa
 def test_the_file_of_the_coefficients_is_not_written_over(tmp_path: Path) -> None:
     job = job_of(tmp_path / "a.raw", tmp_path)
     keep_coefficients(tmp_path / "b.calibration.json", [job])
-    for path in (job.report, job.parquet, job.integers):
+    for path in (job.report, job.parquet, job.integers, job.quality):
         with pytest.raises(UsageError, match="holds the coefficients and would be overwritten"):
             keep_coefficients(path, [job])
 

@@ -116,7 +116,7 @@ def test_a_moved_recording_keeps_its_result(job: Job) -> None:
     assert up_to_date(replace(job, source=moved), moved, named, Request()) is not None
 
 
-@pytest.mark.parametrize("name", ["parquet", "report", "integers"])
+@pytest.mark.parametrize("name", ["parquet", "report", "integers", "quality"])
 def test_a_foreign_file_in_the_way_is_refused_unless_forced(tmp_path: Path, name: str) -> None:
     (job,) = plan([tmp_path / "a.raw"], tmp_path / "new" / "out", None)
     prepare(job, force=False)

@@ -1,0 +1,120 @@
+"""`accelcal quality`."""
+
+from __future__ import annotations
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.output import aligned, bytes_of, number, progress_bars
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.settings import DEFAULT, Settings
+from accelcal_cli.output.report_reading import read_coefficients
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.pipeline.quality import Quality, State, as_json, quality
+
+CODES = {
+    State.HOLDS: exit_codes.OK,
+    State.DEGRADED: exit_codes.DEGRADED,
+    State.UNCHECKED: exit_codes.REFUSED,
+    State.REFUSED: exit_codes.REFUSED,
+}
+WORDS = {
+    State.HOLDS: "the calibration holds",
+    State.DEGRADED: "the calibration has degraded",
+    State.UNCHECKED: "not judged",
+    State.REFUSED: "refused",
+}
+OF_A_FIT = (
+    "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g", "optimizer",
+    "model", "prior",
+)  # fmt: skip
+"""Settings that coefficients of a report bring with them."""
+
+WORN = {True: "yes", False: "no", None: "-"}
+
+
+@click.command("quality")
+@click.argument("recording", type=options.FILE)
+@click.option("--coefficients", type=options.FILE, metavar="STEM.calibration.json",
+              help="Report whose coefficients are checked; otherwise the recording's own.")  # fmt: skip
+@click.option("--any-device", is_flag=True, help="Accept coefficients of any device.")
+@click.option("--json", "as_json_", is_flag=True, help="Print a JSON object.")
+@click.option("--tsv", is_flag=True, help="Print tab-separated rows with all columns at a terminal too.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
+@options.reading_options
+@options.damage_option
+@options.method_options
+def command(recording: Path, **values: Any) -> int:
+    """Show the error of RECORDING hour by hour, and whether its calibration holds; `-` reads standard input.
+
+    With --coefficients those of an earlier report of the same device are held against the recording.
+    Prints a row for each hour, then a sentence; nothing is written. The exit code is 0 if the
+    calibration holds, 1 if it has degraded, and 4 if the recording is refused or cannot tell.
+    """
+    request = _request(recording, values)
+    with bytes_of(recording) as source, progress_bars(recording.name, quiet=values["quiet"]) as bars:
+        found = quality(recording, request, bars, source)
+    shown = as_json(found)
+    exit_codes.show(json.dumps(shown) if values["as_json_"] else text(found, shown, tsv=values["tsv"]))
+    return CODES[found.state]
+
+
+def _request(recording: Path, values: dict[str, Any]) -> Request:
+    """What is asked for; raises UsageError for options that mean nothing."""
+    path = values["coefficients"]
+    if path is None and values["any_device"]:
+        raise UsageError("--any-device is for --coefficients only", path=recording, hint="omit it")
+    return Request(
+        options=options.read_options(values),
+        settings=options.settings(values) if path is None else _settings_beside(values),
+        chunk_samples=values["chunk_samples"],
+        coefficients=None if path is None else read_coefficients(path),
+        any_device=values["any_device"],
+        report_only=True,
+    )
+
+
+def _settings_beside(values: dict[str, Any]) -> Settings:
+    """What the user may say besides coefficients, as for `apply`."""
+    for name in OF_A_FIT:
+        if values[name] is not None:
+            raise UsageError(
+                f"--{name.removesuffix('_g').replace('_', '-')} is for the recording's own calibration",
+                hint="omit it: the coefficients are tested as their own recording was",
+            )
+    return replace(options.with_given(DEFAULT, values), temperature=not values["no_temperature"])
+
+
+def text(found: Quality, shown: dict[str, Any], *, tsv: bool) -> str:
+    """Rows and a sentence: aligned and without what is rarely looked at for people, else tab-separated."""
+    rows = shown["rows"]
+    if not rows["start"]:
+        return _sentence(found)
+    columns = {"start": [time.partition(".")[0] for time in rows["start"]], "windows": rows["windows"]}
+    for when in ("before_mg", "after_mg"):
+        both = rows[when] or dict.fromkeys(("mean", "p95"), [None] * len(rows["start"]))
+        columns |= {f"{when}": both["mean"], f"{when.removesuffix('mg')}p95_mg": both["p95"]}
+    columns |= {"celsius": rows["temperature_c"], "worn": [WORN[one] for one in rows["worn"]]}
+    if sys.stdout.isatty() and not tsv:
+        return f"{aligned(list(columns), _lines(columns))}\n\n{_sentence(found)}"
+    columns |= {name: rows[name] for name in ("still", "moving", "gap_s", "filled", "clipped", "recovered")}
+    lines = _lines(columns)
+    return "\n".join(["\t".join(line) for line in (columns, *lines)] + [_sentence(found)])
+
+
+def _lines(columns: dict[str, list[Any]]) -> list[list[str]]:
+    return [list(map(_cell, line)) for line in zip(*columns.values(), strict=True)]
+
+
+def _cell(value: Any) -> str:
+    return number(value, ".2f") if isinstance(value, float) or value is None else str(value)
+
+
+def _sentence(found: Quality) -> str:
+    return printable(f"{found.path}: {WORDS[found.state]}: {found.message}")

@@ -1,0 +1,208 @@
+"""Errors of a calibration along a recording, and whether it has degraded.
+
+The check is that of Grammenos et al. (2018): every hour the deviation of |a| from g on still windows is
+looked at, and a sensor whose deviation has grown is to be calibrated anew. Here a calibration is held against
+what the recording itself says: the error that a fit leaves on stretches of time which it has not seen. Where
+a new calibration would gain little, the old one holds; where it would gain much and clearly, or where the
+error is beyond the limit, it has degraded.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import pairwise
+from math import fsum, inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.points import Calibration, PointSet, TimedMeans
+from accelcal_cli.core.results import Change, Holdout
+from accelcal_cli.judge.change import LEAST_MG, Compared
+from accelcal_cli.judge.errors import mean, standard_error, student_t_975
+from accelcal_cli.judge.verdict import applied, calibrated
+
+PARTS = 4
+"""A recording whose sensor creeps is looked at in so many parts of time."""
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Mean and 95th percentile of | |a| - 1 g | [mg], in which windows count alike."""
+
+    mean: float
+    p95: float
+
+
+def deviations_mg(means: TimedMeans, calibration: Calibration | None, rest: Gravity) -> Floats:
+    """|a| - 1 g of each observation [mg], (n,), in units of local gravity; of raw values without one.
+
+    Elementwise, so that the figures are the same bits on every machine.
+    """
+    right = means
+    if calibration is not None and calibration.course is not None and len(means.block):
+        right = means.along(calibration.course)
+    a = [right.mean_g[:, axis] for axis in range(3)]
+    if calibration is not None:
+        a = calibrated(a, means.celsius, calibration)
+    return _lengths_off_mg([value / float(rest.local_g()) for value in a])
+
+
+def point_deviations_mg(points: PointSet, calibration: Calibration | None, rest: Gravity) -> Floats:
+    """The same of points, which have been put right where the calibration has a course, (n,)."""
+    if calibration is not None:
+        return _lengths_off_mg(applied(points, calibration, rest))
+    g = points.xyz_g()
+    return _lengths_off_mg([g[:, axis] for axis in range(3)])
+
+
+def _lengths_off_mg(a: list[Floats]) -> Floats:
+    return np.asarray(1000 * (np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) - 1.0))
+
+
+def by_block(deviations: Floats, windows: NDArray[np.int64], block: NDArray[np.int64]) -> dict[int, Spread]:
+    """How far off observations are in each block of time that has any.
+
+    Args:
+        windows: (n,) how many there are behind each observation; block: (n,) where it belongs.
+    """
+    held: dict[int, list[tuple[float, int]]] = defaultdict(list)
+    columns = (np.abs(deviations).tolist(), windows.tolist(), block.tolist())
+    for error, number, one in zip(*columns, strict=True):
+        held[one].append((error, number))
+    return {one: _spread(sorted(held[one])) for one in sorted(held)}
+
+
+def _spread(ordered: list[tuple[float, int]]) -> Spread:
+    """Of errors and how often each counts; the percentile is the smallest error not below 95 % of all."""
+    total, seen = sum(number for _, number in ordered), 0
+    average = fsum(error * number for error, number in ordered) / total
+    for error, number in ordered:
+        seen += number
+        if 100 * seen >= 95 * total:
+            return Spread(average, error)
+    raise AssertionError("the last error is not below any share of all")
+
+
+@dataclass(frozen=True, slots=True)
+class Period:
+    """A part of a recording in which a calibration is judged as a whole.
+
+    Attributes:
+        first, end: number of its first block, and of the one after its last.
+        given_mg: mean error of the calibration over its stretches of time.
+        unseen_mg: the same of a calibration of the recording itself, on stretches that it has not seen.
+        fall_mg: 95 % interval of how much less that is.
+        degraded: whether the calibration does not hold there.
+    """
+
+    first: int
+    end: int
+    given_mg: float
+    unseen_mg: float
+    fall_mg: tuple[float, float]
+    degraded: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """What is said of a calibration along a recording.
+
+    Attributes:
+        periods: one, unless the sensor changed meanwhile or the error rose at the end.
+        rises: whether the error of the last period is far above all before.
+    """
+
+    periods: tuple[Period, ...]
+    rises: bool = False
+
+    @property
+    def degraded(self) -> tuple[Period, ...]:
+        """The periods in which the calibration does not hold."""
+        return tuple(period for period in self.periods if period.degraded)
+
+
+def check(compared: Compared, change: Change, blocks: int, limit_mg: float) -> Check:
+    """Judge a calibration of other data along a recording.
+
+    Args:
+        change: how the recording's sensor changed meanwhile, as found about the calibration.
+        blocks: how many blocks of time the recording has.
+        limit_mg: an error that no usable calibration has.
+    """
+    whole = _clear(_falls(compared, 0, blocks))
+    rise = None if change.at_block is not None else _rise(compared)
+    moment = change.at_block if rise is None else rise
+    edges = [0, blocks] if change.kind == "none" else _parts(blocks)
+    if moment is not None:
+        edges = [0, moment, blocks]
+    periods = [
+        _period(compared, first, end, limit_mg, clear=whole and moment is not None)
+        for first, end in pairwise(edges)
+    ]
+    return Check(tuple(period for period in periods if period is not None), rise is not None)
+
+
+def _parts(blocks: int) -> list[int]:
+    """Where parts of about the same length begin, and where the last one ends."""
+    return sorted({round(part * blocks / PARTS) for part in range(PARTS + 1)})
+
+
+def _rise(compared: Compared) -> int | None:
+    """The block from which on every stretch has an error far above all before; None where there is none.
+
+    A change in a recording's last hours is too short for `ChangeSearch`. By chance the last two of n
+    stretches are the worst ones once in n (n - 1) / 2 times, and hardly ever by so much.
+    """
+    numbers = sorted(set(compared.stretch.tolist()))
+    errors = [float(compared.given_mg[compared.stretch == number].mean()) for number in numbers]
+    for place in range(len(errors) // 2, len(errors) - 1):
+        if min(errors[place:]) >= max(errors[:place]) + LEAST_MG:
+            return int(compared.block[compared.stretch == numbers[place]].min())
+    return None
+
+
+def _period(compared: Compared, first: int, end: int, limit_mg: float, *, clear: bool) -> Period | None:
+    """A part of the recording; None without stillness.
+
+    Args:
+        clear: that there is a fall is known already, from all of the recording.
+    """
+    pairs = _falls(compared, first, end)
+    if not pairs:
+        return None
+    given, unseen = mean([one for one, _ in pairs]), mean([other for _, other in pairs])
+    pays = given - unseen >= LEAST_MG and (clear or _clear(pairs))
+    return Period(first, end, given, unseen, _interval(pairs), pays or given >= limit_mg)
+
+
+def _falls(compared: Compared, first: int, end: int) -> list[tuple[float, float]]:
+    """(given, unseen) mean error of each stretch, as far as it lies within these blocks."""
+    inside = (compared.block >= first) & (compared.block < end)
+    return [
+        (float(compared.given_mg[one].mean()), float(compared.unseen_mg[one].mean()))
+        for number in sorted(set(compared.stretch[inside].tolist()))
+        for one in [inside & (compared.stretch == number)]
+    ]
+
+
+def _clear(pairs: list[tuple[float, float]]) -> bool:
+    return _interval(pairs)[0] > 0
+
+
+def _interval(pairs: list[tuple[float, float]]) -> tuple[float, float]:
+    """95 % interval of the mean fall, Student's t over stretches."""
+    falls = [given - unseen for given, unseen in pairs]
+    if len(falls) < 2:
+        return (-inf, inf)
+    half = student_t_975(len(falls) - 1) * standard_error(falls)
+    return (mean(falls) - half, mean(falls) + half)
+
+
+def far_off(holdout: Holdout | None, limit_mg: float) -> bool:
+    """Whether errors on postures that were not fitted are clearly beyond a limit."""
+    return holdout is not None and holdout.ci95[0] >= limit_mg

@@ -1,0 +1,185 @@
+"""`STEM.quality.json`: a recording along its time, and its points; what pictures of it are drawn from.
+
+Columns of numbers, so that two weeks and the most points that there can be fit into 200 KB. It depends on the
+recording, the settings and the version alone.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli import __version__
+from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet
+from accelcal_cli.core.results import Holdout, TimeRows
+from accelcal_cli.output.report import ReportInput
+
+SCHEMA_VERSION = 1
+
+UNITS = {
+    "x": "0.001 g",
+    "y": "0.001 g",
+    "z": "0.001 g",
+    "temperature": "0.1 C",
+    "before": "0.01 mg",
+    "after": "0.01 mg",
+    "weight": "0.001",
+}
+"""What a whole number in a column of `points` counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class BlockErrors:
+    """Error of still windows in a block of time, mean and 95th percentile [mg], before and after calibration.
+
+    Attributes:
+        windows: how many there are; after: None without a calibration.
+    """
+
+    windows: int
+    before: tuple[float, float]
+    after: tuple[float, float] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointErrors:
+    """The n points.
+
+    Attributes:
+        points: raw, in units of local gravity.
+        before_mg, after_mg: (n,) |a| - 1 g; after: None without a calibration.
+        posture: (n,) number of the posture that each belongs to.
+        celsius: (n,) temperatures, or None.
+    """
+
+    points: PointSet
+    before_mg: NDArray[np.float64]
+    after_mg: NDArray[np.float64] | None
+    posture: NDArray[np.int64]
+    celsius: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QualityInput:
+    """All that the document says.
+
+    Attributes:
+        rows: of b blocks of time; begun_us: when each of them begins, on the device's clock.
+        errors: by the number of the block, where it has still windows.
+        folds: into how many parts the postures were dealt that were held out in turn; None if they were not.
+    """
+
+    data: ReportInput
+    rows: TimeRows
+    begun_us: Sequence[int]
+    errors: Mapping[int, BlockErrors]
+    points: PointErrors
+    folds: int | None
+
+
+def quality_json(made: QualityInput) -> dict[str, Any]:
+    """The document."""
+    data = made.data
+    judgement, rate_hz = data.judgement, data.recording.rate_hz
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "accelcal_version": __version__,
+        "sha256": data.sha256,
+        "outcome": str(judgement.outcome),
+        "model": None if judgement.calibration is None else judgement.calibration.model,
+        "row": {
+            "samples": made.rows.block_samples,
+            "seconds": round(made.rows.block_samples / rate_hz, 6),
+            "rate_hz": rate_hz,
+        },
+        "rows": rows_json(made),
+        "units": UNITS,
+        "points": _points(made.points),
+        "postures": _postures(judgement.holdout, made.folds),
+    }
+
+
+def rows_json(made: QualityInput) -> dict[str, Any]:
+    """The columns of the blocks of time."""
+    rows, offset_s = made.rows, made.data.facts.utc_offset_s
+    found = [made.errors.get(number) for number in range(len(rows))]
+    calibrated = made.data.judgement.calibration is not None
+    return {
+        "start": [iso_time(begun, offset_s) for begun in made.begun_us],
+        "samples": list(rows.samples),
+        "still": list(rows.still),
+        "moving": list(rows.moving),
+        "windows": [0 if one is None else one.windows for one in found],
+        "before_mg": _columns(found, lambda one: one.before),
+        "after_mg": _columns(found, lambda one: one.after) if calibrated else None,
+        "temperature_c": [None if heat is None else round(heat / 1000, 2) for heat in rows.temperature_mc],
+        "gap_s": [_short(us / 1e6) for us in rows.gap_us],
+        "filled": list(rows.filled),
+        "clipped": list(rows.clipped),
+        "recovered": list(rows.recovered),
+        "lost_bytes": list(rows.lost_bytes),
+        "worn": list(rows.worn),
+    }
+
+
+def _columns(
+    found: Sequence[BlockErrors | None], of: Callable[[BlockErrors], tuple[float, float] | None]
+) -> dict[str, list[float | None]]:
+    """Mean and 95th percentile of each block; None without still windows."""
+    pairs = [None if one is None else of(one) for one in found]
+    return {
+        name: [None if pair is None else round(pair[place], 2) for pair in pairs]
+        for place, name in enumerate(("mean", "p95"))
+    }
+
+
+def _short(seconds: float) -> float | int:
+    """A length of time; a whole number where it is one, which nearly all are: 0."""
+    shown = round(seconds, 3)
+    return int(shown) if shown == int(shown) else shown
+
+
+def _points(made: PointErrors) -> dict[str, Any]:
+    points = made.points
+    x, y, z = (_whole(points.xyz[:, axis] / ONE * 1000) for axis in range(3))
+    return {
+        "x": x,
+        "y": y,
+        "z": z,
+        "windows": points.windows.tolist(),
+        "weight": _whole(points.weights / WEIGHT_ONE * 1000),
+        "temperature": None if made.celsius is None else _whole(10 * made.celsius),
+        "posture": made.posture.tolist(),
+        "before": _whole(100 * made.before_mg),
+        "after": None if made.after_mg is None else _whole(100 * made.after_mg),
+    }
+
+
+def _whole(values: NDArray[np.float64]) -> list[int]:
+    numbers: list[int] = np.rint(values).astype(np.int64).tolist()
+    return numbers
+
+
+def _postures(holdout: Holdout | None, folds: int | None) -> dict[str, Any] | None:
+    """Errors of each posture where it took no part in the fit."""
+    if holdout is None:
+        return None
+    before, after = ([round(pair[place], 2) for pair in holdout.per_posture] for place in range(2))
+    return {"method": holdout.method, "folds": folds, "before_mg": before, "after_mg": after}
+
+
+def dumps_quality(document: Mapping[str, Any]) -> str:
+    """Its text: a line for each key, without further blanks."""
+    lines = (f"{json.dumps(key)}:{_text(value)}" for key, value in document.items())
+    return "{" + ",\n".join(lines) + "}\n"
+
+
+def _text(value: Any) -> str:
+    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)

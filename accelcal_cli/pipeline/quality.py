@@ -1,0 +1,282 @@
+"""`accelcal quality`: whether a calibration holds along a recording, in one pass that writes nothing.
+
+The coefficients are those of a report, which are tested as `apply` tests them, or the recording's own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.errors import UsageError, counted, printable
+from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.results import Change, Judgement, Outcome
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, Compared, told
+from accelcal_cli.judge.errors import mean
+from accelcal_cli.judge.quality import Period, check, far_off
+from accelcal_cli.output.quality import QualityInput, rows_json
+from accelcal_cli.pipeline.apply import given
+from accelcal_cli.pipeline.calibrate import FirstPass, Judge, OwnCalibration, RecordingRun, open_run
+from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
+from accelcal_cli.pipeline.survey import Procedure, TimedCellProcedure
+
+RENEW = "find new coefficients"
+
+
+class State(StrEnum):
+    """What is said of a calibration along a recording; refused: the recording has none of its own."""
+
+    HOLDS = "holds"
+    DEGRADED = "degraded"
+    UNCHECKED = "unchecked"
+    REFUSED = "refused"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Quality:
+    """What a look along a recording showed.
+
+    Attributes:
+        made: the rows of its blocks of time, and its judgement.
+        message: one sentence.
+        since, until: times between which the calibration does not hold; None: from the first sample, or to
+            the last one, on.
+        periods: the parts of the recording that were judged.
+    """
+
+    path: Path
+    made: QualityInput
+    state: State
+    message: str
+    since: str | None = None
+    until: str | None = None
+    periods: tuple[Period, ...] = ()
+
+    def when(self, block: int) -> str | None:
+        """When a block of time begins; None for the end of the recording."""
+        begun = self.made.begun_us
+        return iso_time(begun[block], self.made.data.facts.utc_offset_s) if block < len(begun) else None
+
+
+def quality(
+    path: Path, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
+) -> Quality:
+    """Look at a recording along its time, with the request's coefficients or its own.
+
+    Args:
+        source: where the recording's bytes are, if not at its path.
+
+    Raises:
+        AccelcalError: it cannot be read, or the coefficients cannot be applied to it (see `apply`).
+    """
+    with open_run(Job(path, path, path), request, progress, source) as run:
+        ready, judge = _judged_by(run)
+        if not isinstance(judge.method(ready.reader.recording).procedure, TimedCellProcedure):
+            raise UsageError(
+                f"profile {judge.settings.profile} keeps no windows along time",
+                path=path,
+                hint="use --profile default, or coefficients that were found with it",
+            )
+        found = ready.result(judge)
+    made = found.quality()
+    assert made is not None
+    start = Quality(path, made, State.REFUSED, made.data.judgement.message)
+    if made.data.judgement.outcome is Outcome.REFUSED:
+        return start
+    return _of_own(start, found) if request.coefficients is None else _of_given(start, found, judge.settings)
+
+
+def _judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
+    """The run with the settings that go with what is checked, and who judges that."""
+    request = run.request
+    if request.coefficients is None:
+        return run, OwnCalibration(request.recording_settings)
+    return given(run, request.coefficients)
+
+
+def _of_own(start: Quality, found: FirstPass) -> Quality:
+    """A recording's own calibration, as it is before the sensor changes, holds as long as that does not."""
+    calibration = start.made.data.judgement.calibration
+    assert calibration is not None
+    held = _held_against(replace(calibration, course=None), found.method.procedure)
+    if held.compared is None:
+        return _short(start, held.change.unchecked or "", LEAST_MG)
+    return _judged(start, held, own=True)
+
+
+def _of_given(start: Quality, found: FirstPass, settings: Settings) -> Quality:
+    """Coefficients of elsewhere hold where a calibration of the recording itself would gain little."""
+    judgement = start.made.data.judgement
+    assert judgement.calibration is not None
+    postures = judgement.coverage.distinct_orientations
+    if postures < settings.min_postures:
+        least = f"at least {settings.min_postures} are needed"
+        return _short(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
+    held = _held_against(judgement.calibration, found.method.procedure)
+    if held.compared is None:
+        return _short(start, held.change.unchecked or "", LEAST_MG)
+    return _judged(start, held, own=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Held:
+    """A calibration held against a recording.
+
+    Attributes:
+        change: how the sensor changed, as seen from the calibration.
+        compared: its errors; None where the recording is too short.
+        blocks: number of blocks of time, of so many samples each.
+    """
+
+    change: Change
+    compared: Compared | None
+    blocks: int
+    block_samples: int
+
+
+def _held_against(calibration: Calibration, procedure: Procedure) -> _Held:
+    assert isinstance(procedure, TimedCellProcedure)
+    means = procedure.means()
+    if calibration.course is not None and len(means.block):
+        means, calibration = means.along(calibration.course), replace(calibration, course=None)
+    search = ChangeSearch(means)
+    change = search.find(calibration)
+    if change.at_block is not None:
+        change = replace(change, at_us=procedure.begun_us(change.at_block * means.block_samples))
+    return _Held(change, search.compared(), means.blocks(), means.block_samples)
+
+
+def _judged(start: Quality, held: _Held, *, own: bool) -> Quality:
+    """What comes of the periods."""
+    assert held.compared is not None
+    limit_mg = start.made.data.settings.method.max_error_mg
+    checked = check(held.compared, held.change, held.blocks, limit_mg)
+    start = replace(start, periods=_in_rows(checked.periods, start.made, held.block_samples))
+    if checked.degraded:
+        return _degraded(start, held.change)
+    return _rising(start) if checked.rises else _holding(start, held, own=own)
+
+
+def _in_rows(periods: tuple[Period, ...], made: QualityInput, block_samples: int) -> tuple[Period, ...]:
+    """Periods by numbers of the rows, which may be longer than blocks; the last goes to the end."""
+    each = made.rows.block_samples // block_samples
+    ends = [*(period.end // each for period in periods[:-1]), len(made.rows)]
+    return tuple(
+        replace(one, first=one.first // each, end=end) for one, end in zip(periods, ends, strict=True)
+    )
+
+
+def _holding(start: Quality, held: _Held, *, own: bool) -> Quality:
+    """The mean over all stretches of time, and that of the recording's own calibration."""
+    compared = held.compared
+    assert compared is not None
+    numbers = sorted(set(compared.stretch.tolist()))
+    given_mg, unseen_mg = (
+        mean([float(errors[compared.stretch == number].mean()) for number in numbers])
+        for errors in (compared.given_mg, compared.unseen_mg)
+    )
+    seen = f"{unseen_mg:.2f} mg on {len(numbers)} stretches of time, none of which its fit had seen"
+    if not own:
+        seen = f"{given_mg:.2f} mg; a calibration of the recording itself would leave {seen}"
+    elif held.change.kind == "none":
+        seen = f"{seen}, and no change of the sensor"
+    return replace(start, state=State.HOLDS, message=_with(seen, start, held.change))
+
+
+def _rising(start: Quality) -> Quality:
+    """The end of the recording is too short to tell what it is."""
+    before, late = start.periods[0], start.periods[-1]
+    since = start.when(late.first)
+    text = f"from {_seconds(since)} on it leaves {late.given_mg:.1f} mg, before that {before.given_mg:.1f} mg"
+    text = f"{text}; that is too short to tell a sensor that changed from a posture that is new"
+    return replace(start, state=State.UNCHECKED, message=text, since=since)
+
+
+def _degraded(start: Quality, change: Change) -> Quality:
+    """From the first period that it does not hold in, up to the next one that it does."""
+    periods = list(start.periods)
+    first = next(place for place, one in enumerate(periods) if one.degraded)
+    last = first
+    while last + 1 < len(periods) and periods[last + 1].degraded:
+        last += 1
+    worst = max(periods[first : last + 1], key=lambda one: one.given_mg - one.unseen_mg)
+    since = start.when(periods[first].first) if first else None
+    until = start.when(periods[last].end)
+    span = f"from {_seconds(since)}" if since else "from the beginning"
+    span = f"{span} to {_seconds(until)}" if until else f"{span} on"
+    new = f"a new calibration would leave {worst.unseen_mg:.1f} mg"
+    text = _with(f"{span} it leaves {worst.given_mg:.1f} mg, {new}; {RENEW}", start, change)
+    return replace(start, state=State.DEGRADED, message=text, since=since, until=until)
+
+
+def _with(text: str, start: Quality, change: Change) -> str:
+    """The sentence, and how the sensor changed meanwhile."""
+    changed = told(change, start.made.data.facts.utc_offset_s, followed=False)
+    return text if changed is None else f"{text}; {changed.split(';')[0]}"
+
+
+def _seconds(time: str | None) -> str:
+    """A time without fractions of a second."""
+    return "" if time is None else time.partition(".")[0]
+
+
+def _short(start: Quality, why: str, small_mg: float | None) -> Quality:
+    """What can be said where stretches of time cannot be compared: errors on postures that were not fitted.
+
+    Args:
+        small_mg: coefficients hold whose error is clearly below this: nothing could gain more. None: nothing
+            holds.
+    """
+    judgement, settings = start.made.data.judgement, start.made.data.settings.method
+    holdout = judgement.holdout
+    seen = "" if holdout is None else f"{holdout.after.mean:.2f} mg on {counted(holdout.postures, 'posture')}"
+    if far_off(holdout, settings.max_error_mg):
+        text = f"from the beginning on it leaves {seen}, {settings.max_error_mg:g} mg is the limit; {RENEW}"
+        return replace(start, state=State.DEGRADED, message=text)
+    if holdout is not None and small_mg is not None and holdout.ci95[1] < small_mg:
+        text = f"{seen}, 95 % interval up to {holdout.ci95[1]:.2f} mg; not checked along time: {why}"
+        return replace(start, state=State.HOLDS, message=text)
+    return replace(start, state=State.UNCHECKED, message=f"{why}{seen and f'; {seen}'}")
+
+
+def as_json(found: Quality) -> dict[str, Any]:
+    """The look as a JSON object."""
+    made, donor = found.made, found.made.data.taken.get("coefficients")
+    rows = made.rows
+    return {
+        "recording": printable(found.path),
+        "coefficients": None if donor is None else donor["path"],
+        "state": str(found.state),
+        "message": found.message,
+        "since": found.since,
+        "until": found.until,
+        "periods": [_period_json(found, one) for one in found.periods],
+        "holdout": _holdout(made.data.judgement),
+        "row": {"samples": rows.block_samples, "rate_hz": made.data.recording.rate_hz},
+        "rows": rows_json(made),
+    }
+
+
+def _holdout(judgement: Judgement) -> dict[str, Any] | None:
+    """Errors on postures that were not fitted."""
+    if (holdout := judgement.holdout) is None:
+        return None
+    pair = {"before_mg": holdout.before.mean, "after_mg": holdout.after.mean}
+    return {"postures": holdout.postures, **{name: round(value, 4) for name, value in pair.items()}}
+
+
+def _period_json(found: Quality, one: Period) -> dict[str, Any]:
+    known = all(map(isfinite, one.fall_mg))
+    return {
+        "start": found.when(one.first),
+        "end": found.when(one.end),
+        "given_mg": round(one.given_mg, 4),
+        "unseen_mg": round(one.unseen_mg, 4),
+        "fall_ci95_mg": [round(value, 4) for value in one.fall_mg] if known else None,
+        "degraded": one.degraded,
+    }
