@@ -10,7 +10,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz lint bench bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz lint docs bench bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -48,6 +48,11 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# pages of the Python API, from its docstrings, in build/api
+docs: $(PLAIN)
+	$(PIP) '.[docs]'
+	$(BIN)/python -m pdoc accelcal_cli.api --docformat google --output-directory build/api
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)

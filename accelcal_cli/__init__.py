@@ -1,3 +1,27 @@
-"""Batch calibration of raw actigraph recordings from the stillness they contain."""
+"""Batch calibration of raw actigraph recordings from the stillness they contain.
+
+From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `apply`, `study` (docs/python.md).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from accelcal_cli.api import AccelcalError, Reading, Result, Samples, apply, calibrate, fit, read, study
 
 __version__ = "0.2.0"
+
+__all__ = ["AccelcalError", "Reading", "Result", "Samples", "apply", "calibrate", "fit", "read", "study"]
+
+
+def __getattr__(name: str) -> Any:
+    """The names of the API, imported when one is first used: the command does not need them."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("accelcal_cli.api"), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import pytest
 
 from tests.cli.run import run
 from tests.cli.studies import results, rows, study_folder
 from tests.conftest import ROOT
 
+Capture = pytest.CaptureFixture[str]
 EXAMPLES = ROOT / "examples"
 NAMES = ("a/p0.raw", "b/p2.raw")
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
@@ -122,3 +126,25 @@ def test_the_command_lines_are_understood(tmp_path: Path, capsys: pytest.Capture
 
 def test_the_script_for_jobqueue_is_python() -> None:
     compile((EXAMPLES / "accelcal_jobqueue.py").read_text(), "accelcal_jobqueue.py", "exec")
+
+
+def python_of(path: Path) -> list[str]:
+    """The Python in a notebook's cells, or in a page's blocks."""
+    if path.suffix == ".ipynb":
+        cells = json.loads(path.read_text("utf-8"))["cells"]
+        return ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    return re.findall(r"^```python\n(.*?)^```", path.read_text("utf-8"), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("name", ["examples/first_look.ipynb", "docs/python.md"])
+def test_python_examples_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    mpl.use("Agg")
+    monkeypatch.chdir(ROOT)
+    names: dict[str, Any] = {}
+    parts = python_of(ROOT / name)
+    assert len(parts) >= 3
+    for part in parts:
+        exec(compile(part, name, "exec"), names)
+    if name.endswith("ipynb"):
+        raw, calibrated = re.findall(r"[\d.]+(?= mg)", capsys.readouterr().out)
+        assert float(raw) > float(calibrated) > 0

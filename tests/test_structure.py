@@ -26,11 +26,15 @@ LAYER = {
     "evaluate": 3,
     "study": 3,
     "verify": 4,
+    "api": 4,
     "devices": 4,
     "cli": 5,
     "__main__": 6,
 }
 """Each top-level package or module, lowest first (docs/architecture.md)."""
+
+FACE = ("", "api")
+"""The package's own names are those of its API, imported when one is used."""
 
 MODULES = sorted(PACKAGE.rglob("*.py"))
 LONGEST = 600
@@ -102,7 +106,7 @@ def test_imports_point_downward_and_siblings_keep_apart() -> None:
     assert not [
         f"{module} imports {name}"
         for module, name, own, other in layers
-        if other != own and LAYER[other] >= LAYER[own]
+        if other != own and LAYER[other] >= LAYER[own] and (own, other) != FACE
     ]
 
 

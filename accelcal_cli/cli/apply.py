@@ -13,6 +13,7 @@ from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.report_reading import read_coefficients
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
 from accelcal_cli.pipeline.jobs import Request, plan
 
@@ -37,8 +38,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)
     request = Request(
-        options=options.read_options(values),
-        settings=replace(options.with_given(DEFAULT, values), temperature=not values["no_temperature"]),
+        options=given.read_options(values),
+        settings=replace(given.with_given(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

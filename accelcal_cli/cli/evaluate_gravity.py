@@ -11,13 +11,14 @@ import click
 
 from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Positive, Within, gravity, gravity_options
+from accelcal_cli.cli.options import Positive, Within, gravity_options
 from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.cases import ALL, Plan, methods
 from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY, Residuals, gravity_residuals
 from accelcal_cli.output.report import significant
+from accelcal_cli.pipeline.given import gravity
 
 
 @click.command("gravity")

@@ -15,6 +15,7 @@ from accelcal_cli.core.errors import UsageError
 from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
@@ -41,7 +42,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     names = _names(values["only"])
 
     def work(path: Path, bars: ProgressMaker) -> list[Row]:
-        return list(compare(path, options.read_options(values), options.settings(values), names, bars))
+        return list(compare(path, given.read_options(values), given.settings(values), names, bars))
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if rows := list(chain.from_iterable(found)):

@@ -21,6 +21,7 @@ from accelcal_cli.evaluate.segments import (
     stillness_of_table,
     summary,
 )
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 FIGURES = {
@@ -71,21 +72,21 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:
-        chosen = options.settings(values)
+        chosen = given.settings(values)
         still = _stillness(path, chosen, values, bars)
         lengths = [segments(still, hours, values["number"], chosen) for hours in values["hours"]]
         return printable(path), [item for length in lengths for item in length]
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if found:
-        exit_codes.show(_shown(dict(found), options.settings(values), as_json=values["as_json"]))
+        exit_codes.show(_shown(dict(found), given.settings(values), as_json=values["as_json"]))
     return code
 
 
 def _stillness(path: Path, chosen: Settings, values: dict[str, Any], bars: ProgressMaker) -> Stillness:
     if values["table_hours"] is not None:
         return stillness_of_table(path, chosen, values["table_hours"])
-    return stillness(path, options.read_options(values), chosen, values["chunk_samples"], bars)
+    return stillness(path, given.read_options(values), chosen, values["chunk_samples"], bars)
 
 
 def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool) -> str:

@@ -16,6 +16,7 @@ from accelcal_cli.evaluate.methods import true_errors
 from accelcal_cli.evaluate.stillness import RAW, Comparison, Found, compare
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import rounded
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 Row = dict[str, Any]
@@ -51,8 +52,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Row]]:
-        chosen, chunk_samples = options.fitting_settings(values), values["chunk_samples"]
-        compared = compare(path, options.read_options(values), chosen, chunk_samples, bars)
+        chosen, chunk_samples = given.fitting_settings(values), values["chunk_samples"]
+        compared = compare(path, given.read_options(values), chosen, chunk_samples, bars)
         return printable(path), rows(compared)
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])

@@ -10,11 +10,12 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import FILE, fitting_options, fitting_settings
+from accelcal_cli.cli.options import FILE, fitting_options
 from accelcal_cli.cli.output import show_result
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
+from accelcal_cli.pipeline.given import fitting_settings
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
 from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance
 

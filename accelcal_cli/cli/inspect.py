@@ -15,6 +15,7 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printab
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 from accelcal_cli.pipeline.jobs import STDIN
 
@@ -41,7 +42,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         raise UsageError("standard input can be read only once", hint="give - only once")
     several = len(recordings) > 1
     if several and STDIN not in recordings:
-        refuse_unused(recordings, options.read_options(values))
+        refuse_unused(recordings, given.read_options(values))
     return exit_codes.of_all([_one(path, values, several=several) for path in recordings])
 
 
@@ -56,15 +57,15 @@ def _one(path: Path, values: dict[str, Any], *, several: bool) -> int:
 
 
 def _look(path: Path, values: dict[str, Any], *, several: bool) -> Inspection:
-    given, settings = options.read_options(values), _settings(values)
+    options, settings = given.read_options(values), _settings(values)
     with bytes_of(path) as source:
-        inspection = inspect(source, given, settings, full=values["full"], several=several)
+        inspection = inspect(source, options, settings, full=values["full"], several=several)
     return replace(inspection, recording=replace(inspection.recording, path=path))
 
 
 def _settings(values: dict[str, Any]) -> Settings:
     """As for `calibrate`; a look at pieces is fitted by a quicker optimizer if none is named."""
-    wanted = options.settings(values)
+    wanted = given.settings(values)
     look = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
     return replace(wanted, optimizer=QUICK) if look else wanted
 

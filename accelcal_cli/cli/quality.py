@@ -15,6 +15,7 @@ from accelcal_cli.cli.output import aligned, bytes_of, number, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.output.report_reading import read_coefficients
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.quality import Quality, State, as_json, quality
 
@@ -71,8 +72,8 @@ def _request(recording: Path, values: dict[str, Any]) -> Request:
     if path is None and values["any_device"]:
         raise UsageError("--any-device is for --coefficients only", path=recording, hint="omit it")
     return Request(
-        options=options.read_options(values),
-        settings=options.settings(values) if path is None else _settings_beside(values),
+        options=given.read_options(values),
+        settings=given.settings(values) if path is None else _settings_beside(values),
         chunk_samples=values["chunk_samples"],
         coefficients=None if path is None else read_coefficients(path),
         any_device=values["any_device"],
@@ -88,7 +89,7 @@ def _settings_beside(values: dict[str, Any]) -> Settings:
                 f"--{name.removesuffix('_g').replace('_', '-')} is for the recording's own calibration",
                 hint="omit it: the coefficients are tested as their own recording was",
             )
-    return replace(options.with_given(DEFAULT, values), temperature=not values["no_temperature"])
+    return replace(given.with_given(DEFAULT, values), temperature=not values["no_temperature"])
 
 
 def text(found: Quality, shown: dict[str, Any], *, tsv: bool) -> str:

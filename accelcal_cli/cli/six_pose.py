@@ -11,6 +11,7 @@ import click
 from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request, Result, plan_report
 from accelcal_cli.six_pose.run import six_pose
 
@@ -38,8 +39,8 @@ def command(recording: Path, **values: Any) -> int:
     inputs = [] if values["poses"] is None else [values["poses"]]
     job = plan_report(recording, values["output_dir"], values["output"], *inputs)
     request = Request(
-        options=options.read_options(values),
-        settings=options.with_given(PoseSettings(), values),
+        options=given.read_options(values),
+        settings=given.with_given(PoseSettings(), values),
         poses=values["poses"],
         report_only=True,
         chunk_samples=values["chunk_samples"],

@@ -99,7 +99,15 @@ def read_table(path: Path) -> Table:
     Raises:
         UnreadableError: it is no such table, or a value is missing or no finite number.
     """
-    frame = _frame(path)
+    return table_of(_frame(path), path)
+
+
+def table_of(frame: pd.DataFrame, path: Path) -> Table:
+    """The same of a data frame; errors speak of `path`, and of the frame's index as lines.
+
+    Raises:
+        UnreadableError: see `read_table`.
+    """
     names = _names(path, list(frame.columns))
     g = np.stack([_numbers(path, frame, names[axis], LARGEST_G) for axis in "xyz"], axis=1)
     if names.keys() >= WINDOWS:

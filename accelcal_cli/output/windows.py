@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isnan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from accelcal_cli.output.files import (
     replacing,
     write_text,
 )
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 ROLE_NAMES = [role.name.lower().replace("_", " ") for role in Role]
 TEXT = ("role",)
@@ -156,8 +159,16 @@ def _cells(table: WindowTable, columns: dict[str, NDArray[Any]], name: str) -> S
 
 def _write_parquet(table: WindowTable, path: Path, metadata: dict[str, Any]) -> None:
     # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
-    import pyarrow as pa
     import pyarrow.parquet as pq
+
+    described = arrow(table).replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        pq.write_table(described, file, compression="zstd")
+
+
+def arrow(table: WindowTable) -> pa.Table:
+    """The table as Arrow, null where there is nothing."""
+    import pyarrow as pa
 
     def array(name: str, values: NDArray[Any]) -> pa.Array:
         if name == TIME:
@@ -168,7 +179,4 @@ def _write_parquet(table: WindowTable, path: Path, metadata: dict[str, Any]) -> 
         return pa.array(values) if name in TEXT else pa.array(values, pa.float64(), mask=np.isnan(values))
 
     columns = table.columns()
-    arrays = pa.Table.from_arrays([array(name, columns[name]) for name in COLUMNS], COLUMNS)
-    described = arrays.replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        pq.write_table(described, file, compression="zstd")
+    return pa.Table.from_arrays([array(name, columns[name]) for name in COLUMNS], COLUMNS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import ceil, log2
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,24 @@ if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to 
 BLOCK_ROWS = 1 << 14
 
 Floats = NDArray[np.float64]
+
+
+class Rows(Protocol):
+    """What is calibrated: a chunk, or rows of another program."""
+
+    @property
+    def first_sample(self) -> int:
+        """Number of the first row within the recording."""
+
+    @property
+    def counts(self) -> NDArray[Any]:
+        """(n, 3) raw values, `Transform.lsb_per_g` of which are 1 g."""
+
+    @property
+    def temperature_mc(self) -> NDArray[np.int32] | None:
+        """(n,) thousandths of a degree C, or None."""
+
+    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +59,7 @@ class Transform:
     steps_per_g: float | None = None
     course: Course | None = None
 
-    def apply(self, chunk: Chunk) -> list[NDArray[np.float32]]:
+    def apply(self, chunk: Rows) -> list[NDArray[np.float32]]:
         """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
         xyz = [np.empty(len(chunk), np.float32) for _ in range(3)]
         buffers = np.empty((5, BLOCK_ROWS))
@@ -59,7 +77,7 @@ class Transform:
         finer = self.steps_per_g is not None or self.course is not None
         return "".join(name for name, fine in zip("xyz", mixed, strict=True) if fine or finer)
 
-    def _block(self, chunk: Chunk, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
+    def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
         shifted, total, product = buffers[:3], buffers[3], buffers[4]
         right = None if self.course is None else self.course.values(chunk.first_sample + _numbers(part))
@@ -84,7 +102,7 @@ class Transform:
         """Columns besides the diagonal; above it only where K is not lower triangular."""
         return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
-    def _shift(self, chunk: Chunk, part: slice, axis: int, buffers: tuple[Floats, Floats]) -> None:
+    def _shift(self, chunk: Rows, part: slice, axis: int, buffers: tuple[Floats, Floats]) -> None:
         """v + o + s (T - Tref) of one axis, where v is."""
         values, drift = buffers
         values += self.offset_g[axis]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import PARQUET, Job, refuse_dash, refuse_overwriting
 from accelcal_cli.pipeline.survey import Method, Procedure, StillWindows
+
+if TYPE_CHECKING:
+    from accelcal_cli.output.windows import WindowTable
 
 CSV = ".csv"
 
@@ -49,7 +53,13 @@ class WindowLog(StillWindows):
             OutputError: the file cannot be written.
         """
         # few runs write it
-        from accelcal_cli.output.windows import WindowTable, write_windows
+        from accelcal_cli.output.windows import write_windows
+
+        write_windows(self.table(data, points), path, reports.parquet_metadata(data))
+
+    def table(self, data: ReportInput, points: PointSet) -> WindowTable:
+        """What became of each window."""
+        from accelcal_cli.output.windows import WindowTable
 
         windows, settings = self.result(), data.settings.method
         assert isinstance(settings, Settings)
@@ -60,7 +70,7 @@ class WindowLog(StillWindows):
         posture[known] = label[fates.point[known]]
         if data.judgement.holdout is not None:
             fold[known] = folds(posture[known], settings.folds)
-        table = WindowTable(
+        return WindowTable(
             windows,
             data.recording.lsb_per_g,
             fates,
@@ -69,4 +79,3 @@ class WindowLog(StillWindows):
             data.judgement.calibration,
             data.facts.utc_offset_s,
         )
-        write_windows(table, path, reports.parquet_metadata(data))

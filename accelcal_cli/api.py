@@ -1,0 +1,471 @@
+"""The package from Python: what the commands do, with arrays and tables in place of files.
+
+    import accelcal_cli as accelcal
+
+Options are those of the commands, with underscores: `--lsb-per-g` is `lsb_per_g`. Results are the same bits
+as those of the commands. Nothing is written unless `Result.write` or `study` is called.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields, replace
+from functools import cache
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_type_hints
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.core.settings import Settings, setting_of
+from accelcal_cli.output import report as reports
+from accelcal_cli.output.report import ReportInput
+from accelcal_cli.output.report_reading import calibration_of, read_document
+from accelcal_cli.pipeline import export, given, jobs, outputs, survey
+from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
+from accelcal_cli.pipeline.calibrate import calibrate as run_job
+from accelcal_cli.pipeline.fit import fit_frame, fit_points
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, FileStamp, Job, Request, file_stamp
+from accelcal_cli.pipeline.report_settings import converted
+from accelcal_cli.pipeline.windows import WindowLog
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow as pa
+
+AnyPath = str | PathLike[str]
+READING, METHOD = "how the recording is read", "how it is calibrated"
+
+
+@cache
+def _keywords() -> dict[str, tuple[type, str]]:
+    """The record and the field that each option sets, by keyword."""
+    known: dict[str, tuple[type, str]] = {}
+    kinds: tuple[type, ...] = (ReadOptions, Settings)
+    for kind in kinds:
+        for one in fields(kind):
+            option = setting_of(kind, one.name).option
+            if option is not None:
+                known[option.name.removeprefix("--").replace("-", "_")] = (kind, one.name)
+    return known
+
+
+def _values(options: dict[str, Any], *kinds: type) -> dict[str, Any]:
+    """What the options say, by field, None where nothing is said; as from a command line.
+
+    Raises:
+        TypeError: an option does not exist, or has a value of another type.
+        UsageError: a value is out of bounds, or is none of the choices.
+    """
+    keywords = {name: place for name, place in _keywords().items() if place[0] in kinds}
+    values: dict[str, Any] = {name: None for _, name in _keywords().values()}
+    values |= {"no_temperature": False, "force_timezone": False}
+    for keyword, value in options.items():
+        if keyword not in keywords:
+            near = difflib.get_close_matches(keyword, keywords, 1)
+            raise TypeError(f"there is no option {keyword!r}{f'; is it {near[0]!r}?' if near else ''}")
+        if value is not None:
+            kind, name = keywords[keyword]
+            values["no_temperature" if keyword == "no_temperature" else name] = _checked(
+                keyword, kind, name, value
+            )
+    return values
+
+
+def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
+    """A value of an option, as its field's type."""
+    plain = list(value) if isinstance(value, tuple) else value
+    plain = str(plain) if isinstance(plain, Path) else plain
+    hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
+    try:
+        found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
+    except TypeError:
+        raise TypeError(f"{keyword} cannot be {value!r}") from None
+    above = None if declared.option is None else declared.option.above
+    if not declared.allows(found) or (above is not None and found <= above):
+        allowed = ", ".join(declared.choices) or f"{declared.low:g} to {declared.high:g}"
+        raise UsageError(f"{keyword} cannot be {value!r}", hint=f"possible: {allowed}")
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """n consecutive rows of a recording.
+
+    Attributes:
+        first_sample: number of the first of them within the recording.
+        time: (n,) datetime64[us], UTC if `Reading.time_zone` is "UTC", else the device's clock.
+        xyz: (n, 3) raw acceleration [g].
+        temperature: (n,) [degrees C], or None.
+        gyroscope: (n, 3) [degrees/s], or None.
+        validity: (n,) 0 measured, 1 filled by the device, 2 clipped at its range, 3 recovered from damage.
+        problems: what was found wrong while reading these rows.
+    """
+
+    first_sample: int
+    time: NDArray[np.datetime64]
+    xyz: NDArray[np.float64]
+    temperature: NDArray[np.float64] | None
+    gyroscope: NDArray[np.float64] | None
+    validity: NDArray[np.uint8]
+    problems: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+class Reading:
+    """An open recording: iterate over it for its samples, as often as wanted; close it, or use `with`.
+
+    Attributes:
+        recording: what its header says: format, device, rate, range, time zone.
+    """
+
+    def __init__(self, reader: Reader, chunk_samples: int) -> None:
+        self.recording: Recording = reader.recording
+        self._reader, self._chunk_samples = reader, chunk_samples
+
+    def __iter__(self) -> Iterator[Samples]:
+        """All rows in order, in pieces.
+
+        Raises:
+            UnreadableError: the recording cannot be read on.
+        """
+        offset_s: int | None = None
+        for chunk in self._reader.chunks(self._chunk_samples):
+            if len(chunk):
+                time_us = chunk.time_us
+                if offset_s is None:
+                    offset_s = utc_offset_s(self.recording.timezone, int(time_us[0])) or 0
+                yield _samples(chunk, self.recording, time_us - 1_000_000 * offset_s)
+
+    def close(self) -> None:
+        """Release the file."""
+        self._reader.close()
+
+    def __enter__(self) -> Reading:
+        return self
+
+    def __exit__(self, *_failure: object) -> None:
+        self.close()
+
+
+def _samples(chunk: Chunk, recording: Recording, time_us: NDArray[np.int64]) -> Samples:
+    gyro, scale = chunk.gyro_counts, recording.gyro_dps_per_lsb
+    return Samples(
+        chunk.first_sample,
+        time_us.astype("datetime64[us]"),
+        chunk.counts / recording.lsb_per_g,
+        None if chunk.temperature_mc is None else chunk.temperature_mc / 1000,
+        None if gyro is None or scale is None else gyro * np.array(scale),
+        np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity,
+        tuple(problem.message for problem in chunk.problems),
+    )
+
+
+def read(path: AnyPath, *, chunk_samples: int = DEFAULT_CHUNK_SAMPLES, **options: Any) -> Reading:
+    """Open a recording of any format.
+
+    Args:
+        chunk_samples: rows at a time, about.
+        options: how it is read: `format`, `rate`, `unit`, `lsb_per_g`, `columns`, `timezone`, ...
+
+    Raises:
+        AccelcalError: it cannot be read.
+    """
+    wanted = given.read_options(_values(options, ReadOptions))
+    return Reading(survey.open_marked(Path(path), wanted), chunk_samples)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One recording's calibration.
+
+    Attributes:
+        report: as the command writes it (docs/outputs.md).
+    """
+
+    report: dict[str, Any]
+    _data: ReportInput = field(repr=False)
+    _request: Request = field(repr=False)
+    _found: FirstPass = field(repr=False)
+    _log: WindowLog = field(repr=False)
+    _path: Path
+    _before: FileStamp | None = field(repr=False)
+
+    @property
+    def outcome(self) -> str:
+        """`calibrated`, `reduced_model`, `already_good` or `refused`."""
+        return str(self.report["outcome"])
+
+    @property
+    def message(self) -> str:
+        """Why, in a sentence."""
+        return str(self.report["message"])
+
+    def batches(self) -> Iterator[pa.RecordBatch]:
+        """The calibrated recording in pieces, with the columns of the Parquet file; reads it once more.
+
+        Raises:
+            AccelcalError: the recording was refused, changed meanwhile, or cannot be read on.
+        """
+        import pyarrow as pa
+
+        from accelcal_cli.output.parquet import schema_of, values_of
+
+        if self._data.judgement.calibration is None:
+            raise UsageError(f"there are no calibrated values: refused: {self.message}", path=self._path)
+        jobs.check_unchanged(self._path, self._before)
+        columns = export.columns_of(self._data)
+        schema = schema_of(columns, reports.parquet_metadata(self._data))
+        with survey.open_marked(self._path, self._request.options, self._request.threads) as reader:
+            chunks = reader.chunks(self._request.chunk_samples)
+            for chunk, xyz in export.calibrated(chunks, export.transform_of(self._data), lambda _byte: None):
+                values = values_of(columns, chunk, xyz)
+                arrays = [pa.array(part, item.type) for part, item in zip(values, schema, strict=True)]
+                yield pa.record_batch(arrays, schema=schema)
+
+    def table(self) -> pa.Table:
+        """All of it, in memory (a week of 100 Hz: 1.3 GB); raises what `batches` raises."""
+        import pyarrow as pa
+
+        return pa.Table.from_batches(self.batches())
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The same as a data frame, with `time` as index; raises what `batches` raises."""
+        return self.table().to_pandas().set_index("time")
+
+    def windows(self) -> pd.DataFrame:
+        """All still windows and what became of them, with the columns of `calibrate --windows`."""
+        from accelcal_cli.output.windows import arrow
+
+        table: pd.DataFrame = arrow(self._log.table(self._data, self._found.points)).to_pandas()
+        return table
+
+    def quality(self) -> dict[str, Any] | None:
+        """The recording along time, as in STEM.quality.json (docs/quality.md); None with profile `paper`."""
+        from accelcal_cli.output.quality import dumps_quality, quality_json
+
+        made = self._found.quality()
+        return None if made is None else json.loads(dumps_quality(quality_json(made)))
+
+    def write(self, folder: AnyPath | None = None, *, force: bool = False) -> tuple[Path | None, Path]:
+        """Write what the command `calibrate` writes, beside the recording or into a folder.
+
+        Returns:
+            the Parquet file (None without calibrated values) and the report.
+
+        Raises:
+            OutputError: a file cannot be written, or another program's is in its place.
+        """
+        (job,) = jobs.plan([self._path], None if folder is None else Path(folder), None)
+        result = run_job(job, replace(self._request, force=force))
+        return (job.parquet if result.has_parquet else None), job.report
+
+    def plot(self, axes: Any = None) -> Any:
+        """|a| of still windows along time, before and after; needs matplotlib.
+
+        Args:
+            axes: of matplotlib; new ones without.
+
+        Returns:
+            the axes.
+        """
+        import matplotlib.pyplot as plt
+
+        windows = self.windows()
+        axes = plt.subplots(figsize=(9, 3.5))[1] if axes is None else axes
+        time = windows["time"].to_numpy()
+        axes.plot(time, windows["raw_g"], ".", markersize=2, color="0.6", label="before")
+        if self._data.judgement.calibration is not None:
+            axes.plot(time, windows["calibrated_g"], ".", markersize=2, color="C0", label="after")
+        axes.axhline(1.0, color="k", linewidth=0.5)
+        axes.set_ylabel("|a| of still windows [g]")
+        axes.set_title(self._path.name)
+        axes.legend(loc="upper right")
+        return axes
+
+
+def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Result:
+    """Calibrate a recording from its own stillness.
+
+    Args:
+        report_only: leave out what only a second pass can count (`clipped_samples_after`).
+        options: those of `accelcal calibrate` that say how it is read and how it is calibrated.
+
+    Raises:
+        AccelcalError: it cannot be read, or the options do not go together.
+    """
+    values, source = _values(options, ReadOptions, Settings), Path(path)
+    request = Request(
+        options=given.read_options(values), settings=given.settings(values), report_only=report_only
+    )
+    before, log = file_stamp(source), WindowLog()
+    with open_run(Job(source, source, source), request) as run:
+        found = run.result(OwnCalibration(request.recording_settings), log)
+        data = run.count_beyond(found.data)
+    jobs.check_unchanged(source, before)
+    report = outputs.with_provenance(reports.build(data), ("accelcal_cli.calibrate",))
+    return Result(_as_written(report), data, request, found, log, source, before)
+
+
+def _as_written(report: dict[str, Any]) -> dict[str, Any]:
+    """A report as it would be read from its file."""
+    read_again: dict[str, Any] = json.loads(reports.dumps(report, pretty=False))
+    return read_again
+
+
+def fit(points: Any, **options: Any) -> dict[str, Any]:
+    """Fit still-window means, as `accelcal fit` does.
+
+    Args:
+        points: a path; or a data frame (or what makes one, such as a dictionary of columns, or an Arrow
+            table) with columns x, y, z [g] and optionally temperature_c, weight and posture, or those of
+            `Result.windows`; or an array (n, 3) [g].
+        options: `optimizer`, `model`, `prior`, `no_temperature`, `latitude`, `altitude`.
+
+    Returns:
+        the report.
+
+    Raises:
+        AccelcalError: it is no table of points, or the options do not go together.
+    """
+    settings = given.fitting_settings(_values(options, Settings))
+    if isinstance(points, str | PathLike):
+        report = fit_points(Path(points), settings)
+    else:
+        report = fit_frame(_frame(points), settings)
+    return _as_written(outputs.with_provenance(report, ("accelcal_cli.fit",)))
+
+
+def _frame(points: Any) -> pd.DataFrame:
+    import pandas as pd
+
+    if hasattr(points, "to_pandas"):
+        points = points.to_pandas()
+    if isinstance(points, np.ndarray | list | tuple):
+        return pd.DataFrame(np.asarray(points, np.float64).reshape(-1, 3), columns=list("xyz"))
+    return pd.DataFrame(points)
+
+
+def apply(
+    report: dict[str, Any] | AnyPath | Result,
+    xyz: ArrayLike,
+    temperature: ArrayLike | None = None,
+    *,
+    first_sample: int = 0,
+) -> NDArray[np.float32]:
+    """Calibrated values of raw ones: a = K (v + o + s (T - Tref)).
+
+    Args:
+        report: of `calibrate`, `fit` or a file, with a calibration.
+        xyz: (n, 3) raw acceleration [g].
+        temperature: (n,) [degrees C], taken to the nearest thousandth; needed where the offsets depend on it.
+        first_sample: number of the first row in its recording, where the calibration follows a change.
+
+    Returns:
+        (n, 3) [g], the same bits as in the Parquet file.
+
+    Raises:
+        UsageError: there is no calibration, or it needs temperatures.
+        ValueError: an array has another shape.
+    """
+    held = report.report if isinstance(report, Result) else report
+    if not isinstance(held, dict):
+        held = read_document(Path(held)).report
+    if held["calibration"] is None:
+        raise UsageError(f"there is nothing to apply: {held['message']}")
+    calibration = calibration_of(held["calibration"])
+    v = np.asarray(xyz, np.float64)
+    if v.ndim != 2 or v.shape[1] != 3:
+        raise ValueError(f"xyz has the shape {v.shape}, not (n, 3)")
+    warmth = None
+    if temperature is not None:
+        warmth = np.rint(np.asarray(temperature, np.float64) * 1000).astype(np.int32)
+        if warmth.shape != v.shape[:1]:
+            raise ValueError(f"temperature has the shape {warmth.shape}, not {v.shape[:1]}")
+    elif calibration.temperature is not None:
+        raise UsageError("the calibration needs temperatures", hint="give one for each row")
+    transform = export.Transform(
+        calibration.gain(),
+        calibration.offset_g(),
+        calibration.slope_g_per_c(),
+        calibration.reference_c(),
+        lsb_per_g=1.0,
+        course=calibration.course,
+    )
+    return np.stack(transform.apply(_Rows(first_sample, v, warmth)), axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """See `export.Rows`."""
+
+    first_sample: int
+    counts: NDArray[np.float64]
+    temperature_mc: NDArray[np.int32] | None
+
+    def __len__(self) -> int:
+        return len(self.counts)
+
+
+def study(
+    folder: AnyPath, output: AnyPath, *, report_only: bool = False, jobs: int | None = None, **options: Any
+) -> pd.DataFrame:
+    """Calibrate all recordings below a folder, as `accelcal study` does; goes on where an earlier run ended.
+
+    Args:
+        output: folder of the outputs, which are written.
+        report_only: write reports but no Parquet.
+        jobs: workers; None for as many as CPUs and memory allow.
+        options: those of `calibrate`, for all recordings.
+
+    Returns:
+        the table of the study, one row a recording (docs/study.md).
+
+    Raises:
+        AccelcalError: the options do not go together, or the folder cannot be used.
+    """
+    # few programs do both
+    import pandas as pd
+
+    from accelcal_cli.study.discovery import Where
+    from accelcal_cli.study.run import run
+    from accelcal_cli.study.study import Study
+
+    values = _values(options, ReadOptions, Settings)
+    request = Request(
+        options=given.read_options(values),
+        settings=given.settings(values),
+        report_only=report_only,
+        several=True,
+        command=("accelcal_cli.study",),
+    )
+    run(Study(Where((Path(folder),), Path(output), (), ()), request, jobs=jobs), _Silent())
+    return pd.read_parquet(Path(output) / "study.parquet")
+
+
+class _Silent:
+    """Observes a study and says nothing."""
+
+    def begin(self, items: Any) -> None:
+        """See `StudyObserver`."""
+
+    def advance(self, bytes_done: float) -> None:
+        """See `StudyObserver`."""
+
+    def finished(self, item: Any, result: Any) -> None:
+        """See `StudyObserver`."""
+
+    def note(self, text: str) -> None:
+        """See `StudyObserver`."""
+
+
+__all__ = ["AccelcalError", "Reading", "Result", "Samples", "apply", "calibrate", "fit", "read", "study"]

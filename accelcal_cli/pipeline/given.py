@@ -1,0 +1,146 @@
+"""What is asked for by name, as on the command line, made into the records that the work is done by.
+
+Names are those of the records' fields; None stands for what is not given. Text and bounds of single values
+have been checked (`core.settings`); here is what goes together and what does not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any, TypeVar
+
+from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.settings import (
+    DEFAULT,
+    NEVER,
+    NO_PRIOR,
+    PROFILES,
+    RANGE_RULES,
+    STILLNESS,
+    PoseSettings,
+    Settings,
+    with_stillness,
+)
+from accelcal_cli.optimize import named_optimizer
+
+AnySettings = TypeVar("AnySettings", Settings, PoseSettings)
+
+
+def read_options(values: dict[str, Any]) -> ReadOptions:
+    """What the user said about the recording.
+
+    Raises:
+        UsageError: a zone does not exist, or a name is not UTF-8 and could not stand in a report.
+    """
+    utc_offset_s(values["timezone"], 0)
+    if values["force_timezone"] and values["timezone"] is None:
+        raise UsageError("--force-timezone has no zone to use", hint="give it with --timezone")
+    for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
+        if text is not None and not _utf8(text):
+            raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
+    return ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
+
+
+def _utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def settings(values: dict[str, Any]) -> Settings:
+    """The profile's settings with what the user changed.
+
+    Raises:
+        UsageError: the profile has no such model or number, or the stillness rule no such number.
+    """
+    profile = PROFILES[values["profile"] or DEFAULT.profile]
+    if profile.profile == "paper" and (values["model"] or "9") not in ("auto", "9"):
+        raise UsageError(
+            "--profile paper fits nine parameters", hint="omit --model, or use --profile default"
+        )
+    if profile.profile != "paper" and values["min_distance_g"] is not None:
+        raise UsageError(
+            "--min-distance-g is for --profile paper only", hint="omit it, or use --profile paper"
+        )
+    return fitting_settings(values, _stillness_settings(profile, values))
+
+
+def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
+    """The profile's settings with the stillness rule that the user wants, checked against its numbers."""
+    name, seconds = values["stillness"], values["segment_seconds"]
+    chosen = profile if name is None else with_stillness(profile, name)
+    if values["stillness_threshold_g"] is not None and chosen.stillness_threshold_g is None:
+        raise UsageError(
+            f"--stillness {chosen.stillness} has no limit on max - min",
+            hint=f"omit --stillness-threshold-g, or use --stillness {' or '.join(RANGE_RULES)}",
+        )
+    if chosen.adaptive is None or seconds is None:
+        return chosen
+    if seconds < STILLNESS["adaptive"]["segment_seconds"]:
+        raise UsageError(
+            "--stillness adaptive needs windows of at least 1 s", hint="give --segment-seconds 1 or more"
+        )
+    return replace(chosen, adaptive=replace(chosen.adaptive, min_samples=2))  # bounded by the length alone
+
+
+def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Settings:
+    """Settings with what the user said of the fit, the place and the damage that is tolerated.
+
+    Raises:
+        UsageError: there is no such optimizer, the prior does not go with the rest, or an altitude without a
+            latitude.
+    """
+    changed = with_given(chosen, values)
+    prior = _prior(changed, values.get("prior"))
+    recalibrate = _recalibrate(changed, values.get("recalibrate"))
+    temperature = changed.temperature and not values["no_temperature"]
+    return replace(changed, temperature=temperature, prior=prior, recalibrate=recalibrate)
+
+
+def _recalibrate(chosen: Settings, given: str | None) -> str:
+    """Whether to follow a sensor that changes; profile `paper` has no windows along time to see it by."""
+    if chosen.profile == DEFAULT.profile:
+        return chosen.recalibrate
+    if given not in (None, NEVER):
+        raise UsageError(f"--recalibrate {given} does not go with --profile paper", hint="omit one of them")
+    return NEVER
+
+
+def _prior(chosen: Settings, given: str | None) -> str:
+    """The prior: the one given, else the default where there can be one."""
+    why = _why_no_prior(chosen)
+    if given is None:
+        return chosen.prior if why is None else NO_PRIOR
+    if given != NO_PRIOR and why is not None:
+        raise UsageError(
+            f"--prior {given} does not go with {why}", hint="omit one of them, or use --prior none"
+        )
+    return given
+
+
+def _why_no_prior(chosen: Settings) -> str | None:
+    """The option that leaves no room for a prior."""
+    if chosen.profile != DEFAULT.profile:
+        return f"--profile {chosen.profile}"
+    if named_optimizer(chosen.optimizer).fit_penalized is None:
+        return f"--optimizer {chosen.optimizer}"
+    return None if chosen.model == "auto" else f"--model {chosen.model}"
+
+
+def with_given(chosen: AnySettings, values: dict[str, Any]) -> AnySettings:
+    """Settings with all fields that the user gave; raises UsageError for an altitude without a latitude."""
+    gravity(values)
+    names = (name for name in chosen.__dataclass_fields__ if values.get(name) is not None)
+    return replace(chosen, **{name: values[name] for name in names})
+
+
+def gravity(values: dict[str, Any]) -> Gravity:
+    """Where the recording was made; raises UsageError for an altitude without a latitude."""
+    if values["altitude_m"] is not None and values["latitude"] is None:
+        raise UsageError("--altitude needs --latitude too", hint="give both, or neither")
+    return Gravity(values["latitude"], values["altitude_m"])

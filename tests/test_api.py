@@ -1,0 +1,155 @@
+"""The package from Python: the same bits as the commands, and nothing written."""
+
+from __future__ import annotations
+
+import csv
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import accelcal_cli as accelcal
+from tests.cli.run import run
+from tests.cli.test_change import jumping
+from tests.conftest import ROOT
+
+Capture = pytest.CaptureFixture[str]
+SAMPLES = {
+    "recording.bin": {},
+    "evening.csv.gz": {"latitude": 52.5, "altitude": 40},
+    "night.h5": {"model": "6"},
+}
+
+
+def without_provenance(report: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in report.items() if key != "provenance"}
+
+
+def words(options: dict[str, Any]) -> list[object]:
+    return [part for name, value in options.items() for part in (f"--{name.replace('_', '-')}", value)]
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_results_are_those_of_the_command(name: str, tmp_path: Path, capsys: Capture) -> None:
+    path, options = ROOT / "sample_data" / name, SAMPLES[name]
+    beside = sorted(path.parent.iterdir())
+    windows = tmp_path / "windows.parquet"
+    written = run(capsys, "calibrate", path, "-d", tmp_path, "--json", "--windows", windows, *words(options))
+    result = accelcal.calibrate(path, **options)
+    assert without_provenance(result.report) == without_provenance(json.loads(written.out))
+    (parquet,) = tmp_path.glob("*.calibrated.parquet")
+    assert result.table().equals(pq.read_table(parquet))
+    assert result.table().schema.equals(pq.read_schema(parquet), check_metadata=True)
+    table = pd.read_parquet(windows)
+    found = result.windows()
+    pd.testing.assert_frame_equal(found, table)
+    assert accelcal.fit(found, **options)["calibration"] == result.report["calibration"]
+    (quality,) = tmp_path.glob("*.quality.json")
+    assert result.quality() == json.loads(quality.read_text())
+    assert sorted(path.parent.iterdir()) == beside, "nothing is written unless asked"
+
+
+def test_samples_are_those_of_the_recording(tmp_path: Path) -> None:
+    result = accelcal.calibrate(ROOT / "sample_data/recording.bin")
+    values = result.to_pandas()
+    with accelcal.read(ROOT / "sample_data/recording.bin", chunk_samples=10_000) as reading:
+        parts = list(reading)
+        assert len(parts) > 10 and len(list(reading)) == len(parts), "it can be read again"
+        assert reading.recording.format == "flash"
+    assert [part.first_sample for part in parts] == np.cumsum([0, *map(len, parts[:-1])]).tolist()
+    assert (np.concatenate([part.time for part in parts]) == values.index.to_numpy()).all()
+    raw = np.concatenate([part.xyz for part in parts])
+    warmth = np.concatenate([part.temperature for part in parts if part.temperature is not None])
+    calibrated = accelcal.apply(result, raw, warmth)
+    assert calibrated.dtype == np.float32 and (calibrated == values[["x", "y", "z"]].to_numpy()).all()
+    with pytest.raises(accelcal.AccelcalError, match="needs temperatures"):
+        accelcal.apply(result.report, raw)
+    with pytest.raises(ValueError, match=r"\(3,\)"):
+        accelcal.apply(result, [0, 0, 1])
+
+
+def test_a_calibration_that_follows_a_change_is_applied_along_the_recording(tmp_path: Path) -> None:
+    result = accelcal.calibrate(jumping(tmp_path / "jumps.raw"))
+    assert result.report["calibration"]["course"] is not None
+    values = result.to_pandas()[["x", "y", "z"]].to_numpy()
+    parquet, report = result.write(tmp_path / "out")
+    assert parquet is not None and pq.read_table(parquet).equals(result.table())
+    for part in accelcal.read(tmp_path / "jumps.raw", chunk_samples=9_000):
+        rows = slice(part.first_sample, part.first_sample + len(part))
+        assert (accelcal.apply(report, part.xyz, first_sample=part.first_sample) == values[rows]).all()
+
+
+def test_points_may_be_in_any_table(tmp_path: Path) -> None:
+    windows = accelcal.calibrate(ROOT / "sample_data/evening.csv.gz").windows()
+    means = windows[["x", "y", "z"]]
+    means.to_csv(tmp_path / "points.csv", index=False)
+    expected = accelcal.fit(tmp_path / "points.csv")
+    assert expected["outcome"] == "calibrated"
+    for table in (means, pa.Table.from_pandas(means), means.to_dict("list"), means.to_numpy()):
+        found = accelcal.fit(table)
+        assert found["calibration"]["fixed_point"] == expected["calibration"]["fixed_point"]
+        assert found["holdout"] == expected["holdout"]
+    with pytest.raises(accelcal.AccelcalError, match="has no column z"):
+        accelcal.fit(means[["x", "y"]])
+
+
+def test_a_study_is_that_of_the_command(tmp_path: Path, capsys: Capture) -> None:
+    table = accelcal.study(ROOT / "sample_data", tmp_path / "one", jobs=1, report_only=True)
+    run(capsys, "study", ROOT / "sample_data", "-d", tmp_path / "two", "-j", 1, "--report-only", "-q")
+    with (tmp_path / "two/study.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert table["path"].tolist() == [row["path"] for row in rows]
+    assert table["outcome"].tolist() == [row["outcome"] for row in rows]
+    assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"latitud": 5}, TypeError, "is it 'latitude'"),
+        ({"latitude": "x"}, TypeError, "latitude cannot be 'x'"),
+        ({"latitude": 91}, accelcal.AccelcalError, "latitude cannot be 91; possible: -90 to 90"),
+        ({"profile": "best"}, accelcal.AccelcalError, "possible: default, paper"),
+        ({"segment_seconds": 0}, accelcal.AccelcalError, "segment_seconds cannot be 0"),
+        ({"altitude": 5}, accelcal.AccelcalError, "--latitude"),
+        ({"rate": 50}, accelcal.AccelcalError, "rate"),
+    ],
+)
+def test_options_that_cannot_be_are_refused(
+    options: dict[str, Any], kind: type[Exception], text: str
+) -> None:
+    with pytest.raises(kind) as raised:
+        accelcal.calibrate(ROOT / "sample_data/recording.bin", **options)
+    assert text in str(raised.value)
+
+
+def test_a_refusal_has_a_report_and_no_values(tmp_path: Path) -> None:
+    path = tmp_path / "short.csv"
+    path.write_text("time,x,y,z\n" + "".join(f"2024-03-04T00:00:{n:02d},0,0,1\n" for n in range(60)))
+    result = accelcal.calibrate(path)
+    assert result.outcome == "refused" and result.message == result.report["message"]
+    with pytest.raises(accelcal.AccelcalError, match="refused"):
+        result.table()
+    with pytest.raises(accelcal.AccelcalError, match="nothing to apply"):
+        accelcal.apply(result, np.zeros((1, 3)))
+
+
+def test_a_plot_shows_both(tmp_path: Path) -> None:
+    mpl.use("Agg")
+    axes = accelcal.calibrate(ROOT / "sample_data/night.h5").plot()
+    before, after = (np.abs(np.asarray(line.get_ydata()) - 1).mean() for line in axes.lines[:2])
+    assert before > 5 * after
+    axes.figure.savefig(tmp_path / "plot.png")
+
+
+def test_the_package_is_imported_without_its_api() -> None:
+    text = "import sys, accelcal_cli; assert 'numpy' not in sys.modules; assert 'study' in dir(accelcal_cli)"
+    subprocess.run([sys.executable, "-c", text], check=True, cwd=ROOT)
