@@ -190,6 +190,7 @@ class Judgement:
         penalty: the prior as the fit had it; None without one.
         sphere: error of the calibration over all directions; sphere_before: of the raw values.
         change: how the sensor changed meanwhile; None where nobody looked.
+        unlike: the points speak against a prior that was learnt from other recordings.
     """
 
     outcome: Outcome
@@ -206,6 +207,7 @@ class Judgement:
     sphere: SphereError | None = None
     sphere_before: SphereError | None = None
     change: Change | None = None
+    unlike: bool = False
 
 
 @dataclass(frozen=True, slots=True)

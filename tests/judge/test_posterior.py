@@ -9,9 +9,10 @@ import pytest
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.judge.errors import uncertainty
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.posterior import POPULATION, Posterior, posterior
+from accelcal_cli.judge.posterior import Posterior, posterior
 from accelcal_cli.judge.sphere import sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.optimize.oracle import IDEAL, directions, measured, points
@@ -19,10 +20,10 @@ from tests.optimize.oracle import IDEAL, directions, measured, points
 SENSOR = IDEAL + np.array([0.01, -0.02, 0.015, 0.01, -0.005, 0.008, 0.03, -0.02, 0.04, 0, 0, 0])[: len(IDEAL)]
 
 
-def of(held: PointSet, **prior: float) -> Posterior:
+def of(held: PointSet, prior: Prior = POPULATION) -> Posterior:
     assert OPTIMIZER.fit_penalized is not None
     number = len(set(postures(held, 15.0).tolist()))
-    return posterior(held, number, MODELS["9"], replace(POPULATION, **prior), OPTIMIZER.fit_penalized)
+    return posterior(held, number, MODELS["9"], prior, OPTIMIZER.fit_penalized)
 
 
 def rest(sensor: np.ndarray, poses: np.ndarray, noise_g: float, seed: int = 1) -> PointSet:
@@ -52,7 +53,7 @@ def test_the_noise_is_that_of_the_postures(noise_mg: float) -> None:
 def test_standard_errors_are_those_of_least_squares_where_the_prior_is_wide() -> None:
     """sigma^2 (J^T J)^-1 of |a| by differences, at the fitted parameters."""
     held = rest(SENSOR, directions(60), 0.002)
-    known = of(held, scale=10.0, misalignment=10.0, offset_g=10.0)
+    known = of(held, replace(POPULATION, width=(10.0,) * 12))
     p, g, step = values(known)[:9], held.xyz / ONE, 1e-6
 
     def length(q: np.ndarray) -> np.ndarray:
@@ -77,8 +78,8 @@ def test_what_the_points_do_not_speak_of_stays_near_the_ideal_and_uncertain() ->
     near = np.stack([np.ones(12), 0.3 * np.cos(turn), 0.3 * np.sin(turn)], axis=1)
     known = of(rest(IDEAL, near / np.sqrt((near**2).sum(axis=1))[:, None], 0.001))
     errors = known.standard_errors()
-    wide = POPULATION.offset_g
-    assert 0.3 * POPULATION.scale < errors[0] < POPULATION.scale * 1.1
+    scale, wide = POPULATION.width[0], POPULATION.width[6]
+    assert 0.3 * scale < errors[0] < scale * 1.1
     assert 0.3 * wide < errors[6] < wide * 1.1
     assert np.abs(values(known) - np.array(IDENTITY) / ONE).max() < 0.01
 
