@@ -142,7 +142,8 @@ def along_device(
     """A parameter of a device at a time, from its other recordings: a random walk seen with errors.
 
     What lies before and what lies after are filtered towards that time (Kalman), then put together with what
-    is known without them. Recordings that contradict each other make it wider, by Birge's ratio.
+    is known without them, which gives way where the device is far from it. Recordings that contradict each
+    other make it wider, by Birge's ratio.
 
     Args:
         others: at least one.
@@ -170,8 +171,16 @@ def along_device(
     parts = [_later(part, walk, months) for part, months in (*ends, (undated, far)) if part]
     device = together(parts)
     ratio = _contradiction([*_filtered(seen, walk)[1], *_filtered(undated, walk)[1]])
-    known = together([base, Told(device.value, device.variance * ratio)])
+    device = Told(device.value, device.variance * ratio)
+    known = together([_loosened(base, device), device])
     return Told(known.value, known.variance + occasion * occasion)
+
+
+def _loosened(base: Told, device: Told) -> Told:
+    """What is known of the model, for a device that is far from it: its distribution has heavy tails."""
+    away = (device.value - base.value) * (device.value - base.value) / (base.variance + device.variance)
+    loose = max(1.0, (POPULATION.freedom + away) / (POPULATION.freedom + 1))
+    return Told(base.value, base.variance * loose)
 
 
 def _later(seen: Sequence[tuple[float, Told]], walk: float, months: float) -> Told:

@@ -107,6 +107,12 @@ def test_recordings_that_contradict_each_other_are_believed_less() -> None:
     assert along_device(undated, 0.0, Told(5.0, 1e12), 0.0, 0.0).variance == pytest.approx(25.0)
 
 
+def test_a_device_that_is_far_from_its_model_is_not_drawn_to_it() -> None:
+    """At 100, and (4 + 100^2 / 2) / 5 of the model's variance of 1."""
+    found = along_device([Past(Told(100.0, 1.0), 0.0)], 0.0, Told(0.0, 1.0), 0.0, 0.0)
+    assert found.value == pytest.approx(100 * (1 - 1 / (1 + 1000.8)))
+
+
 def test_what_is_learnt_is_rounded_and_noise_and_tails_stay() -> None:
     parts = [Told(1.00123456, 0.00345678**2)] * 3 + [Told(0.0123456, 1e-20)] * 9
     prior = learnt(parts, 30.0)
