@@ -90,54 +90,55 @@ class Learning:
 
     rows: Mapping[str, Row]
     max_error_mg: float
-    _good: dict[Model, list[_Good]] = field(default_factory=dict)
-    _known: dict[tuple[Model, tuple[str, ...], frozenset[str]], LearntPrior | None] = field(
-        default_factory=dict
-    )
+    _devices: dict[Model, dict[str, list[_Good]]] = field(default_factory=dict)
+    _known: dict[tuple[str, ...], LearntPrior] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        seen: set[str] = set()
+        """Sort what is good by model and device; of copies the first by name counts."""
+        first: dict[str, _Good] = {}
         for name in sorted(self.rows):
             row = self.rows[name]
-            if _is_good(row, self.max_error_mg) and row["sha256"] not in seen:
-                seen.add(row["sha256"])
-                self._good.setdefault(_model(row), []).append(_Good(name, row))
+            if _is_good(row, self.max_error_mg):
+                first.setdefault(row["sha256"], _Good(name, row))
+        for one in sorted(first.values(), key=lambda one: _shuffled(one.serial)):
+            self._devices.setdefault(_model(one.row), {}).setdefault(one.serial, []).append(one)
 
     def prior(self, name: str, kind: str) -> LearntPrior | None:
         """The prior of a recording; None where too little is known, so that the population's stays."""
         row = self.rows[name]
-        study = self._of_model(row)
-        if kind == STUDY_PRIOR:
-            return study
-        own = [one for one in self._others(row) if one.serial == row["device_serial"]]
+        study, known = self._of_model(row), self._devices.get(_model(row), {})
+        own = _others(known.get(row["device_serial"], ()), row) if kind == DEVICE_PRIOR else []
         return _of_device(own, row, study) if own else study
 
     def models_without(self) -> Iterator[tuple[str, int]]:
-        """Models of recordings for which there are too few devices, and from how many one could learn."""
-        models = {_model(row) for row in self.rows.values()}
-        for model in sorted(models, key=str):
-            number = len({one.serial for one in self._good.get(model, ())})
-            if not model[0] or number <= FEWEST_DEVICES:
-                few = [name for name, row in self.rows.items() if _model(row) == model]
-                if any(self._of_model(self.rows[name]) is None for name in few):
-                    yield model[0], number
-
-    def _others(self, row: Row) -> list[_Good]:
-        """Good recordings of the same model with other content."""
-        return [one for one in self._good.get(_model(row), ()) if one.row["sha256"] != row["sha256"]]
+        """Models of recordings that have no prior of theirs, and from how many devices one could learn."""
+        few = {_model(row) for row in self.rows.values() if not self._other_devices(row)}
+        for model in sorted(few, key=str):
+            yield model[0], len(self._devices.get(model, ()))
 
     def _of_model(self, row: Row) -> LearntPrior | None:
         """From other devices; each counts once."""
-        model = _model(row)
-        if not model[0]:
-            return None
-        others = [one for one in self._others(row) if one.serial != row["device_serial"]]
-        serials = tuple(sorted({one.serial for one in others}, key=_shuffled)[:MOST_DEVICES])
-        used = [one for one in others if one.serial in serials]
-        key = (model, serials, frozenset(one.name for one in used))
-        if key not in self._known:
-            self._known[key] = _across(used, serials, model[0]) if len(serials) >= FEWEST_DEVICES else None
-        return self._known[key]
+        devices = self._other_devices(row)
+        used = tuple(one.name for device in devices for one in device)
+        if used and used not in self._known:
+            self._known[used] = _across(devices, _model(row)[0])
+        return self._known.get(used)
+
+    def _other_devices(self, row: Row) -> list[list[_Good]]:
+        """Recordings of other devices of the model; empty if there are too few devices."""
+        devices: list[list[_Good]] = []
+        for serial, good in self._devices.get(_model(row), {}).items():
+            others = _others(good, row)
+            if others and serial != row["device_serial"]:
+                devices.append(others)
+            if len(devices) == MOST_DEVICES:
+                break
+        return devices if row["device_model"] and len(devices) >= FEWEST_DEVICES else []
+
+
+def _others(good: Sequence[_Good], row: Row) -> list[_Good]:
+    """Recordings with other content."""
+    return [one for one in good if one.row["sha256"] != row["sha256"]]
 
 
 def _shuffled(serial: str) -> str:
@@ -145,21 +146,20 @@ def _shuffled(serial: str) -> str:
     return hashlib.sha256(serial.encode("utf-8", "surrogateescape")).hexdigest()
 
 
-def _across(used: Sequence[_Good], serials: Sequence[str], model: str) -> LearntPrior:
+def _across(devices: Sequence[Sequence[_Good]], model: str) -> LearntPrior:
+    used = [one for device in devices for one in device]
     reference_c = _reference_c(used)
-    devices = [
-        _of_recordings([one.row for one in used if one.serial == serial], reference_c) for serial in serials
-    ]
+    told = [_of_recordings([one.row for one in device], reference_c) for device in devices]
     parts = []
     for index, (centre, width) in enumerate(zip(POPULATION.centre, POPULATION.width, strict=True)):
-        told = [one for device in devices if (one := device[index]) is not None]
+        some = [one for device in told if (one := device[index]) is not None]
         known = Told(centre, width * width)
-        if len(told) >= FEWEST_DEVICES:
-            known = across_devices(told, centre, width, POPULATION.freedom)
+        if len(some) >= FEWEST_DEVICES:
+            known = across_devices(some, centre, width, POPULATION.freedom)
         parts.append(known)
     hashes = sorted(one.row["sha256"] for one in used)
     digest = hashlib.sha256("".join(hashes).encode()).hexdigest()
-    return LearntPrior(learnt(parts, reference_c), STUDY_PRIOR, model, len(serials), len(used), digest)
+    return LearntPrior(learnt(parts, reference_c), STUDY_PRIOR, model, len(devices), len(used), digest)
 
 
 def _of_recordings(rows: Sequence[Row], reference_c: float | None) -> list[Told | None]:

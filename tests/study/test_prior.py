@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import runpy
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -17,6 +18,7 @@ from accelcal_cli.study.prior import Learning
 from accelcal_cli.study.summary import PARAMETERS
 from tests.cli.run import Ran, assert_one_line, run, verify
 from tests.cli.studies import results, rows, study_in
+from tests.conftest import ROOT
 from tests.device_recordings import edit, rest, write_device
 from tests.recordings import GAIN, OFFSET_G, directions
 from tests.schema import check_report
@@ -165,6 +167,14 @@ def test_when_one_goes_the_others_learn_anew(base: Path, here: Path) -> None:
     }
 
 
+def test_what_changes_is_learnt_anew(here: Path) -> None:
+    """By `few1`, and by `far`, which keeps its own result again."""
+    write_device(here / "in/A.raw", rest(directions(8), seed=40)[0], serial="A", model="M1")
+    assert "4 unchanged" in study(here, "device").err
+    (source,) = report(here / "out", "few1")["prior"]["device"]
+    assert source["sha256"] == hashlib.sha256((here / "in/A.raw").read_bytes()).hexdigest()
+
+
 def test_its_coefficients_are_applied_and_verified(base: Path, tmp_path: Path, capsys: Capture) -> None:
     held = base / "out/few1.calibration.json"
     for name, words in (("few1", ()), ("few2", ("--any-device",))):
@@ -173,6 +183,7 @@ def test_its_coefficients_are_applied_and_verified(base: Path, tmp_path: Path, c
         assert json.loads(made.read_text())["calibration"] == report(base / "out", "few1")["calibration"]
         again = run(capsys, "verify", made, recording, "--coefficients", held)
         assert again.lines[0].split("\t")[1] == "identical"
+    assert json.loads(made.read_text())["settings"]["prior"] == "population"
 
 
 @pytest.mark.parametrize(
@@ -222,6 +233,17 @@ def test_a_lost_ledger_changes_nothing(base: Path, here: Path) -> None:
     (here / "out/study.ledger").unlink()
     study(here, "device")
     assert results(here / "out") == results(base / "out")
+
+
+@pytest.mark.nightly
+def test_devices_alike_have_smaller_errors_and_intervals_that_hold() -> None:
+    """One fleet of those in docs/prior.md."""
+    tool = runpy.run_path(str(ROOT / "tools/compare_priors.py"))
+    found = tool["fleet"](tool["KINDS"][0], seed=11)
+    error_mg = {prior: np.mean([one.error_mg for one in held]) for prior, held in found.items()}
+    assert error_mg["device"] < error_mg["study"] < 0.7 * error_mg["population"]
+    for held in found.values():
+        assert np.mean([one.low_mg <= one.error_mg <= one.high_mg for one in held]) >= 0.9
 
 
 def row(serial: str | None, sha256: str, offset_g: float = 0.03, **more: Any) -> dict[str, Any]:
