@@ -443,7 +443,7 @@ def study(
     values = _values(options, ReadOptions, Settings)
     request = Request(
         options=given.read_options(values),
-        settings=given.settings(values),
+        settings=given.settings(values, in_study=True),
         report_only=report_only,
         several=True,
         command=("accelcal_cli.study",),

@@ -25,7 +25,13 @@ from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import Column, ParquetSource, described, schema_of, stored_schema, values_of
 from accelcal_cli.output.report import ReportInput, build, section, significant, with_new_names
-from accelcal_cli.output.report_reading import Coefficients, Document, check_sections, read_document
+from accelcal_cli.output.report_reading import (
+    Coefficients,
+    Document,
+    check_sections,
+    learnt_prior_of,
+    read_document,
+)
 from accelcal_cli.output.report_schema import LATER, release
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
@@ -194,7 +200,7 @@ def judge_of(run: RecordingRun, document: Document) -> Judge:
     if pool is not None:
         return PoolCoefficients(request.settings, pool)
     if donor is None:
-        return OwnCalibration(request.settings)
+        return OwnCalibration(request.settings, learnt_prior_of(document, request.settings.prior))
     relation = relation_of(donor, run.reader.recording, run.bytes_at, request)
     return GivenCoefficients(request.settings, donor, relation)
 

@@ -191,11 +191,11 @@ def calibrating_options(command: Command) -> Command:
     return _REPORT_ONLY(_INTEGERS(command))
 
 
-def request_of(values: dict[str, Any]) -> Request:
+def request_of(values: dict[str, Any], *, in_study: bool = False) -> Request:
     """The request that the options of `calibrate` and `study` make; raises what its parts raise."""
     return Request(
         options=read_options(values),
-        settings=settings(values),
+        settings=settings(values, in_study=in_study),
         chunk_samples=values["chunk_samples"],
         report_only=values["report_only"],
         integers=values["integers"],

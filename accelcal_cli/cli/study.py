@@ -18,7 +18,7 @@ from accelcal_cli.cli.options import FILE, Positive, calibrating_options, precis
 from accelcal_cli.cli.output import show_row
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.study.discovery import Where
@@ -165,8 +165,12 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
-    request = replace(request_of(values), several=True)
+    request = replace(request_of(values, in_study=True), several=True)
     refuse_dash(values["out"])
+    learnt = request.recording_settings.prior
+    if learnt in LEARNT_PRIORS:
+        _refuse_other_rounds(learnt, values)
+        request = replace(request, settings=replace(request.recording_settings, prior=DEFAULT.prior))
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
     if values["pool"] and request.settings.profile != DEFAULT.profile:
@@ -187,7 +191,16 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         dask=values["dask"],
         pool=values["pool"] is not None,
         borrow=values["borrow"],
+        prior=learnt if learnt in LEARNT_PRIORS else None,
     )
+
+
+def _refuse_other_rounds(prior: str, values: dict[str, Any]) -> None:
+    """Raise UsageError for what would use a device's other recordings a second time."""
+    for option, given in (("--pool", values["pool"]), ("--borrow", values["borrow"])):
+        if given:
+            text = f"--prior {prior} does not go with {option}: both use a device's other recordings"
+            raise UsageError(text, hint="omit one of them")
 
 
 def _seconds(moment: datetime | None) -> float | None:

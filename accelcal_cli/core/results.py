@@ -218,6 +218,7 @@ class Judgement:
         sphere: error of the calibration over all directions; sphere_before: of the raw values.
         change: how the sensor changed meanwhile; None where nobody looked.
         misfits: what was looked for that the parameters do not describe; None where nobody looked.
+        unlike: the points speak against a prior that was learnt from other recordings.
     """
 
     outcome: Outcome
@@ -235,6 +236,7 @@ class Judgement:
     sphere_before: SphereError | None = None
     change: Change | None = None
     misfits: tuple[Misfit, ...] | None = None
+    unlike: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,6 +126,10 @@ RANGE_RULES = tuple(
 
 
 NO_PRIOR = "none"
+STUDY_PRIOR, DEVICE_PRIOR = "study", "device"
+LEARNT_PRIORS = (STUDY_PRIOR, DEVICE_PRIOR)
+"""Priors that a study learns from other recordings."""
+
 NEVER = "never"
 
 
@@ -138,7 +142,8 @@ class Settings:
         optimizer: as in `--optimizer`.
         model: `auto`, or the model (9, 6, 3) the user insists on.
         prior: what is known of sensors before any point is seen (docs/prior.md): `population`, which DEFAULT
-            has, or `none`: the simplest model that held-out postures support. Older reports had none.
+            has; `none`: the simplest model that held-out postures support; `study`, `device`: learnt from
+            other recordings, and in the report. Older reports had none.
         recalibrate: `auto`, which DEFAULT has: the calibration follows a sensor that changes while it records
             (docs/change.md); or `never`: that is only told. Older reports did neither.
         temperature: whether a slope per axis may be fitted where the recording has temperature.
@@ -195,10 +200,11 @@ class Settings:
         option=Option(
             "--prior",
             "population: fit all parameters, helped by what is usual for sensors; none: use the simplest "
-            "model that the recording supports (docs/prior.md).",
+            "model that the recording supports; `accelcal study` also has study: what is usual for "
+            "devices of the model, and device: the device's other recordings as well (docs/prior.md).",
             default="population; none with --model, --profile paper, and optimizers that know no prior",
         ),
-        choices=("population", NO_PRIOR),
+        choices=("population", NO_PRIOR, *LEARNT_PRIORS),
     )
     recalibrate: str = setting(
         NEVER,

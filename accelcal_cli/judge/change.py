@@ -22,9 +22,9 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.points import Calibration, TimedMeans
+from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
 from accelcal_cli.judge.errors import directions, mean, standard_error, student_t_975
-from accelcal_cli.judge.posterior import POPULATION
 
 FOLDS = 5
 MOST_STRETCHES, LONGEST_STRETCH_H, LEAST_STRETCHES = 24, 6.0, 8
@@ -324,9 +324,8 @@ class Design:
         if warmth is not None:
             self._rows[:, 9:12] *= warmth[:, np.newaxis]
         self._error = 1.0 - lengths / float(found.gravity.local_g())
-        kinds = (POPULATION.scale, POPULATION.misalignment, POPULATION.offset_g, POPULATION.slope_g_per_c)
         self._base = list(range(9 if warmth is None else 12))
-        self._base_widths = [width for width in kinds for _ in range(3)][: len(self._base)]
+        self._base_widths = list(POPULATION.width[: len(self._base)])
         full = np.column_stack([self._rows, self._error])
         ends = np.searchsorted(means.block, np.arange(means.blocks()), side="right")
         self._products = np.stack([part.T @ part for part in np.split(full, ends[:-1])])

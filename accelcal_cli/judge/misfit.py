@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, PENALTY_BITS, WEIGHT_ONE, PointSet
+from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
+from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
 from accelcal_cli.judge.errors import jacobian, mean, per_posture, standard_error, student_t_975
 from accelcal_cli.judge.model_ladder import folds
-from accelcal_cli.judge.posterior import POPULATION, Bend, Posterior, noise
+from accelcal_cli.judge.posterior import Bend, Posterior, noise
 from accelcal_cli.judge.sphere import largest_error_mg
 
 LEAST_MG = 3.0
@@ -74,8 +75,8 @@ class MisfitSearch:
         self._error = -_residual(points, self._tau, parameters)
         self._weights = points.weights / WEIGHT_ONE
         self._postures = int(label.max()) + 1
-        ideal = [(IDENTITY[index] - parameters[index]) / ONE for index in self._free]
-        self._centre = np.array(ideal)
+        centre = [(known.penalty.centre[index] - parameters[index]) / ONE for index in self._free]
+        self._centre = np.array(centre)
         self._still = self._held_out(None)
 
     def misfits(self) -> tuple[Misfit, ...]:

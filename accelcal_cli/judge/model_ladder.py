@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PenalizedFitter, PointSet
+from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.results import Coverage, Holdout, Trial
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge import errors
@@ -45,12 +46,14 @@ class Fitting:
         fit: the optimizer with its numbers for the settings' profile.
         models: names of the models that it can fit.
         penalized: the optimizer with a prior; None where the settings have none.
+        prior: what it is told of sensors.
     """
 
     settings: Settings
     fit: FitFunction
     models: tuple[str, ...] = LADDER
     penalized: PenalizedFitter | None = None
+    prior: Prior = POPULATION
 
 
 def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:

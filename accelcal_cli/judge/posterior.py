@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import log, sqrt
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from accelcal_cli.core.points import (
     Penalty,
     PointSet,
 )
+from accelcal_cli.core.prior import Prior
 from accelcal_cli.judge.errors import worst_direction_mg
 from accelcal_cli.judge.model_ladder import FitFunction
 
@@ -39,49 +40,11 @@ ROUNDS = 60
 PENALTY_DIGITS = 10
 """Leading bits of a penalty: with fewer it settles sooner, and nothing depends on its last bits."""
 
-MG = 1e-3
+ODD_ONES = 20
+"""One in so many sensors is taken to be unlike what others say of it."""
 
 NOISE_RANGE = 50
 """Noise is sought within so many times the usual one, and its inverse."""
-
-
-@dataclass(frozen=True, slots=True)
-class Prior:
-    """What is known of sensors before any point is seen.
-
-    Each parameter has a Student's t distribution: heavy tails, since some sensors are far off.
-
-    Attributes:
-        scale, misalignment: scale parameter of the distribution, of entries of K about the ideal ones.
-        offset_g: of the offsets, about 0 [g].
-        slope_g_per_c: of their slopes, about 0 [g per degree C].
-        freedom: degrees of freedom.
-        noise_g: usual scatter of postures [g].
-        noise_spread: scale parameter of the distribution of its logarithm, which has heavy tails, too.
-        noise_freedom: that distribution's degrees of freedom.
-    """
-
-    scale: float
-    misalignment: float
-    offset_g: float
-    slope_g_per_c: float
-    freedom: float
-    noise_g: float
-    noise_spread: float
-    noise_freedom: float
-
-
-POPULATION = Prior(
-    scale=0.018,
-    misalignment=0.013,
-    offset_g=0.035,
-    slope_g_per_c=0.001,
-    freedom=4.0,
-    noise_g=1.5 * MG,
-    noise_spread=0.3,
-    noise_freedom=2.0,
-)
-"""Wrist and body-worn accelerometers at large; docs/prior.md says how it was chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +65,7 @@ class Posterior:
 
     Attributes:
         found: the fit, and what lies around it.
+        postures: how many were fitted.
         penalty: the prior at its parameters, as the fit had it; that of a part of the points is the same.
         noise_g: standard deviation of |a| from posture to posture [g].
         freedom: degrees of freedom of that noise.
@@ -111,6 +75,7 @@ class Posterior:
 
     model: Model
     found: PenalizedFit
+    postures: int
     penalty: Penalty
     noise_g: float
     freedom: float
@@ -153,10 +118,10 @@ def posterior(
     Raises:
         DivergedError, FixedPointOverflowError: the fit does.
     """
-    widths = _widths(prior, points)
+    expected = _expected(prior, points)
     noise_g, start, before = 2 * prior.noise_g, IDENTITY, None
     for _ in range(ROUNDS):
-        penalty = _penalty(points, postures, widths, prior.freedom, noise_g, start)
+        penalty = _penalty(points, postures, expected, prior.freedom, noise_g, start)
         if penalty == before:
             break
         found, before = fitter(points, model, penalty, start), penalty
@@ -166,20 +131,63 @@ def posterior(
     found = fitter(points, model, penalty, IDENTITY)
     unit = 4 * noise_g * noise_g / postures
     covariance = tuple(tuple(unit * value for value in row) for row in _inverse(points, found, penalty))
-    return Posterior(model, found, penalty, noise_g, freedom, covariance)
+    return Posterior(model, found, postures, penalty, noise_g, freedom, covariance)
 
 
-def _widths(prior: Prior, points: PointSet) -> list[float]:
-    """Scale parameter of each of the twelve parameters; slopes per scaled degree."""
-    span = 1.0 if points.temperature is None else points.temperature.span_c
-    kinds = (prior.scale, prior.misalignment, prior.offset_g, prior.slope_g_per_c * span)
-    return [width for width in kinds for _ in range(3)]
+@dataclass(frozen=True, slots=True)
+class _Expected:
+    """A prior in the units of the fit: twelve fixed-point parameters, and their scale parameters."""
+
+    centre: tuple[int, ...]
+    widths: tuple[float, ...]
+
+
+def speaks_against(
+    learnt: Posterior, usual: Posterior, priors: tuple[Prior, Prior], points: PointSet
+) -> bool:
+    """Whether points are so much likelier with the population's prior that the learnt one is not for them.
+
+    One sensor in ODD_ONES was hit, or swapped, or is unlike others of its model.
+
+    Args:
+        priors: of the two posteriors of these points.
+    """
+    ours, theirs = (
+        _log_evidence(known, prior, points) for known, prior in zip((learnt, usual), priors, strict=True)
+    )
+    return theirs - ours > log(ODD_ONES)
+
+
+def _log_evidence(known: Posterior, prior: Prior, points: PointSet) -> float:
+    """Logarithm of the probability of the points, but for a constant, by Laplace's approximation."""
+    expected, freedom = _expected(prior, points), prior.freedom
+    squares = known.postures * known.found.mean_square / (4 * known.noise_g * known.noise_g)
+    evidence = -known.postures * log(known.noise_g) - squares / 2
+    for index in known.model.free:
+        width = expected.widths[index]
+        away = (known.found.fit.parameters[index] - expected.centre[index]) / ONE / width
+        evidence -= (freedom + 1) / 2 * log(1 + away * away / freedom) + log(width)
+    away = log(known.noise_g / prior.noise_g) / prior.noise_spread
+    evidence -= (prior.noise_freedom + 1) / 2 * log(1 + away * away / prior.noise_freedom)
+    return evidence + float(np.linalg.slogdet(np.array(known.covariance))[1]) / 2
+
+
+def _expected(prior: Prior, points: PointSet) -> _Expected:
+    """The prior at the points' mean temperature, with slopes per scaled degree."""
+    scale, centre = points.temperature, list(prior.centre)
+    span = 1.0 if scale is None else scale.span_c
+    if scale is not None and prior.reference_c is not None:
+        warmer = scale.reference_mc / 1000 - prior.reference_c
+        centre[6:9] = [offset + warmer * slope for offset, slope in zip(centre[6:9], centre[9:], strict=True)]
+    centre[9:] = [slope * span for slope in centre[9:]]
+    widths = (*prior.width[:9], *(width * span for width in prior.width[9:]))
+    return _Expected(tuple(round(value * ONE) for value in centre), widths)
 
 
 def _penalty(
     points: PointSet,
     postures: int,
-    widths: list[float],
+    expected: _Expected,
     freedom: float,
     noise_g: float,
     parameters: tuple[int, ...],
@@ -188,11 +196,11 @@ def _penalty(
     total = sum(points.weights.tolist()) / WEIGHT_ONE
     unit = 4 * noise_g * noise_g / postures * total
     strength = []
-    for value, ideal, width in zip(parameters, IDENTITY, widths, strict=True):
-        away = (value - ideal) / ONE / width
+    for value, centre, width in zip(parameters, expected.centre, expected.widths, strict=True):
+        away = (value - centre) / ONE / width
         weight = (freedom + 1) / (freedom + away * away)
         strength.append(_short(unit * weight / (width * width)))
-    return Penalty(IDENTITY, tuple(strength))
+    return Penalty(expected.centre, tuple(strength))
 
 
 def _short(value: float) -> int:
@@ -248,9 +256,14 @@ def _noise_g(surplus: float, squares: float, prior: Prior) -> float:
 
 def _pull(noise_g: float, prior: Prior) -> tuple[float, float]:
     """First and second derivative of the noise's prior by its logarithm."""
-    part = (noise_g - prior.noise_g) / (noise_g + prior.noise_g)
-    square = part * part
-    away = 2 * part * (15 - 4 * square) / (15 - 9 * square)  # the logarithm, by Pade's fraction of its series
+    away = log_ratio(noise_g, prior.noise_g)
     width, freedom = prior.noise_freedom * prior.noise_spread * prior.noise_spread, prior.noise_freedom + 1
     below = width + away * away
     return freedom * away / below, freedom * (width - away * away) / (below * below)
+
+
+def log_ratio(one: float, other: float) -> float:
+    """The logarithm of a ratio within 50 of 1, by Pade's fraction of its series: the same on all machines."""
+    part = (one - other) / (one + other)
+    square = part * part
+    return 2 * part * (15 - 4 * square) / (15 - 9 * square)

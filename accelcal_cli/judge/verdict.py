@@ -26,6 +26,7 @@ from accelcal_cli.core.points import (
     Saturated,
     in_standard_g,
 )
+from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PAPER, Settings
@@ -34,7 +35,7 @@ from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, me
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
-from accelcal_cli.judge.posterior import POPULATION, posterior
+from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against
 from accelcal_cli.judge.rest import picture
 from accelcal_cli.judge.sphere import sphere_errors
 
@@ -101,7 +102,7 @@ def _judged(
     sample = Sample(points, label, blocks)
     trials = model_ladder.try_models(Evidence(sample, coverage, how.models), settings, how.fit)
     if how.penalized is not None:
-        return _most_probable(sample, trials, coverage, settings, how.penalized)
+        return _most_probable(sample, trials, coverage, how, how.penalized)
     chosen = _chosen(trials, settings)
     outcome, message = _outcome(chosen, trials, coverage, settings)
     verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
@@ -114,14 +115,15 @@ def _most_probable(
     sample: Sample,
     trials: tuple[Trial, ...],
     coverage: Coverage,
-    settings: Settings,
+    how: Fitting,
     penalized: PenalizedFitter,
 ) -> Judgement:
     """The verdict on the fit with a prior, by its error over the whole sphere."""
-    points, label = sample.points, sample.label
+    points, label, settings = sample.points, sample.label, how.settings
     name = "9T" if _warm_and_cool(points, settings) else "9"
     try:
-        known = posterior(points, coverage.distinct_orientations, MODELS[name], POPULATION, penalized)
+        known = posterior(points, coverage.distinct_orientations, MODELS[name], how.prior, penalized)
+        unlike = how.prior is not POPULATION and _is_unlike(known, sample, coverage, how.prior, penalized)
         holdout, _ = blocked(sample, MODELS[name], known.fitter(penalized), settings.folds)
     except DivergedError:
         return Judgement(Outcome.REFUSED, f"{DIVERGES}; {LONGER}", coverage, trials)
@@ -140,6 +142,7 @@ def _most_probable(
         sphere=sphere,
         sphere_before=before,
         misfits=misfits,
+        unlike=unlike,
     )
     outcome, text = _outcome_of_sphere(verdict, settings)
     verdict = replace(verdict, outcome=outcome, message=text)
@@ -154,6 +157,15 @@ def _most_probable(
     errors = _in_standard_g(known.standard_errors(), settings.gravity)
     worst = replace(completed.coverage, worst_direction_mg=known.worst_direction_mg())
     return replace(completed, standard_errors=errors, coverage=worst, penalty=known.penalty)
+
+
+def _is_unlike(
+    known: Posterior, sample: Sample, coverage: Coverage, prior: Prior, penalized: PenalizedFitter
+) -> bool:
+    """Whether the points speak against the prior with which they were fitted, and for that of all sensors."""
+    points = sample.points
+    usual = posterior(points, coverage.distinct_orientations, known.model, POPULATION, penalized)
+    return speaks_against(known, usual, (prior, POPULATION), points)
 
 
 def _outcome_of_sphere(verdict: Judgement, settings: Settings) -> tuple[Outcome, str]:

@@ -16,8 +16,10 @@ from accelcal_cli.core.course import Course
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE
 from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.prior import LearntPrior, Prior, Source
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.core.settings import LEARNT_PRIORS
 from accelcal_cli.output.files import parsed
 from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, upgraded
 from accelcal_cli.output.report_schema import fault, schema_of_version
@@ -29,6 +31,8 @@ LARGEST_OFFSET_G = 1.0
 LARGEST_SLOPE_G_PER_C = 0.1
 ABSOLUTE_ZERO_MC = -273_150
 LAST_SAMPLE = 1 << 53
+LEAST, LARGEST = 1e-7, 1e3
+"""Of a width, a noise and degrees of freedom of a prior."""
 
 FULL_GAIN = "12"
 """Nine entries of K and the offsets, of orientations that were known."""
@@ -121,6 +125,38 @@ def damaged(document: Document, what: str) -> UnreadableError:
     """The error of a report that was not written so."""
     hint = "calibrate its recording again: accelcal did not write this report as it is now"
     return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
+
+
+def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
+    """The prior with which a report was made, if its settings name one that is learnt.
+
+    Raises:
+        UnreadableError: it is missing, or cannot be.
+    """
+    if kind not in LEARNT_PRIORS:
+        return None
+    if "prior" not in document.report:
+        raise damaged(document, f"settings.prior is {kind!r}, but there is no prior")
+    check_sections(document, ("prior",))
+    held = document.report["prior"]
+    centre, width = (
+        tuple(float(held[name][key]) for key in points.PARAMETER_NAMES) for name in ("centre", "width")
+    )
+    noise = [float(held["noise"][name]) for name in ("g", "spread", "freedom")]
+    reference = held["reference_c"]
+    ideal = [value / ONE for value in points.IDENTITY]
+    close = all(abs(value - one) < LARGEST_OFFSET_G for value, one in zip(centre, ideal, strict=True))
+    possible = [*width, float(held["freedom"]), *noise]
+    if held["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
+        raise damaged(document, "it has a prior that no study learns")
+    if reference is not None and not abs(reference) < LARGEST:
+        raise damaged(document, "prior.reference_c cannot be")
+    noise_g, spread, freedom = noise
+    prior = Prior(centre, width, float(held["freedom"]), noise_g, spread, freedom, reference)
+    model, own = held["model"], tuple(Source(one["path"], one["sha256"]) for one in held["device"])
+    return LearntPrior(
+        prior, kind, model["name"], model["devices"], model["recordings"], model["sha256"], own
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
-from accelcal_cli.core.settings import DEFAULT, SIX_POSE, Settings
+from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
 from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
 from accelcal_cli.output.report import coefficients_json
 from accelcal_cli.output.report_reading import COPIED, Coefficients, check_sections, read_coefficients
@@ -243,6 +243,7 @@ def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> S
         optimizer=DEFAULT.optimizer,
         precision_mg=wanted.precision_mg,
         model=DEFAULT.model,
+        prior=DEFAULT.prior if base.prior in LEARNT_PRIORS else base.prior,
         temperature=wanted.temperature and donor.calibration.temperature is not None,
         latitude=place.latitude,
         altitude_m=place.altitude_m,

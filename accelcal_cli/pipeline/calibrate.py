@@ -19,8 +19,9 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
+from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.recording import Reader, Recording
-from accelcal_cli.core.results import Coverage, Facts, Judgement
+from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.system import give_back_freed_memory
 from accelcal_cli.judge.change import told
@@ -40,6 +41,8 @@ SURVEYED_AT_ONCE = 4
 """Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
 threads that each take Python's lock for longer wait less for each other."""
 
+UNLIKE = "its points speak against what other recordings say of its sensor"
+
 
 def calibrate(
     job: Job, request: Request, progress: ProgressMaker = no_progress, source: Path | None = None
@@ -54,6 +57,39 @@ def calibrate(
     """
     with open_run(job, request, progress, source) as run:
         return run.complete(OwnCalibration(request.recording_settings))
+
+
+def calibrate_with(
+    job: Job,
+    request: Request,
+    learnt: LearntPrior,
+    progress: ProgressMaker = no_progress,
+    *,
+    must_calibrate: bool = False,
+    before: FileStamp | None = None,
+) -> Result | str:
+    """Calibrate one recording with a prior from other recordings.
+
+    Args:
+        must_calibrate: a refusal is not written.
+        before: the recording's stamp when its own result was found.
+
+    Returns:
+        the result, or why none is written: the refusal, or that the points speak against the prior.
+
+    Raises:
+        AccelcalError: it cannot be read, or changed, or its outputs cannot be written.
+    """
+    request = replace(request, settings=replace(request.recording_settings, prior=learnt.kind))
+    with open_run(job, request, progress, before=before) as run:
+        outputs.prepare(job, force=request.force)
+        found = run.result(OwnCalibration(request.recording_settings, learnt))
+        judgement = found.data.judgement
+        if judgement.unlike:
+            return UNLIKE
+        if must_calibrate and judgement.outcome is Outcome.REFUSED:
+            return judgement.message
+        return run.write(found, integers_json(found.data, found.points) if request.integers else None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,20 +147,30 @@ class Judge:
         raise NotImplementedError
 
 
+@dataclass(frozen=True)
 class OwnCalibration(Judge):
-    """Fits a recording's own points."""
+    """Fits a recording's own points.
+
+    Attributes:
+        learnt: the prior from other recordings; None: that of the settings.
+    """
+
+    learnt: LearntPrior | None = None
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """The judgement of the profile's procedure."""
+        learnt = self.learnt
+        sections = {} if learnt is None else {"prior": learnt.as_json()}
         if found.damage is not None:
-            return Verdict(found.damage)
-        judgement = advised(
-            found.method.procedure.judge(survey.fitting(self.settings)), found.facts, found.recording
-        )
+            return Verdict(found.damage, sections)
+        fitter = survey.fitting(self.settings, None if learnt is None else learnt.prior)
+        judgement = advised(found.method.procedure.judge(fitter), found.facts, found.recording)
+        if learnt is not None:
+            judgement = replace(judgement, message=f"{judgement.message}; {learnt.told()}")
         if repeated := found.method.segmenter.counts.repeated:
             text = f"{counted(repeated, 'still window')} repeat earlier ones exactly and were left out"
             judgement = replace(judgement, message=f"{judgement.message}; {text}")
-        return Verdict(_with_change(judgement, found.facts))
+        return Verdict(_with_change(judgement, found.facts), sections)
 
 
 def _with_change(judgement: Judgement, facts: Facts) -> Judgement:

@@ -15,6 +15,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import (
     DEFAULT,
+    LEARNT_PRIORS,
     NEVER,
     NO_PRIOR,
     PROFILES,
@@ -52,8 +53,11 @@ def _utf8(text: str) -> bool:
     return True
 
 
-def settings(values: dict[str, Any]) -> Settings:
+def settings(values: dict[str, Any], *, in_study: bool = False) -> Settings:
     """The profile's settings with what the user changed.
+
+    Args:
+        in_study: whether there are other recordings from which a prior can be learnt.
 
     Raises:
         UsageError: the profile has no such model or number, or the stillness rule no such number.
@@ -67,7 +71,7 @@ def settings(values: dict[str, Any]) -> Settings:
         raise UsageError(
             "--min-distance-g is for --profile paper only", hint="omit it, or use --profile paper"
         )
-    return fitting_settings(values, _stillness_settings(profile, values))
+    return fitting_settings(values, _stillness_settings(profile, values), in_study=in_study)
 
 
 def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
@@ -88,8 +92,13 @@ def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
     return replace(chosen, adaptive=replace(chosen.adaptive, min_samples=2))  # bounded by the length alone
 
 
-def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Settings:
+def fitting_settings(
+    values: dict[str, Any], chosen: Settings = DEFAULT, *, in_study: bool = False
+) -> Settings:
     """Settings with what the user said of the fit, the place and the damage that is tolerated.
+
+    Args:
+        in_study: see `settings`.
 
     Raises:
         UsageError: there is no such optimizer, the prior does not go with the rest, or an altitude without a
@@ -97,6 +106,11 @@ def fitting_settings(values: dict[str, Any], chosen: Settings = DEFAULT) -> Sett
     """
     changed = with_given(chosen, values)
     prior = _prior(changed, values.get("prior"))
+    if prior in LEARNT_PRIORS and not in_study:
+        raise UsageError(
+            f"--prior {prior} is learnt from other recordings",
+            hint="use it with `accelcal study FOLDER -d OUT`",
+        )
     recalibrate = _recalibrate(changed, values.get("recalibrate"))
     temperature = changed.temperature and not values["no_temperature"]
     return replace(changed, temperature=temperature, prior=prior, recalibrate=recalibrate)

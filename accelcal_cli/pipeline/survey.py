@@ -37,9 +37,10 @@ from accelcal_cli.core.points import (
     Windows,
     joined_windows,
 )
+from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.core.results import Change, Facts, Gap, Judgement, Jumps, SampleCounts
-from accelcal_cli.core.settings import NEVER, NO_PRIOR, Settings
+from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
@@ -81,8 +82,15 @@ class Observer:
         raise NotImplementedError
 
 
-def fitting(settings: Settings) -> Fitting:
-    """The fitting of the settings; raises UsageError for an optimizer that is unknown or knows no prior."""
+def fitting(settings: Settings, learnt: Prior | None = None) -> Fitting:
+    """The fitting of the settings.
+
+    Args:
+        learnt: the prior of settings that name one that is learnt.
+
+    Raises:
+        UsageError: the optimizer is unknown or knows no prior, or what must be learnt is not given.
+    """
     optimizer = named_optimizer(settings.optimizer)
     numbers = _numbers(optimizer, settings)
     penalized = None if settings.prior == NO_PRIOR else optimizer.fit_penalized
@@ -92,7 +100,9 @@ def fitting(settings: Settings) -> Fitting:
     def fit(sets: Sequence[PointSet], model: Model) -> list[Fit]:
         return optimizer.fits(sets, model, numbers)
 
-    return Fitting(settings, fit, optimizer.models, penalized)
+    if learnt is None and settings.prior in LEARNT_PRIORS:
+        raise UsageError(f"prior {settings.prior} is learnt from other recordings", hint="use accelcal study")
+    return Fitting(settings, fit, optimizer.models, penalized, learnt or POPULATION)
 
 
 def optimizer_json(settings: Settings) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence, Set
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
 from accelcal_cli.pipeline.outputs import withdraw
@@ -17,6 +18,7 @@ from accelcal_cli.study.discovery import as_if_alone, places, refuse_foreign
 from accelcal_cli.study.ledger import Ledger
 from accelcal_cli.study.plan import Plan, RoundPlanner, ledger_of, plan
 from accelcal_cli.study.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
+from accelcal_cli.study.prior import LEARNING, without_prior
 from accelcal_cli.study.records import OWN, Entry, Item, RecordingState
 from accelcal_cli.study.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
 from accelcal_cli.study.study import REPLACING, Study
@@ -28,7 +30,8 @@ def rounds(study: Study) -> tuple[Round, ...]:
     """The rounds after that of the own results; a shard has none, since a device may have several shards."""
     if not study.shard.whole:
         return ()
-    return ((POOLING, APPLY_POOLS) if study.pool else ()) + ((BORROWING,) if study.borrow else ())
+    wanted = ((POOLING, study.pool), (APPLY_POOLS, study.pool), (BORROWING, study.borrow))
+    return tuple(one for one, given in (*wanted, (LEARNING, study.prior is not None)) if given)
 
 
 def run(study: Study, observer: StudyObserver) -> Summary:
@@ -81,13 +84,19 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
     last = [standing[name].last for name in sorted(standing)]
     return Summary(
         rows=[entry.row for entry in last if entry.row is not None],
-        settings={**study.settings(), "pool": study.pool, "borrow": study.borrow},
+        settings=_settings(study),
         waiting=len(planned.waiting),
         ahead=planned.ahead(),
         left_out=len(planned.left_out),
         up_to_date=len(set(standing) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
     )
+
+
+def _settings(study: Study) -> dict[str, Any]:
+    """All that decides the results but the recordings."""
+    own = study.settings()
+    return {**own, "prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
 
 
 class StudyRun:
@@ -118,6 +127,8 @@ class StudyRun:
         self._calibrate(planned.todo)
         for name, first in copies_of(self.known.standing).items() if self.study.pool else ():
             self._observer.note(printable(f"{name}: {said_of_copy(first)}"))
+        for text in without_prior(self.study, self.known):
+            self._observer.note(text)
         for one in self._rounds:
             tasks = list(one.tasks(self.study, self.known))
             if one is self._rounds[-1]:

@@ -17,8 +17,8 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.study.discovery import Where
 
 SLURM = "slurm"
-POOL, POOLED, BORROW = "pool", "pooled", "borrow"
-REPLACING = (POOLED, BORROW)
+POOL, POOLED, BORROW, PRIOR = "pool", "pooled", "borrow", "prior"
+REPLACING = (POOLED, BORROW, PRIOR)
 """Rounds after that of the own results that may replace one."""
 
 
@@ -92,6 +92,8 @@ class Study:
         dask: address or scheduler file of the cluster that does the work; None for processes here.
         pool: recordings of one device are calibrated as one.
         borrow: what cannot be calibrated well may use coefficients of its device's other recordings.
+        prior: kind of prior that is learnt from the own results, which are found with that of the request;
+            None: these stay.
     """
 
     where: Where
@@ -106,6 +108,7 @@ class Study:
     dask: str | None = None
     pool: bool = False
     borrow: bool = False
+    prior: str | None = None
 
     @property
     def out(self) -> Path:
@@ -127,7 +130,8 @@ class Study:
     @property
     def replacing(self) -> tuple[str, ...]:
         """The later rounds whose results may replace a recording's own."""
-        return ((POOLED,) if self.pool else ()) + ((BORROW,) if self.borrow else ())
+        wanted = ((POOLED, self.pool), (BORROW, self.borrow), (PRIOR, self.prior is not None))
+        return tuple(name for name, given in wanted if given)
 
     def asked(self) -> str:
         """A hash of settings and version: an earlier entry with another no longer stands."""

@@ -29,8 +29,7 @@ AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
     "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
-    "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at",
-    "misfits",
+    "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "prior",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
@@ -44,7 +43,7 @@ PARAMETERS = (
 COLUMNS = (
     "path", "outcome", "exit_code", "message", "model",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
-    "own_outcome", "own_message", "own_after_mg",
+    "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
     *SPHERE_COLUMNS, "change", "change_at", "change_mg", "misfits",
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
@@ -76,6 +75,7 @@ def of_report(
     """
     identity = {"path": printable(item.name), "exit_code": code}
     verdict = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
+    verdict["prior"] = report["settings"].get("prior")
     figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
     return (
         dict.fromkeys(COLUMNS) | identity | verdict | figures | _change(report) | _misfits(report) | outputs

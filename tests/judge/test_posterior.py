@@ -9,9 +9,10 @@ import pytest
 
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.judge.errors import uncertainty
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.posterior import POPULATION, Posterior, posterior
+from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against
 from accelcal_cli.judge.sphere import sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.optimize.oracle import IDEAL, directions, measured, points
@@ -19,10 +20,10 @@ from tests.optimize.oracle import IDEAL, directions, measured, points
 SENSOR = IDEAL + np.array([0.01, -0.02, 0.015, 0.01, -0.005, 0.008, 0.03, -0.02, 0.04, 0, 0, 0])[: len(IDEAL)]
 
 
-def of(held: PointSet, **prior: float) -> Posterior:
+def of(held: PointSet, prior: Prior = POPULATION) -> Posterior:
     assert OPTIMIZER.fit_penalized is not None
     number = len(set(postures(held, 15.0).tolist()))
-    return posterior(held, number, MODELS["9"], replace(POPULATION, **prior), OPTIMIZER.fit_penalized)
+    return posterior(held, number, MODELS["9"], prior, OPTIMIZER.fit_penalized)
 
 
 def rest(sensor: np.ndarray, poses: np.ndarray, noise_g: float, seed: int = 1) -> PointSet:
@@ -52,7 +53,7 @@ def test_the_noise_is_that_of_the_postures(noise_mg: float) -> None:
 def test_standard_errors_are_those_of_least_squares_where_the_prior_is_wide() -> None:
     """sigma^2 (J^T J)^-1 of |a| by differences, at the fitted parameters."""
     held = rest(SENSOR, directions(60), 0.002)
-    known = of(held, scale=10.0, misalignment=10.0, offset_g=10.0)
+    known = of(held, replace(POPULATION, width=(10.0,) * 12))
     p, g, step = values(known)[:9], held.xyz / ONE, 1e-6
 
     def length(q: np.ndarray) -> np.ndarray:
@@ -77,8 +78,8 @@ def test_what_the_points_do_not_speak_of_stays_near_the_ideal_and_uncertain() ->
     near = np.stack([np.ones(12), 0.3 * np.cos(turn), 0.3 * np.sin(turn)], axis=1)
     known = of(rest(IDEAL, near / np.sqrt((near**2).sum(axis=1))[:, None], 0.001))
     errors = known.standard_errors()
-    wide = POPULATION.offset_g
-    assert 0.3 * POPULATION.scale < errors[0] < POPULATION.scale * 1.1
+    scale, wide = POPULATION.width[0], POPULATION.width[6]
+    assert 0.3 * scale < errors[0] < scale * 1.1
     assert 0.3 * wide < errors[6] < wide * 1.1
     assert np.abs(values(known) - np.array(IDENTITY) / ONE).max() < 0.01
 
@@ -127,6 +128,42 @@ def test_over_the_sphere_the_scatter_of_postures_remains() -> None:
     mean, (low, high) = sphere(known, held, known.found.fit.parameters)
     assert mean == pytest.approx(1000 * known.noise_g * np.sqrt(2 / np.pi), rel=0.1)
     assert low < mean < high
+
+
+NEAR = replace(
+    POPULATION, centre=(*SENSOR[:9], 0.0, 0.0, 0.0), width=(0.002,) * 6 + (0.004,) * 3 + (0.001,) * 3
+)
+"""What others of its model say of SENSOR."""
+
+
+def few(sensor: np.ndarray) -> PointSet:
+    """Six postures on one side of the sphere."""
+    poses = directions(40)
+    return rest(sensor, poses[poses[:, 2] > 0.1][::3][:6], 0.001)
+
+
+def test_what_is_left_open_is_near_the_centre_of_a_learnt_prior() -> None:
+    known, usual = (of(few(SENSOR), prior) for prior in (NEAR, POPULATION))
+    away, before = (np.abs(values(one)[:9] - SENSOR[:9]).max() for one in (known, usual))
+    assert away < 0.002 < before / 3
+    assert known.penalty.centre[6] == round(SENSOR[6] * ONE)
+
+
+def test_points_speak_against_a_prior_that_is_of_other_sensors() -> None:
+    far = SENSOR + np.eye(len(SENSOR))[6:9].sum(axis=0) * 0.2
+    for sensor, against in ((SENSOR, False), (far, True)):
+        held = few(sensor)
+        pair = of(held, NEAR), of(held, POPULATION)
+        assert speaks_against(*pair, (NEAR, POPULATION), held) is against
+
+
+def test_offsets_at_the_centre_follow_the_temperature() -> None:
+    """20 mg at 25 degrees and 1 mg per degree: 25 mg at the points' 30, if the prior decides."""
+    narrow = replace(NEAR, centre=(1.0,) * 3 + (0.0,) * 3 + (0.02,) * 3 + (0.001,) * 3, width=(1e-6,) * 12)
+    held = points(measured(IDEAL, directions(20)), tau=np.linspace(-1, 1, 20), span_c=4.0)
+    assert OPTIMIZER.fit_penalized is not None
+    known = posterior(held, 20, MODELS["9T"], replace(narrow, reference_c=25.0), OPTIMIZER.fit_penalized)
+    assert known.penalty.centre[6:] == (round(0.025 * ONE),) * 3 + (round(0.004 * ONE),) * 3
 
 
 @pytest.mark.nightly

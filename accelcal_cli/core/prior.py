@@ -1,0 +1,103 @@
+"""What is known of a sensor before any point is seen, and where that was learnt."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from accelcal_cli.core.errors import printable
+from accelcal_cli.core.points import PARAMETER_NAMES
+
+MG = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """Student's t distribution of each parameter, and the usual noise.
+
+    The tails are heavy, since some sensors are far off.
+
+    Attributes:
+        centre: of the twelve parameters, in the order of PARAMETER_NAMES: entries of K, offsets [g] and their
+            slopes [g per degree C].
+        width: scale parameters of the distributions about it.
+        freedom: degrees of freedom.
+        noise_g: usual scatter of postures [g].
+        noise_spread: scale parameter of the distribution of its logarithm, which has heavy tails, too.
+        noise_freedom: that distribution's degrees of freedom.
+        reference_c: temperature of the offsets at the centre [degrees C]; None: at any.
+    """
+
+    centre: tuple[float, ...]
+    width: tuple[float, ...]
+    freedom: float
+    noise_g: float
+    noise_spread: float
+    noise_freedom: float
+    reference_c: float | None = None
+
+
+POPULATION = Prior(
+    centre=(1.0,) * 3 + (0.0,) * 9,
+    width=(0.018,) * 3 + (0.013,) * 3 + (0.035,) * 3 + (0.001,) * 3,
+    freedom=4.0,
+    noise_g=1.5 * MG,
+    noise_spread=0.3,
+    noise_freedom=2.0,
+)
+"""Wrist and body-worn accelerometers at large; docs/prior.md says how it was chosen."""
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A recording that a prior was learnt from: its name in the study, and the hash of its bytes."""
+
+    name: str
+    sha256: str
+
+
+@dataclass(frozen=True, slots=True)
+class LearntPrior:
+    """A prior from other recordings of a study.
+
+    Attributes:
+        kind: `study`: from other devices of the model; `device`: also from others of the device itself.
+        devices, recordings: how many of the model were used; 0: the population stands in for them.
+        sha256: of the hashes of these recordings, sorted and joined; None without any.
+        own: the device's other recordings that were used; empty for kind `study`.
+    """
+
+    prior: Prior
+    kind: str
+    model: str | None
+    devices: int
+    recordings: int
+    sha256: str | None
+    own: tuple[Source, ...] = ()
+
+    def told(self) -> str:
+        """What a verdict says of it."""
+        model = f"{self.devices} other devices of model {printable(self.model or '')}"
+        if self.kind == "study":
+            return f"prior learnt from {model}"
+        others = f"{len(self.own)} other recording{'s' * (len(self.own) != 1)} of the device"
+        return f"prior learnt from {others}" + (f" and {model}" if self.devices else "")
+
+    def as_json(self) -> dict[str, Any]:
+        """The report's `prior`."""
+        prior = self.prior
+        return {
+            "kind": self.kind,
+            "centre": dict(zip(PARAMETER_NAMES, prior.centre, strict=True)),
+            "width": dict(zip(PARAMETER_NAMES, prior.width, strict=True)),
+            "freedom": prior.freedom,
+            "noise": {"g": prior.noise_g, "spread": prior.noise_spread, "freedom": prior.noise_freedom},
+            "reference_c": prior.reference_c,
+            "model": {
+                "name": None if self.model is None else printable(self.model),
+                "devices": self.devices,
+                "recordings": self.recordings,
+                "sha256": self.sha256,
+            },
+            "device": [{"path": printable(one.name), "sha256": one.sha256} for one in self.own],
+        }
