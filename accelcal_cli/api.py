@@ -436,9 +436,9 @@ def study(
     # few programs do both
     import pandas as pd
 
-    from accelcal_cli.study.discovery import Where
-    from accelcal_cli.study.run import run
-    from accelcal_cli.study.study import Study
+    from accelcal_cli.studies.discovery import Where
+    from accelcal_cli.studies.run import run
+    from accelcal_cli.studies.study import Study
 
     values = _values(options, ReadOptions, Settings)
     request = Request(

@@ -24,7 +24,7 @@ LAYER = {
     "pipeline": 2,
     "six_pose": 3,
     "evaluate": 3,
-    "study": 3,
+    "studies": 3,
     "verify": 4,
     "api": 4,
     "devices": 4,
@@ -47,7 +47,7 @@ SHORT = {
     "core/text_files.py": "for layouts and lists of poses, which lie in different layers",
     "optimize/float32.py": "one file an optimizer",
     "optimize/float64.py": "one file an optimizer",
-    "study/preload.py": "imported for its imports, by the server that worker processes are forked from",
+    "studies/preload.py": "imported for its imports, by the server that worker processes are forked from",
 }
 """Files of fewer lines than SHORTEST, and why each stands alone; `__init__.py` needs no reason."""
 

@@ -25,8 +25,8 @@ from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.output.report import significant
 from accelcal_cli.pipeline.survey import fitting
-from accelcal_cli.study.prior import Learning
-from accelcal_cli.study.summary import PARAMETERS
+from accelcal_cli.studies.prior import Learning
+from accelcal_cli.studies.summary import PARAMETERS
 
 BEGIN = datetime(2025, 3, 3, 18)
 DEVICES, MONTHS = 12, 6

@@ -21,13 +21,13 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
-from accelcal_cli.study.discovery import Where
-from accelcal_cli.study.plan import overlooked
-from accelcal_cli.study.records import FAILED, Item
-from accelcal_cli.study.run import preview, run
-from accelcal_cli.study.study import Study, shard
-from accelcal_cli.study.summary import Summary
-from accelcal_cli.study.task import TaskResult
+from accelcal_cli.studies.discovery import Where
+from accelcal_cli.studies.plan import overlooked
+from accelcal_cli.studies.records import FAILED, Item
+from accelcal_cli.studies.run import preview, run
+from accelcal_cli.studies.study import Study, shard
+from accelcal_cli.studies.summary import Summary
+from accelcal_cli.studies.task import TaskResult
 
 
 class TerminalObserver:

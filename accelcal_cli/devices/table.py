@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.study.records import FAILED
-from accelcal_cli.study.summary import PARAMETERS as COLUMNS
+from accelcal_cli.studies.records import FAILED
+from accelcal_cli.studies.summary import PARAMETERS as COLUMNS
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]

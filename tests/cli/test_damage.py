@@ -12,7 +12,7 @@ from tests.cli.run import assert_one_line, run, verify
 from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 from tests.schema import check_report
-from tests.study.mixture import simulated
+from tests.studies.mixture import simulated
 
 Capture = pytest.CaptureFixture[str]
 

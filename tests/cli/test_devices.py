@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.study.summary import COLUMNS, PARAMETERS, TEXT, WHOLE
+from accelcal_cli.studies.summary import COLUMNS, PARAMETERS, TEXT, WHOLE
 from tests.cli.run import assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, refused, start, write
 

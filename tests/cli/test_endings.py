@@ -15,7 +15,7 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.pipeline import calibrate
 from accelcal_cli.segment.segmenter import Segmenter
-from accelcal_cli.study import task
+from accelcal_cli.studies import task
 from tests.cli.run import assert_one_line, command, little_room, run
 from tests.recordings import directions, still_counts, write_raw
 

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from accelcal_cli.pipeline.jobs import Request, file_stamp, plan
-from accelcal_cli.study.borrowing import copies, pools
-from accelcal_cli.study.records import Item
-from accelcal_cli.study.task import CalibrationTask, Common, calibrated
+from accelcal_cli.studies.borrowing import copies, pools
+from accelcal_cli.studies.records import Item
+from accelcal_cli.studies.task import CalibrationTask, Common, calibrated
 from tests.cli.run import assert_one_line, run
 from tests.cli.studies import rows, study
 from tests.device_recordings import donor, rest, write_device

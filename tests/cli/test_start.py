@@ -112,6 +112,6 @@ def test_a_report_alone_is_written_without_pyarrow(tmp_path: Path) -> None:
 
 def test_what_workers_are_forked_from_has_all_that_a_recording_needs(tmp_path: Path) -> None:
     made = make_flash.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
-    ready = "import accelcal_cli.study.preload, accelcal_cli.cli.calibrate, accelcal_cli.cli.main"
+    ready = "import accelcal_cli.studies.preload, accelcal_cli.cli.calibrate, accelcal_cli.cli.main"
     before, after = lists(f"{ready}\n{PRINT}\n{commands(calibrating(made.path))}")
     assert after - before - {"difflib"} == set()  # click looks for the nearest option to `-d`

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.study import lock
+from accelcal_cli.studies import lock
 from tests.cli.run import run
 from tests.cli.studies import NAMES, results, rows, study, study_folder
 from tests.recordings import directions, still_counts, write_raw

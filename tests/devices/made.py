@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from accelcal_cli.study.summary import COLUMNS, TEXT, WHOLE
+from accelcal_cli.studies.summary import COLUMNS, TEXT, WHOLE
 
 BEGIN = datetime(2024, 3, 4, 12)
 NOW_S = 1_795_000_000.0

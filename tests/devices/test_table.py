@@ -11,7 +11,7 @@ import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.devices.table import day, read
-from accelcal_cli.study.summary import COLUMNS, TEXT
+from accelcal_cli.studies.summary import COLUMNS, TEXT
 from tests.devices.made import NOW_S, fitted, refused, write
 
 

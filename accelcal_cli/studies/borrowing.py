@@ -1,0 +1,210 @@
+"""The round in which recordings that cannot be calibrated well borrow coefficients of their device.
+
+Which recording may use whose coefficients is decided from the rows of the table alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, ClassVar
+
+from accelcal_cli.core.errors import printable
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.pipeline.apply import borrow
+from accelcal_cli.pipeline.calibrate import calibrate
+from accelcal_cli.studies import summary
+from accelcal_cli.studies.records import Entry, ProgressCallback
+from accelcal_cli.studies.rounds import Round, StudyState, common_of
+from accelcal_cli.studies.study import BORROW, Study
+from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
+
+Row = Mapping[str, Any]
+
+MOST_DONORS = 3
+"""So many are tried before a recording keeps its own result."""
+
+GOOD = (Outcome.CALIBRATED, Outcome.REDUCED_MODEL, Outcome.ALREADY_GOOD)
+POORER_TIMES = 2.0
+POORER_MG = 1.0
+"""A calibration is looked at again where its held-out error is at least so many times that of the device's
+best recording, and so many mg more; otherwise a study of good recordings would be read twice."""
+
+
+def pools(rows: Mapping[str, Row], max_damage_percent: float) -> list[list[str]]:
+    """Names of the recordings that are calibrated as one, by device and name; each pool has two at least.
+
+    They agree in serial, model, counts per g and range, are not too damaged, have a result of their own, and
+    their sensor did not change meanwhile.
+    Of copies of one recording only the first is named.
+
+    Args:
+        rows: own results by name.
+    """
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for serial, device in _devices(rows).items():
+        for name, row in device.items():
+            refused = row["outcome"] == Outcome.REFUSED
+            if _changed(row):
+                continue
+            if row["outcome"] in GOOD or (refused and not _damaged(row, max_damage_percent)):
+                key = (serial, row["device_model"] or "", row["lsb_per_g"], row["range_g"] or 0.0)
+                alike.setdefault(key, []).append(name)
+    again = copies(rows)
+    once = [sorted(name for name in alike[key] if name not in again) for key in sorted(alike)]
+    return [names for names in once if len(names) > 1]
+
+
+def copies(rows: Mapping[str, Row]) -> dict[str, str]:
+    """Recordings of a device with the bytes of another one: name, and the first name of the same."""
+    first: dict[tuple[str, str], str] = {}
+    for name in sorted(rows):
+        first.setdefault((rows[name]["device_serial"], rows[name]["sha256"]), name)
+    firsts = {name: first[row["device_serial"], row["sha256"]] for name, row in rows.items()}
+    return {name: one for name, one in firsts.items() if name != one and rows[name]["device_serial"]}
+
+
+def _changed(row: Row) -> bool:
+    """Whether the sensor changed meanwhile: then no one set of coefficients is the recording's."""
+    return row.get("change") not in (None, "none")
+
+
+def _damaged(row: Row, max_percent: float) -> bool:
+    return bool(row["outcome"] == Outcome.REFUSED and row["lost_percent"] > max_percent)
+
+
+def donors(
+    rows: Mapping[str, Row], max_damage_percent: float, *, compare: bool, settled: Collection[str] = ()
+) -> dict[str, list[str]]:
+    """For each recording that should borrow, by name, whom it may ask: the nearest in time first.
+
+    Who should borrow does not lend, so that nothing is lent on.
+
+    Args:
+        rows: results by name.
+        settled: names of those that do not ask, since a result is not their own.
+        compare: whether calibrated recordings may borrow, too, if they are poorer than others.
+    """
+    found: dict[str, list[str]] = {}
+    for device in _devices(rows).values():
+        recipients = {
+            name
+            for name in device.keys() - set(settled)
+            if _borrows(name, device, max_damage_percent, compare=compare)
+        }
+        good = [name for name in device if name not in recipients and device[name]["outcome"] in GOOD]
+        lending = [name for name in good if not _changed(device[name])]
+        for name in sorted(recipients):
+            near = sorted((_apart_s(device[name], rows[one]), one) for one in _alike(name, lending, device))
+            if near:
+                found[name] = [one for _, one in near[:MOST_DONORS]]
+    return found
+
+
+def _devices(rows: Mapping[str, Row]) -> dict[str, dict[str, Row]]:
+    """Rows by name, by serial; recordings without one belong to no device."""
+    found: dict[str, dict[str, Row]] = {}
+    for name, row in rows.items():
+        if row["device_serial"]:
+            found.setdefault(row["device_serial"], {})[name] = row
+    return found
+
+
+def _alike(name: str, others: list[str], rows: Mapping[str, Row]) -> list[str]:
+    """Of other recordings of the same serial those whose model is not another one."""
+    model = rows[name]["device_model"]
+    return [
+        one for one in others if one != name and (not model or rows[one]["device_model"] in (model, None, ""))
+    ]
+
+
+def _borrows(name: str, device: Mapping[str, Row], max_damage_percent: float, *, compare: bool) -> bool:
+    row = device[name]
+    if row["outcome"] == Outcome.REFUSED:
+        return not _damaged(row, max_damage_percent)
+    if not compare or row["outcome"] not in GOOD:
+        return False
+    others = [device[one] for one in _alike(name, list(device), device)]
+    best = min((one["after_mg"] for one in others if one["outcome"] in GOOD), default=row["after_mg"])
+    return bool(row["after_mg"] >= POORER_TIMES * best and row["after_mg"] - best >= POORER_MG)
+
+
+def _apart_s(one: Row, other: Row) -> float:
+    """Time between two recordings [s]; 0 where they overlap, endless if not known.
+
+    By the device's clock, unless both say how far theirs was from UTC.
+    """
+    if one["start_time"] is None or other["start_time"] is None:
+        return float("inf")
+    start, begin = (datetime.fromisoformat(row["start_time"]) for row in (one, other))
+    if start.tzinfo is None or begin.tzinfo is None:
+        start, begin = start.replace(tzinfo=None), begin.replace(tzinfo=None)
+    later = (begin - start).total_seconds()
+    return float(max(0.0, later - one["duration_s"], -later - other["duration_s"]))
+
+
+def identity(row: Row) -> str:
+    """A hash of a result: for the same settings and version a row says all that decides its report."""
+    return hashlib.sha256(json.dumps(row, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, slots=True)
+class BorrowTask(ReplacementTask):
+    """One recording that should borrow.
+
+    Attributes:
+        donors: whose coefficients it may try, in this order: name of the item, and its report.
+    """
+
+    donors: tuple[tuple[str, Path], ...]
+    round: ClassVar[str] = BORROW
+    refusal: ClassVar[str] = "borrowed nothing"
+
+    def stands(self, entry: Entry) -> bool:
+        """See `RoundTask`: what was tried is unchanged, and if nothing was accepted, all were tried."""
+        tried = len(entry.inputs)
+        assert entry.row is not None
+        done = entry.row["outcome"] == Outcome.BORROWED or tried == len(self.inputs)
+        return done and entry.inputs == self.inputs[:tried]
+
+
+def tasks(study: Study, known: StudyState) -> list[BorrowTask]:
+    """See `Round`; what was pooled lends, but does not borrow."""
+    settings, common, standing = study.request.settings, common_of(study), known.standing
+    rows = {name: one.last.row for name, one in standing.items() if one.last.row and not one.last.failed}
+    settled = [name for name, one in standing.items() if one.last is not one.own]
+    compare = settings.profile == DEFAULT.profile
+    found = donors(rows, settings.max_damage_percent, compare=compare, settled=settled)
+
+    def task(name: str, names: list[str]) -> BorrowTask:
+        own = standing[name].own
+        inputs = (identity(own.row or {}), *(identity(rows[one]) for one in names))
+        lending = tuple((one, standing[one].item.job.report) for one in names)
+        return BorrowTask(standing[name].item, common, own, inputs, lending)
+
+    return [task(*pair) for pair in found.items()]
+
+
+@guarded
+def borrowed(task: BorrowTask, report_progress: ProgressCallback) -> TaskResult:
+    """Try one donor after another."""
+    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    poorer = task.own_row["outcome"] != Outcome.REFUSED
+    reports = [report for _, report in task.donors]
+    loan = borrow(item.job, request, reports, progress, must_be_better=poorer, before=item.stamps[0])
+    if loan.result is None:
+        own = calibrate(item.job, request, progress)
+        return task.result(own, task.kept("; ".join(loan.reasons)))
+    number = len(loan.reasons)
+    lender, _ = task.donors[number]
+    accepted = {"borrowed_from": printable(lender), **summary.own(task.own_row)}
+    row = row_of(item, task.common, loan.result) | accepted
+    return task.result(loan.result, row, task.inputs[: number + 2])
+
+
+BORROWING = Round(BORROW, borrowed, tasks)

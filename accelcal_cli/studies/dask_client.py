@@ -1,0 +1,357 @@
+"""Tasks done by the workers of a dask.distributed cluster; if a worker is lost, another does its task.
+
+distributed is an optional extra and is imported in this module and on the workers only.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import logging
+import pickle
+import secrets
+import time
+import warnings
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from accelcal_cli.core.errors import ClusterError, UsageError, printable
+from accelcal_cli.studies.dask_worker import (
+    BEGAN,
+    ENDED,
+    PROGRESS,
+    TOPIC,
+    WorkerRequirements,
+    serialized_task,
+)
+from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
+
+FILE_POLL_S = 0.5
+POLL_S = 1.0
+COUNT_S = 3.0
+GRACE_S = 10.0
+DONE = "done"
+Notify = Callable[[str], None]
+
+
+@contextlib.contextmanager
+def connected(address: str, notify: Notify) -> Iterator[Any]:
+    """A client of the scheduler at an address, or of the one that wrote a scheduler file.
+
+    It waits as long as distributed does (`distributed.comm.timeouts.connect`, 30 s unless configured). What
+    distributed would print meanwhile is hidden: the error says it in our own words.
+
+    Raises:
+        UsageError: distributed is not installed.
+        ClusterError: the scheduler cannot be reached, or is of another version.
+    """
+    library = _library()
+    with _silence():
+        client = _client(library, address, notify)
+        try:
+            yield client
+        finally:
+            with contextlib.suppress(Exception):
+                client.close(timeout=5)
+
+
+def _library() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise UsageError("--dask needs dask.distributed", hint="pip install 'accelcal[dask]'") from error
+    return distributed
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    before = logging.root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logging.disable(before)
+
+
+def _client(library: Any, named: str, notify: Notify) -> Any:
+    import dask
+
+    wait_s = dask.utils.parse_timedelta(dask.config.get("distributed.comm.timeouts.connect"))
+    address = _address(named, wait_s)
+    _check(library, address, wait_s)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        try:
+            client = library.Client(address, timeout=wait_s, set_as_default=False, name="accelcal")
+        except Exception as error:
+            raise _unreachable(address, error) from error
+    if any(one.category.__name__ == "VersionMismatchWarning" for one in warned):
+        notify(
+            "some versions on the cluster (Python, dask, numpy or others) differ from those on this machine"
+        )
+    return client
+
+
+def _check(library: Any, address: str, wait_s: float) -> None:
+    """Ask for the version before a client is made: one of another version may fail, and then hangs."""
+    from distributed.comm import parse_address
+    from distributed.comm.registry import get_backend
+
+    try:
+        get_backend(parse_address(address)[0] if address else "")
+    except ValueError as error:
+        raise UsageError(
+            f"--dask {printable(address)!r} is not an address", hint="use one such as tcp://host:8786"
+        ) from error
+    try:
+        version = asyncio.run(_version(library, address, wait_s))
+    except Exception as error:
+        raise _unreachable(address, error) from error
+    if version != library.__version__:
+        raise ClusterError(
+            f"the scheduler at {address} has distributed {version}, this machine has {library.__version__}",
+            hint="install the same version on every machine",
+        )
+
+
+async def _version(library: Any, address: str, wait_s: float) -> str:
+    """Of the scheduler's distributed."""
+    secured = library.Security().get_connection_args("client")
+    async with asyncio.timeout(wait_s), library.rpc(address, connection_args=secured) as scheduler:
+        return str((await scheduler.versions())["packages"]["distributed"])
+
+
+def _unreachable(address: str, error: Exception) -> ClusterError:
+    reason = " ".join(str(error).split()) or "no answer"
+    return ClusterError(
+        f"no scheduler answers at {address} ({reason})",
+        hint="start one with `dask scheduler`, and give --dask its address or its scheduler file",
+    )
+
+
+def _address(named: str, wait_s: float) -> str:
+    """The address itself; for a scheduler file what it holds, once it is there."""
+    if not named.endswith(".json"):
+        return named
+    path, end = Path(named), time.monotonic() + wait_s
+    while (address := _address_in(path)) is None and time.monotonic() < end:
+        time.sleep(FILE_POLL_S)
+    if address is None:
+        raise ClusterError(
+            "no scheduler has written its address here", path=printable(path), hint="start `dask scheduler`"
+        )
+    return address
+
+
+def _address_in(path: Path) -> str | None:
+    try:
+        address = json.loads(path.read_text("utf-8"))["address"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return address if isinstance(address, str) else None
+
+
+@dataclass(slots=True)
+class Cluster:
+    """The workers of a scheduler.
+
+    Attributes:
+        address: of the scheduler, or name of its scheduler file.
+        work: what is done with a task.
+        requirements: what a worker must be.
+        limit: how many tasks the cluster is given at a time; None for as many as its workers have threads.
+        timeout_s: the longest a task may take from when it began; None for no end.
+        on_progress: see `ProgressDelta`.
+        notify: called with what the user should know.
+        lost: called with a task and the `HOST.PROCESS` that began it and is gone.
+    """
+
+    address: str
+    work: TaskFunction
+    requirements: WorkerRequirements
+    limit: int | None = None
+    timeout_s: float | None = None
+    on_progress: ProgressDelta = lambda _task, _fraction: None
+    notify: Notify = lambda _text: None
+    lost: Callable[[Any, str], None] = lambda _task, _owner: None
+
+    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
+        """See `Executor`.
+
+        Raises:
+            UsageError: distributed is not installed.
+            ClusterError: the scheduler cannot be reached or is lost, or a worker is unsuitable.
+            OutputError: a worker cannot write where the outputs go.
+        """
+        if tasks:
+            with connected(self.address, self.notify) as client:
+                yield from DaskSession(self, client, deque(tasks)).run()
+
+
+@dataclass(slots=True)
+class _Running:
+    """A task in the hands of the cluster; `owners` began it, all but the last of them in vain."""
+
+    task: Any
+    future: Any
+    tries: int
+    owners: list[str] = field(default_factory=list)
+    began: float | None = None
+    at_work: bool = False
+    fraction: float = 0.0
+
+
+@dataclass(slots=True)
+class DaskSession:
+    """One run; the keys of its tasks begin with its name.
+
+    No more tasks are submitted than can begin: if a worker is lost, distributed blames all that it held.
+    """
+
+    cluster: Cluster
+    client: Any
+    waiting: deque[Any]
+    name: str = field(default_factory=lambda: f"accelcal-{secrets.token_hex(6)}")
+    running: dict[str, _Running] = field(default_factory=dict)
+    events: SimpleQueue[tuple[str, str, Any]] = field(default_factory=SimpleQueue)
+    number: int = 0
+    threads: int = -1
+    next_count_s: float = 0.0
+
+    def run(self) -> Iterator[Finished]:
+        """Give, and listen, until nothing is left."""
+        self.client.subscribe_topic(TOPIC, lambda event: self.events.put(tuple(event[1])))
+        try:
+            while self.waiting or self.running:
+                self._count_workers()
+                while self.waiting and len(self.running) < (self.cluster.limit or max(1, self.threads)):
+                    self._submit(self.waiting.popleft(), tries=1)
+                yield from self._listen()
+                yield from self._overdue()
+        finally:
+            with contextlib.suppress(Exception):
+                self._cancel_all()
+
+    def _count_workers(self) -> None:
+        if time.monotonic() < self.next_count_s:
+            return
+        self.next_count_s = time.monotonic() + COUNT_S
+        try:
+            threads = sum(self.client.nthreads().values())
+        except Exception as error:
+            raise self._lost(error) from error
+        if threads == 0 and self.threads != 0:
+            self.cluster.notify(f"{self.cluster.address} has no workers yet; waiting")
+        self.threads = threads
+
+    def _lost(self, reason: object) -> ClusterError:
+        return ClusterError(
+            f"the connection to the scheduler {self.cluster.address} was lost ({reason})",
+            hint="finished recordings are kept: run the command again",
+        )
+
+    def _submit(self, task: Any, tries: int) -> None:
+        self.number += 1
+        key = f"{self.name}-{self.number}"
+        try:
+            content = serialized_task(self.cluster.work, task, self.cluster.requirements)
+            future = self.client.submit(pickle.loads, content, key=key, pure=False)
+        except Exception as error:
+            raise self._lost(error) from error
+        self.running[key] = _Running(task, future, tries)
+        future.add_done_callback(lambda _future: self.events.put((key, DONE, None)))
+
+    def _listen(self) -> Iterator[Finished]:
+        """What comes within a moment; what others do is none of ours."""
+        try:
+            key, kind, value = self.events.get(timeout=POLL_S)
+        except Empty:
+            return
+        running = self.running.get(key)
+        if running is None:
+            return
+        if kind == DONE:
+            yield from self._done(key, running)
+        elif kind == BEGAN:
+            running.owners.append(value)
+            running.began, running.at_work = time.monotonic(), True
+        elif kind == ENDED:
+            running.at_work = False
+        elif kind == PROGRESS:
+            self._progress(running, value)
+
+    def _progress(self, running: _Running, fraction: float) -> None:
+        self.cluster.on_progress(running.task, fraction - running.fraction)
+        running.fraction = fraction
+
+    def _done(self, key: str, running: _Running) -> Iterator[Finished]:
+        """One that is not pending any more, unless its result was lost with the worker."""
+        status = running.future.status
+        if status == "pending":
+            running.future.add_done_callback(lambda _future: self.events.put((key, DONE, None)))
+            return
+        if status == "cancelled":
+            raise self._lost("its tasks are gone")
+        if status == "error":
+            yield from self._erred(key, running, running.future.exception())
+            return
+        kind, value = self._result(running)
+        if kind == "unsuitable":
+            raise value
+        del self.running[key]
+        self._clear(running, running.owners[:-1])
+        self._progress(running, 1.0)
+        yield Finished(running.task, result=value)
+
+    def _result(self, running: _Running) -> tuple[str, Any]:
+        try:
+            result: tuple[str, Any] = running.future.result()
+        except Exception as error:
+            raise self._lost(error) from error
+        return result
+
+    def _erred(self, key: str, running: _Running, error: Exception) -> Iterator[Finished]:
+        """The work never raises: either its workers were killed, or they could not begin the task."""
+        if type(error).__name__ != "KilledWorker":
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise ClusterError(
+                f"a worker cannot start a task ({reason})", hint="install the same accelcal on every machine"
+            ) from error
+        del self.running[key]
+        self._clear(running, running.owners)
+        if not running.owners and running.tries == 1:
+            self._submit(running.task, tries=2)
+            return
+        fault = "every worker that tried it was lost, perhaps for lack of memory"
+        yield Finished(running.task, fault=fault, retry=True)
+
+    def _clear(self, running: _Running, owners: list[str]) -> None:
+        for owner in owners:
+            self.cluster.lost(running.task, owner)
+
+    def _overdue(self) -> Iterator[Finished]:
+        limit = self.cluster.timeout_s
+        if limit is None:
+            return
+        for key, running in list(self.running.items()):
+            if running.began is not None and time.monotonic() - running.began > limit:
+                del self.running[key]
+                with contextlib.suppress(OSError):
+                    self.client.cancel([running.future], force=True)
+                yield Finished(running.task, fault=f"took more than {limit / 60:g} minutes and was stopped")
+
+    def _cancel_all(self) -> None:
+        """Cancel what runs, and wait a moment for it to be gone, so that nothing half-written is left."""
+        self.client.cancel([running.future for running in self.running.values()], force=True)
+        begun = {key for key, running in self.running.items() if running.at_work}
+        end = time.monotonic() + GRACE_S
+        while begun and (left := end - time.monotonic()) > 0:
+            with contextlib.suppress(Empty):
+                key, kind, _ = self.events.get(timeout=left)
+                if kind == ENDED:
+                    begun.discard(key)

@@ -1,0 +1,264 @@
+"""The files of a study and which of them are recordings; files that a study itself wrote.
+
+OUT may be the study's folder itself, and a recording or another program's table may have the name of a file
+that a study writes: these are recognised by name and content.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
+from accelcal_cli.core.formats import Format, ReadOptions, probe_file
+from accelcal_cli.formats import all_formats, named_format
+from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
+from accelcal_cli.output.report import load
+from accelcal_cli.pipeline import jobs
+from accelcal_cli.studies.ledger import is_ledger
+from accelcal_cli.studies.records import Item
+from accelcal_cli.studies.summary import COLUMNS
+
+NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
+SUMMARY = (".parquet", ".csv", ".json")
+FIRST = list(COLUMNS[:2])
+"""With these columns the table of every version begins."""
+
+OURS = (
+    jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, jobs.QUALITY_SUFFIX, SUFFIX,
+    ".truth.json", ".tmp", ".part",
+)  # fmt: skip
+TABLES = "csv"
+"""The one format whose suffixes other files often have."""
+
+
+def refuse_foreign(out: Path, base: str, recordings: Collection[Path], *, force: bool) -> None:
+    """Refuse to overwrite with the summary what no study wrote; a recording not even with `force`.
+
+    Raises:
+        OutputError: such a file is in the way.
+    """
+    for path in _foreign(out, base):
+        if not force or path.resolve() in {one.resolve() for one in recordings}:
+            raise OutputError(
+                "would be overwritten by the study's summary, but was not written by accelcal",
+                path=path,
+                hint="move it, or choose another folder with -d",
+            )
+
+
+def _foreign(out: Path, base: str) -> Iterator[Path]:
+    for suffix in (*SUMMARY, ".ledger"):
+        path = out / f"{base}{suffix}"
+        if path.exists() and not _summary(path):
+            yield path
+
+
+def _summary(path: Path) -> bool:
+    """Whether a file, and no pipe, is a summary or a ledger that a study wrote."""
+    try:
+        if not path.is_file():
+            return False
+        if path.suffix == ".parquet":
+            return list(pq.read_schema(path).names[:2]) == FIRST
+        if path.suffix == ".ledger":
+            return is_ledger(path)
+        if path.suffix == ".csv":
+            with path.open("rb") as file:
+                return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
+        return "recordings" in (load(path) or {})
+    except (OSError, ValueError, pa.ArrowException):
+        return False
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where to look, and for what.
+
+    Attributes:
+        folders: the study; each of several lies under OUT by its own name.
+        out: folder of the outputs.
+        include: patterns of file names (or of paths under the folder) of what is done now; empty for all.
+        exclude: patterns of what is left out.
+    """
+
+    folders: tuple[Path, ...]
+    out: Path
+    include: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
+
+
+def files(where: Where) -> list[Item]:
+    """All files that may be recordings, by name.
+
+    Raises:
+        UsageError: one of them is not a folder, or two would share one place under OUT.
+    """
+    found = [item for folder, place in places(where) for item in _folder(where, folder, place)]
+    return sorted(_apart(found), key=lambda item: item.name)
+
+
+def _apart(items: list[Item]) -> Iterator[Item]:
+    """A table beside a device's file of the same STEM, such as its export, has its full name as STEM."""
+    devices = {item.job.report for item in items if not _is_table(item)}
+    for item in items:
+        report, source = item.job.report, item.source
+        beside = _is_table(item) and report in devices
+        yield replace(item, job=_job(source, report.with_name(source.name))) if beside else item
+
+
+def _is_table(item: Item) -> bool:
+    return _suffix(item) not in _suffixes(tuple(one for one in all_formats() if one.name != TABLES))
+
+
+def as_if_alone(item: Item) -> jobs.Job:
+    """The job that a recording has where no other one of its folder shares its STEM."""
+    return _job(item.source, item.job.report.parent / jobs.stem(item.source))
+
+
+def _job(source: Path, target: Path) -> jobs.Job:
+    """The job whose outputs have a path and the usual suffixes."""
+    parquet = target.with_name(target.name + jobs.PARQUET_SUFFIX)
+    return jobs.Job(source, parquet, target.with_name(target.name + jobs.REPORT_SUFFIX))
+
+
+def below_out(where: Where) -> list[Item]:
+    """Files that would be looked at if they did not lie below OUT, which is below a folder itself."""
+    items, every = [], replace(where, include=(), exclude=())
+    for folder, place in places(where):
+        if jobs.real(folder) in jobs.real(where.out).parents and where.out.is_dir():
+            out = jobs.real(where.out).relative_to(jobs.real(folder))
+            items += [
+                item
+                for item in _folder(every, folder / out, f"{place}{out.as_posix()}/")
+                if _wanted(where, item.name.removeprefix(place))
+            ]
+    return items
+
+
+def _wanted(where: Where, below: str) -> bool:
+    return not _fits(below, where.exclude) and (not where.include or _fits(below, where.include))
+
+
+def places(where: Where) -> list[tuple[Path, str]]:
+    """Each folder with its place under OUT; raises what `files` would raise of the folders."""
+    for folder in where.folders:
+        if not folder.is_dir():
+            raise UsageError("is not a folder", path=folder, hint="give the folder of the recordings")
+    if len(where.folders) == 1:
+        return [(where.folders[0], "")]
+    names = [jobs.real(folder).name for folder in where.folders]
+    twice = sorted(name for name in set(names) if names.count(name) > 1)
+    if twice:
+        raise UsageError(
+            f"several folders are called {twice[0]}", hint="run a separate study for each, with its own -d"
+        )
+    return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
+
+
+def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
+    out = jobs.real(where.out)
+    unlisted: list[OSError] = []
+    for here, folders, names in os.walk(folder, onerror=unlisted.append):
+        base = Path(here)
+        inside = jobs.real(base) != out
+        folders[:] = sorted(
+            name for name in folders if name[0] != "." and not (inside and jobs.real(base / name) == out)
+        )
+        if base != folder and jobs.real(base) == out:
+            folders.clear()
+            continue
+        for name in names:
+            below = (base / name).relative_to(folder).as_posix()
+            aside = bool(where.include) and not _fits(below, where.include)
+            if not _never(base / name) and not _fits(below, where.exclude) and _plain(base / name):
+                yield replace(_item(where, base / name, place + below), aside=aside)
+    for error in unlisted:
+        yield _unlisted(where, folder, place, error)
+
+
+def _never(path: Path) -> bool:
+    """Whether a file is certainly no recording: hidden, of ours, a study's, or a layout."""
+    name = path.name
+    written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _summary(path))
+    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or written
+
+
+def _fits(below: str, patterns: tuple[str, ...]) -> bool:
+    def fits(pattern: str) -> bool:
+        text = below if "/" in pattern else below.rpartition("/")[2]
+        return fnmatchcase(text.lower(), pattern.lower())
+
+    return any(map(fits, patterns))
+
+
+def _plain(path: Path) -> bool:
+    """Whether it is a file, or a link whose file is gone: that is a recording that cannot be read."""
+    try:
+        return stat.S_ISREG(path.stat().st_mode)
+    except OSError:
+        return True
+
+
+def _item(where: Where, path: Path, name: str) -> Item:
+    stamps = tuple(map(jobs.file_stamp, (path, named_layout(path), folder_layout(path))))
+    return Item(name, _job(path, (where.out / name).parent / jobs.stem(path)), stamps)
+
+
+def _unlisted(where: Where, folder: Path, place: str, error: OSError) -> Item:
+    path = Path(str(error.filename))
+    item = _item(where, path, place + path.relative_to(folder).as_posix())
+    return replace(item, refusal=f"the folder cannot be listed ({error.strerror})")
+
+
+def without_collisions(items: list[Item]) -> list[Item]:
+    """Recordings with one STEM in one folder are refused, each with the other's name."""
+    owners: dict[Path, list[Item]] = {}
+    for item in items:
+        owners.setdefault(item.job.report, []).append(item)
+    return [_refused(item, owners[item.job.report]) for item in items]
+
+
+def _refused(item: Item, sharing: list[Item]) -> Item:
+    others = ", ".join(other.source.name for other in sharing if other is not item)
+    if not others:
+        return item
+    return replace(item, refusal=f"would share its outputs with {others}: rename one, or use --exclude")
+
+
+def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
+    """Whether a file is one of the study's recordings, by content.
+
+    What no format fits is one all the same if its suffix is that of a device's files: it is damaged,
+    and must not be lost in silence. Of text files only those are that hold columns of numbers.
+
+    Args:
+        asked_for: the user named its kind with `--include`.
+    """
+    if asked_for:
+        return True
+    name = options.format or ("raw" if options.layout is not None else None)
+    wanted = all_formats() if name is None else (named_format(name),)
+    try:
+        probe = probe_file(item.source, replace(options, layout=None))
+    except UnreadableError:
+        return _suffix(item) in _suffixes(all_formats())
+    return any(one.sniff(probe) for one in wanted) or _suffix(item) in _suffixes(
+        tuple(one for one in wanted if one.name != TABLES)
+    )
+
+
+def _suffix(item: Item) -> str:
+    return Path(item.source.name.lower().removesuffix(".gz")).suffix
+
+
+def _suffixes(formats: tuple[Format, ...]) -> set[str]:
+    return {suffix for one in formats for suffix in one.suffixes}

@@ -1,0 +1,222 @@
+"""What of a study was done before, and what is left: a `Plan` of the own results, then a `RoundPlanner`.
+
+All that decides whether an earlier result stands is here and in `ledger.py`. A worker looks once more at the
+report that is there (`pipeline/outputs.py`), for a study whose ledger is lost.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.formats import refuse_unused
+from accelcal_cli.studies import summary
+from accelcal_cli.studies.discovery import below_out, files, is_recording, without_collisions
+from accelcal_cli.studies.ledger import Ledger
+from accelcal_cli.studies.records import Entry, Item
+from accelcal_cli.studies.rounds import Round, RoundTask
+from accelcal_cli.studies.study import REPLACING, WHOLE, Study
+
+
+def ledger_of(study: Study) -> Ledger:
+    """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole."""
+    others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
+    own = study.out / f"{study.shard.basename}.ledger"
+    return Ledger(own, [path for path in others if path != own])
+
+
+@dataclass(slots=True)
+class Plan:
+    """What a study found, before it does anything.
+
+    Attributes:
+        done: recordings whose entry stands.
+        todo: recordings to work on.
+        waiting: recordings that are not begun.
+        left_out: entries of files that are no recordings.
+        late: names of all that is left for a later run, done before or not.
+        changing: of these the ones whose file is not that of the earlier result; it may be half there.
+    """
+
+    done: list[tuple[Item, Entry]] = field(default_factory=list)
+    todo: list[Item] = field(default_factory=list)
+    waiting: list[Item] = field(default_factory=list)
+    left_out: list[Entry] = field(default_factory=list)
+    late: set[str] = field(default_factory=set)
+    changing: set[str] = field(default_factory=set)
+
+    def ahead(self) -> int:
+        """How many recordings wait that were changed in the future, by this machine's clock."""
+        now = time.time()
+        return sum(item.changed_s > now for item in self.waiting)
+
+    def sources(self) -> list[Path]:
+        """The files of all recordings."""
+        return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
+
+
+def plan(study: Study, ledger: Ledger) -> Plan:
+    """Look at all files; nothing is written.
+
+    Raises:
+        UsageError: one of the folders is not a folder, or they hold no recording, or none for which an option
+            means anything.
+    """
+    planning = _Planning(study, ledger, study.asked(), Plan())
+    items = [planning.as_it_counts(item) for item in files(study.where)]
+    recordings = without_collisions([item for item in items if not item.aside and planning.keeps(item)])
+    if not recordings:
+        raise UsageError(
+            "no recording was found",
+            path=study.where.folders[0],
+            hint="give --format, or name files with --include",
+        )
+    refuse_unused([item.source for item in recordings], study.request.options)
+    for item in recordings:
+        if study.shard.owns(item.name):
+            planning.place(item)
+    for item in items:
+        if item.aside and study.shard.owns(item.name):
+            planning.place_aside(item)
+    return planning.plan
+
+
+@dataclass(frozen=True, slots=True)
+class _Planning:
+    """A plan in the making."""
+
+    study: Study
+    ledger: Ledger
+    asked: str
+    plan: Plan
+
+    def as_it_counts(self, now: Item) -> Item:
+        """A file as it is; one that is left for later as it was when it was worked on."""
+        if not (now.aside or _left_for_later(self.study, now)):
+            return now
+        item = self.ledger.as_it_was(now, self.asked)
+        self.plan.late.add(now.name)
+        if item.stamps != now.stamps:
+            self.plan.changing.add(now.name)
+        return item
+
+    def keeps(self, item: Item) -> bool:
+        """Whether a file is one of the study's recordings; those that are not are remembered too."""
+        entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
+        if entry is not None and not entry.failed and (entry.row is not None or not named):
+            recording = entry.row is not None
+        else:
+            options = self.study.request.options
+            recording = item.refusal is not None or is_recording(item, options, asked_for=named)
+        if not recording:
+            self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
+        return recording
+
+    def place(self, item: Item) -> None:
+        """Put a recording where it belongs."""
+        study, entry = self.study, self._standing(item)
+        begin = not study.collect and item.name not in self.plan.late
+        redo = entry is not None and item.refusal is None and _is_redone(study, entry)
+        if entry is not None and not (redo and begin):
+            self.plan.done.append((item, entry))
+        else:
+            (self.plan.todo if begin else self.plan.waiting).append(item)
+
+    def place_aside(self, item: Item) -> None:
+        """A recording that `--include` does not name keeps the result that it has, if any."""
+        known = self.ledger.known(item, self.asked)
+        if known is not None and known.row is None:
+            self.plan.left_out.append(known)
+        elif (entry := self._standing(item)) is not None:
+            self.plan.done.append((item, entry))
+
+    def _standing(self, item: Item) -> Entry | None:
+        """The entry of a recording's own result; what a later round made of it may lie in its place."""
+        if item.refusal is None:
+            own = self.ledger.known(item, self.asked)
+            stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
+            return own if stands and own is not None and self._named(item, own) else None
+        kind = UsageError if item.source.is_file() else UnreadableError
+        row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
+        return Entry(item.name, item.stamps, self.asked, row, again=True)
+
+    def _named(self, item: Item, entry: Entry) -> bool:
+        """Whether the outputs have the names that they would be given now."""
+        out = self.study.out
+        return {out / name for name, _ in entry.outputs} <= set(item.job.outputs)
+
+    def _replaced(self, item: Item) -> bool:
+        """Whether the outputs are those of a later round, which can be taken back if the file is the same."""
+        rounds = self.study.replacing
+        if rounds and item.name not in self.plan.changing:
+            rounds = REPLACING
+        later = [self.ledger.current(item, self.asked, name) for name in rounds]
+        return any(entry is not None and not entry.failed for entry in later)
+
+
+@dataclass(slots=True)
+class RoundPlanner:
+    """What is done in a round, and what stands from an earlier run.
+
+    Attributes:
+        untouched: names of recordings that must not be read, since they wait and are not what they were, and
+            of all that would be pooled with one.
+    """
+
+    study: Study
+    ledger: Ledger
+    untouched: set[str] = field(default_factory=set)
+
+    def of(
+        self, one: Round, tasks: Sequence[RoundTask]
+    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
+        """Tasks to do, and those with an entry to take.
+
+        What is not to be touched keeps what it has: it is never among the first.
+        """
+        todo, taken = [], []
+        latest, asked = self.ledger.latest, self.study.asked()
+        for task in tasks:
+            waits = not self.untouched.isdisjoint(task.names)
+            if waits:
+                self.untouched |= set(task.names)
+            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
+            if entry is not None:
+                taken.append((task, entry))
+            elif not waits:
+                todo.append(task)
+        return todo, taken
+
+    def _standing(self, one: Round, task: RoundTask) -> Entry | None:
+        """What an earlier run made of a task, if that is what would come of it now."""
+        study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
+        if entry is None or _is_redone(study, entry):
+            return None
+        return entry if task.stands(entry) else None
+
+
+def overlooked(study: Study) -> int:
+    """How many recordings are no part of the study because they lie below OUT.
+
+    Raises:
+        UsageError: one of the folders is not a folder.
+    """
+    options = study.request.options
+    return sum(is_recording(item, options, asked_for=False) for item in below_out(study.where))
+
+
+def _left_for_later(study: Study, item: Item) -> bool:
+    """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile.
+
+    What was changed further in the future than the wait is has a wrong time: it would wait for years.
+    """
+    too_new = study.settle_s > 0 and abs(time.time() - item.changed_s) < study.settle_s
+    return too_new or (study.newer_than_s is not None and item.changed_s < study.newer_than_s)
+
+
+def _is_redone(study: Study, entry: Entry) -> bool:
+    """Whether what was done is done again, although neither recording nor settings have changed."""
+    return study.request.force or entry.again or (study.retry_failed and entry.failed)

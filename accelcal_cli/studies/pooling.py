@@ -1,0 +1,215 @@
+"""The two rounds of pools: a device's recordings are calibrated as one, and each gets the coefficients."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+from accelcal_cli.core.errors import printable
+from accelcal_cli.output.report import load_report
+from accelcal_cli.output.report_kinds import FORMAT, Member
+from accelcal_cli.output.report_reading import read_document
+from accelcal_cli.pipeline.calibrate import calibrate
+from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, check_unchanged, file_stamp
+from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance
+from accelcal_cli.pipeline.pool import apply_pool, pool
+from accelcal_cli.studies import summary
+from accelcal_cli.studies.borrowing import GOOD, Row, copies, identity, pools
+from accelcal_cli.studies.records import FAILED, Entry, Item, ProgressCallback, RecordingState
+from accelcal_cli.studies.rounds import Round, StudyState, common_of
+from accelcal_cli.studies.study import POOL, POOLED, Study
+from accelcal_cli.studies.task import Common, ReplacementTask, StageProgress, TaskResult, guarded, row_of
+
+PREFIX = "study.pool."
+
+
+@dataclass(frozen=True, slots=True)
+class PoolTask:
+    """The recordings of one device to be calibrated as one.
+
+    Attributes:
+        item: stands for all of them; its report is the pool's.
+        names: of the members.
+        stamps: of the members' files when their own results were found.
+        inputs: identities of the members' own results, by name; then names of the copies.
+        copies: recordings that are members once more.
+    """
+
+    item: Item
+    common: Common
+    names: tuple[str, ...]
+    members: tuple[Member, ...]
+    stamps: tuple[FileStamp | None, ...]
+    serial: str
+    inputs: tuple[str, ...]
+    copies: tuple[Member, ...] = ()
+
+    def stands(self, entry: Entry) -> bool:
+        """See `RoundTask`."""
+        return entry.inputs == self.inputs
+
+    def failure(self, code: int, message: str, *, again: bool) -> Entry:
+        """See `Task`."""
+        return self.entry({"outcome": FAILED, "exit_code": code, "message": message}, again=again)
+
+    def entry(self, result: dict[str, Any], *, again: bool = False) -> Entry:
+        """What is remembered of the pool."""
+        row = {"device_serial": self.serial, "recordings": len(self.members), **result}
+        written = file_stamp(self.item.job.report)
+        name = self.item.job.report.name
+        outputs = () if written is None or result["outcome"] == FAILED else ((name, written),)
+        stamps = self.item.stamps
+        return Entry(self.item.name, stamps, self.common.asked, row, outputs, again, POOL, self.inputs)
+
+
+def pool_tasks(study: Study, known: StudyState) -> list[PoolTask]:
+    """See `Round`: a task for each pool."""
+    return [pool_of(study, known, members) for members in members_of(study, known.standing)]
+
+
+def members_of(study: Study, standing: Mapping[str, RecordingState]) -> list[list[str]]:
+    """Names of the recordings of each pool, without copies."""
+    return pools(_own_rows(standing), study.request.settings.max_damage_percent)
+
+
+def copies_of(standing: Mapping[str, RecordingState]) -> dict[str, str]:
+    """Names of recordings that count once, since they are copies, each with the name that counts."""
+    return copies(_own_rows(standing))
+
+
+def _own_rows(standing: Mapping[str, RecordingState]) -> dict[str, Row]:
+    return {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
+
+
+def pool_of(study: Study, known: StudyState, names: list[str]) -> PoolTask:
+    """The task of a pool of these members."""
+    states = [known.standing[name] for name in names]
+    rows: list[Row] = [one.own.row or {} for one in states]
+    report = study.out / f"{_name(rows[0])}{REPORT_SUFFIX}"
+    stands_for = Item(
+        report.name.removesuffix(REPORT_SUFFIX),
+        Job(report, report, report),
+        ((sum(one.item.size for one in states), 0),),
+    )
+    members = tuple(Member(one.item.source, line["sha256"]) for one, line in zip(states, rows, strict=True))
+    more = sorted(name for name, first in copies_of(known.standing).items() if first in names)
+    again = tuple(Member(known.standing[name].item.source, _sha256(known, name)) for name in more)
+    return PoolTask(
+        stands_for,
+        common_of(study),
+        tuple(names),
+        members,
+        stamps=tuple(one.item.stamps[0] for one in states),
+        serial=rows[0]["device_serial"],
+        inputs=(*(identity(line) for line in rows), *more),
+        copies=again,
+    )
+
+
+def _sha256(known: StudyState, name: str) -> str:
+    digest: str = (known.standing[name].own.row or {})["sha256"]
+    return digest
+
+
+def _name(line: Row) -> str:
+    """A name of the pool's files that its members have in common, and no other pool has."""
+    shared = [line[name] for name in ("device_serial", "device_model", "lsb_per_g", "range_g")]
+    digest = hashlib.sha256(json.dumps(shared).encode()).hexdigest()[:8]
+    return f"{PREFIX}{re.sub(r'[^A-Za-z0-9_-]', '_', line['device_serial'])[:40]}-{digest}"
+
+
+@guarded
+def make_pool(task: PoolTask, report_progress: ProgressCallback) -> TaskResult:
+    """Fit a pool and write its report."""
+    request = task.common.request
+    if not request.force:
+        refuse_foreign_report(task.item.job.report)
+    report = pool(task.members, request, StageProgress(report_progress).stage, task.copies)
+    for member, before in zip(task.members, task.stamps, strict=True):
+        check_unchanged(member.path, before)
+    save_report(task.item.job.report, with_provenance(report, request.command))
+    return TaskResult(task.entry({"outcome": report["outcome"], "message": report["message"]}))
+
+
+def remove_pools(out: Path, keep: Collection[str]) -> None:
+    """Remove the reports of pools that there are no longer.
+
+    Raises:
+        OutputError: one cannot be removed.
+    """
+    for path in sorted(out.glob(f"{PREFIX}*{REPORT_SUFFIX}")):
+        if path.name.removesuffix(REPORT_SUFFIX) not in keep and _of_a_pool(path):
+            remove(path)
+
+
+def _of_a_pool(path: Path) -> bool:
+    """Whether a file is the report of a pool; a member's has a section of that name, too."""
+    report = load_report(path)
+    return report is not None and report["recording"].get("format") == FORMAT
+
+
+POOLING = Round(POOL, make_pool, pool_tasks, of_pools=True)
+
+
+@dataclass(frozen=True, slots=True)
+class PooledTask(ReplacementTask):
+    """One recording that gets the coefficients in its pool's report.
+
+    Attributes:
+        copy_of: the name of the recording that counts in its place; None if it counts itself.
+    """
+
+    report: Path
+    copy_of: str | None
+    round: ClassVar[str] = POOLED
+    refusal: ClassVar[str] = "not pooled"
+
+
+def pooled_tasks(study: Study, known: StudyState) -> list[PooledTask]:
+    """See `Round`: a task for each member of a pool that has coefficients."""
+    tasks, common, again = [], common_of(study), copies_of(known.standing)
+    for members in members_of(study, known.standing):
+        one = pool_of(study, known, members)
+        entry = known.pools.get(one.item.name)
+        if entry is None or entry.row is None or entry.row["outcome"] not in GOOD:
+            continue
+        together = hashlib.sha256("".join(one.inputs).encode()).hexdigest()[:16]
+        for name in (*members, *(name for name, first in again.items() if first in members)):
+            state, first = known.standing[name], again.get(name)
+            inputs = (identity(state.own.row or {}), together)
+            tasks.append(PooledTask(state.item, common, state.own, inputs, one.item.job.report, first))
+    return tasks
+
+
+@guarded
+def pooled(task: PooledTask, report_progress: ProgressCallback) -> TaskResult:
+    """Apply a pool's coefficients to one of its recordings."""
+    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    result = apply_pool(item.job, request, read_document(task.report), progress, item.stamps[0])
+    if isinstance(result, str):
+        return task.result(calibrate(item.job, request, progress), task.kept(printable(result)))
+    return task.result(result, row_of(item, task.common, result) | _instead(task, result))
+
+
+def said_of_copy(first: str) -> str:
+    """What is said of a recording that does not count in its pool."""
+    return f"a copy of {first}, which counts once in the pool"
+
+
+def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
+    """Columns that say of which pool a row's coefficients are, and what they do to its own windows."""
+    pool_section, windows = result.report["pool"], result.report["pool"]["own_windows"]
+    columns = {"pool": task.report.name, "pool_recordings": len(pool_section["recordings"])}
+    if task.copy_of is not None:
+        columns["message"] = printable(f"{result.report['message']}; {said_of_copy(task.copy_of)}")
+    if windows is not None:
+        columns |= {f"windows_{when}_mg": windows[f"{when}_mg"]["mean"] for when in ("before", "after")}
+    return columns | summary.own(task.own_row)
+
+
+APPLY_POOLS = Round(POOLED, pooled, pooled_tasks)

@@ -1,0 +1,28 @@
+"""Imported once by the server that workers are forked from: what the first recording would import."""
+
+from __future__ import annotations
+
+import zoneinfo
+
+import numpy as np
+
+import accelcal_cli.output.parquet
+import accelcal_cli.pipeline.export
+import accelcal_cli.studies.task
+from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.formats import load_all
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.output.report_schema import report_schema
+from accelcal_cli.pipeline.outputs import provenance
+
+load_all()
+READY = (
+    np.random,
+    zoneinfo,
+    accelcal_cli.output.parquet,
+    accelcal_cli.pipeline.export,
+    accelcal_cli.studies.task,
+    named_optimizer(DEFAULT.optimizer),
+    report_schema(),
+    provenance([]),
+)

@@ -1,0 +1,301 @@
+"""The round in which recordings are calibrated again, with what others of the study say of their sensors.
+
+A prior is learnt from rows of the own results, which were found with that of the population, and never from
+the recording's own. Kind `study` is learnt from other devices of the model, `device` also from other
+recordings of the device.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from math import hypot
+from typing import Any, ClassVar
+
+from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.core.prior import POPULATION, LearntPrior, Prior, Source
+from accelcal_cli.core.results import Outcome
+from accelcal_cli.core.settings import DEVICE_PRIOR, STUDY_PRIOR
+from accelcal_cli.judge.learning import (
+    FEWEST_DEVICES,
+    OCCASION,
+    WALK,
+    Past,
+    Told,
+    across_devices,
+    along_device,
+    learnt,
+    own_words,
+    together,
+)
+from accelcal_cli.pipeline.calibrate import calibrate, calibrate_with
+from accelcal_cli.studies import summary
+from accelcal_cli.studies.borrowing import Row, identity
+from accelcal_cli.studies.records import ProgressCallback, RecordingState
+from accelcal_cli.studies.rounds import Round, StudyState, common_of
+from accelcal_cli.studies.study import PRIOR, Study
+from accelcal_cli.studies.summary import PARAMETERS
+from accelcal_cli.studies.task import ReplacementTask, StageProgress, TaskResult, guarded, row_of
+
+MOST_DEVICES = 64
+"""More tell hardly more of a distribution."""
+
+EARLIEST = datetime(2000, 1, 2)
+"""Before, no such device recorded: it is where clocks begin that were never set."""
+
+MONTH_S = 365.25 / 12 * 86_400
+OFFSETS, SLOPES = slice(6, 9), slice(9, 12)
+
+Model = tuple[Any, ...]
+"""What recordings must share to be compared: model, counts per g, range."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Good:
+    """A recording from which others may learn."""
+
+    name: str
+    row: Row
+
+    @property
+    def serial(self) -> str:
+        """Of its device."""
+        serial: str = self.row["device_serial"]
+        return serial
+
+
+def _model(row: Row) -> Model:
+    return (row["device_model"] or "", row["lsb_per_g"], row["range_g"])
+
+
+def _is_good(row: Row, max_error_mg: float) -> bool:
+    """Whether others may learn from a result: it is the sensor's all along, and certainly good everywhere."""
+    if row["outcome"] != Outcome.CALIBRATED or row.get("change") not in (None, "none"):
+        return False
+    high: float | None = row["sphere_high_mg"]
+    return bool(row["device_serial"]) and high is not None and high < max_error_mg
+
+
+@dataclass
+class Learning:
+    """What recordings can learn from each other.
+
+    Args:
+        rows: own results by name, found with the population's prior.
+        max_error_mg: a result may be learnt from if its error over the sphere is certainly below.
+    """
+
+    rows: Mapping[str, Row]
+    max_error_mg: float
+    _devices: dict[Model, dict[str, list[_Good]]] = field(default_factory=dict)
+    _known: dict[tuple[str, ...], LearntPrior] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Sort what is good by model and device; of copies the first by name counts."""
+        first: dict[str, _Good] = {}
+        for name in sorted(self.rows):
+            row = self.rows[name]
+            if _is_good(row, self.max_error_mg):
+                first.setdefault(row["sha256"], _Good(name, row))
+        for one in sorted(first.values(), key=lambda one: _shuffled(one.serial)):
+            self._devices.setdefault(_model(one.row), {}).setdefault(one.serial, []).append(one)
+
+    def prior(self, name: str, kind: str) -> LearntPrior | None:
+        """The prior of a recording; None where too little is known, so that the population's stays."""
+        row = self.rows[name]
+        study, known = self._of_model(row), self._devices.get(_model(row), {})
+        own = _others(known.get(row["device_serial"], ()), row) if kind == DEVICE_PRIOR else []
+        return _of_device(own, row, study) if own else study
+
+    def models_without(self) -> Iterator[tuple[str, int]]:
+        """Models of recordings that have no prior of theirs, and from how many devices one could learn."""
+        few = {_model(row) for row in self.rows.values() if not self._other_devices(row)}
+        for model in sorted(few, key=str):
+            yield model[0], len(self._devices.get(model, ()))
+
+    def _of_model(self, row: Row) -> LearntPrior | None:
+        """From other devices; each counts once."""
+        devices = self._other_devices(row)
+        used = tuple(one.name for device in devices for one in device)
+        if used and used not in self._known:
+            self._known[used] = _across(devices, _model(row)[0])
+        return self._known.get(used)
+
+    def _other_devices(self, row: Row) -> list[list[_Good]]:
+        """Recordings of other devices of the model; empty if there are too few devices."""
+        devices: list[list[_Good]] = []
+        for serial, good in self._devices.get(_model(row), {}).items():
+            others = _others(good, row)
+            if others and serial != row["device_serial"]:
+                devices.append(others)
+            if len(devices) == MOST_DEVICES:
+                break
+        return devices if row["device_model"] and len(devices) >= FEWEST_DEVICES else []
+
+
+def _others(good: Sequence[_Good], row: Row) -> list[_Good]:
+    """Recordings with other content."""
+    return [one for one in good if one.row["sha256"] != row["sha256"]]
+
+
+def _shuffled(serial: str) -> str:
+    """An order of devices that has nothing to do with how they are numbered."""
+    return hashlib.sha256(serial.encode("utf-8", "surrogateescape")).hexdigest()
+
+
+def _across(devices: Sequence[Sequence[_Good]], model: str) -> LearntPrior:
+    used = [one for device in devices for one in device]
+    reference_c = _reference_c(used)
+    told = [_of_recordings([one.row for one in device], reference_c) for device in devices]
+    parts = []
+    for index, (centre, width) in enumerate(zip(POPULATION.centre, POPULATION.width, strict=True)):
+        some = [one for device in told if (one := device[index]) is not None]
+        known = Told(centre, width * width)
+        if len(some) >= FEWEST_DEVICES:
+            known = across_devices(some, centre, width, POPULATION.freedom)
+        parts.append(known)
+    hashes = sorted(one.row["sha256"] for one in used)
+    digest = hashlib.sha256("".join(hashes).encode()).hexdigest()
+    return LearntPrior(learnt(parts, reference_c), STUDY_PRIOR, model, len(devices), len(used), digest)
+
+
+def _of_recordings(rows: Sequence[Row], reference_c: float | None) -> list[Told | None]:
+    """What the recordings of one device say of each parameter."""
+    told = [_words(row, reference_c) for row in rows]
+    found: list[Told | None] = []
+    for index, occasion in enumerate(OCCASION):
+        parts = [one for words in told if (one := words[index]) is not None]
+        wider = [Told(one.value, one.variance + occasion * occasion) for one in parts]
+        found.append(together(wider) if wider else None)
+    return found
+
+
+def _words(row: Row, reference_c: float | None) -> list[Told | None]:
+    """What a recording says of each parameter by itself, with its offsets at a temperature."""
+    values, errors = ([row[f"{start}{name}"] for name in PARAMETERS] for start in ("", "se_"))
+    if row["reference_c"] is not None and reference_c is not None:
+        warmer = reference_c - row["reference_c"]
+        for at in range(6, 9):
+            values[at] += warmer * values[at + 3]
+            errors[at] = hypot(errors[at], warmer * errors[at + 3])
+    cells = zip(values, errors, POPULATION.centre, POPULATION.width, strict=True)
+    return [
+        None if value is None or error is None else own_words(value, error, centre, width, POPULATION.freedom)
+        for value, error, centre, width in cells
+    ]
+
+
+def _reference_c(used: Sequence[_Good]) -> float | None:
+    """The lower median of the temperatures at which offsets are known; None where none has one."""
+    known = sorted(one.row["reference_c"] for one in used if one.row["reference_c"] is not None)
+    return float(known[(len(known) - 1) // 2]) if known else None
+
+
+def _of_device(own: Sequence[_Good], row: Row, study: LearntPrior | None) -> LearntPrior:
+    """From other recordings of the device, and what is known of its model."""
+    reference_c = _reference_c(own)
+    base = _at(POPULATION if study is None else study.prior, reference_c)
+    month = _month(row)
+    told = [(_words(one.row, reference_c), _month(one.row)) for one in own]
+    parts = []
+    for index, known in enumerate(base):
+        past = [Past(one, when) for words, when in told if (one := words[index]) is not None]
+        steps = WALK[index], OCCASION[index]
+        parts.append(along_device(past, month, known, *steps) if past else known)
+    sources = tuple(Source(one.name, one.row["sha256"]) for one in own)
+    prior = learnt(
+        parts, reference_c if study is None or reference_c is not None else study.prior.reference_c
+    )
+    model = row["device_model"]
+    if study is None:
+        return LearntPrior(prior, DEVICE_PRIOR, model, 0, 0, None, sources)
+    return LearntPrior(prior, DEVICE_PRIOR, model, study.devices, study.recordings, study.sha256, sources)
+
+
+def _at(prior: Prior, reference_c: float | None) -> list[Told]:
+    """Centres and squared widths of a prior with its offsets at a temperature."""
+    parts = [Told(centre, width * width) for centre, width in zip(prior.centre, prior.width, strict=True)]
+    if reference_c is None or prior.reference_c is None:
+        return parts
+    warmer = reference_c - prior.reference_c
+    moved = [
+        Told(offset.value + warmer * slope.value, offset.variance + warmer * warmer * slope.variance)
+        for offset, slope in zip(parts[OFFSETS], parts[SLOPES], strict=True)
+    ]
+    return [*parts[:6], *moved, *parts[SLOPES]]
+
+
+def _month(row: Row) -> float | None:
+    """The middle of a recording on its device's clock [months since 2000]; None if it is not known."""
+    if row["start_time"] is None:
+        return None
+    start = datetime.fromisoformat(row["start_time"]).replace(tzinfo=None)
+    if start < EARLIEST:
+        return None
+    return float(((start - EARLIEST).total_seconds() + row["duration_s"] / 2) / MONTH_S)
+
+
+@dataclass(frozen=True, slots=True)
+class PriorTask(ReplacementTask):
+    """One recording to be calibrated with a prior that was learnt from others.
+
+    The prior with its sources is part of `inputs`.
+    """
+
+    learnt: LearntPrior
+    round: ClassVar[str] = PRIOR
+    refusal: ClassVar[str] = "kept with the prior of the population"
+
+
+def _learning(study: Study, standing: Mapping[str, RecordingState]) -> Learning:
+    rows = {name: one.own.row for name, one in standing.items() if one.own.row and not one.own.failed}
+    return Learning(rows, study.request.recording_settings.max_error_mg)
+
+
+def tasks(study: Study, known: StudyState) -> list[PriorTask]:
+    """See `Round`: a task for each recording with points, for which enough others are known."""
+    assert study.prior is not None
+    learning, common, found = _learning(study, known.standing), common_of(study), []
+    for name, row in learning.rows.items():
+        if row["outcome"] == Outcome.BORROWED or not row["cells"]:
+            continue
+        prior = learning.prior(name, study.prior)
+        if prior is not None:
+            state = known.standing[name]
+            content = json.dumps(prior.as_json(), sort_keys=True)
+            inputs = (identity(row), hashlib.sha256(content.encode()).hexdigest()[:16])
+            found.append(PriorTask(state.item, common, state.own, inputs, prior))
+    return found
+
+
+def without_prior(study: Study, known: StudyState) -> Iterator[str]:
+    """What a person should know of models for which no prior can be learnt."""
+    if study.prior is None:
+        return
+    for model, number in _learning(study, known.standing).models_without():
+        if not model:
+            yield "recordings that do not say their device's model learn nothing from other devices"
+        else:
+            devices = counted(number, "device")
+            text = f"{model}: {devices} with good recordings, {FEWEST_DEVICES} others are needed"
+            yield printable(f"{text}; without them the prior of the population stands in")
+
+
+@guarded
+def calibrated_again(task: PriorTask, report_progress: ProgressCallback) -> TaskResult:
+    """Calibrate a recording with a learnt prior; its own result stays if that would be lost."""
+    item, request, progress = task.item, task.common.request, StageProgress(report_progress).stage
+    good = task.own_row["outcome"] != Outcome.REFUSED
+    result = calibrate_with(
+        item.job, request, task.learnt, progress, must_calibrate=good, before=item.stamps[0]
+    )
+    if isinstance(result, str):
+        return task.result(calibrate(item.job, request, progress), task.kept(printable(result)))
+    row = row_of(item, task.common, result) | summary.own(task.own_row)
+    return task.result(result, row)
+
+
+LEARNING = Round(PRIOR, calibrated_again, tasks)

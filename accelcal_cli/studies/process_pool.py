@@ -1,0 +1,296 @@
+"""Worker processes of this machine, each with one task at a time; a worker that dies loses only its own task.
+
+On Linux workers are forked from a server that has imported everything once. It listens in a folder of our
+own: that of multiprocessing would stay behind if the process is killed, and its path may be too long for the
+name of a socket.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import multiprocessing
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Generator, Iterator
+from dataclasses import dataclass, field
+from functools import cache
+from multiprocessing import connection, forkserver, resource_tracker
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.system import hold_to_one_thread, host, lives
+from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
+
+LONGEST_PATH = 40
+"""Bytes of the path that leave room for the rest of a socket's name, 108 in all on Linux (unix(7))."""
+
+SHORT_FOLDERS = ("/tmp", "/var/tmp")
+
+EXIT_PRIORITY = -200
+"""multiprocessing removes its own folder in ours before (at -100)."""
+
+POLL_S = 1.0
+GRACE_S = 10.0
+TRIES = 5
+RETRY_S = 0.1
+"""It takes a moment until a killed server is known to be gone."""
+
+TERMINATED = 143
+SERVER_GONE = 255
+"""The exit code that multiprocessing gives a process whose server is gone."""
+
+
+@contextlib.contextmanager
+def forkserver_folder() -> Iterator[None]:
+    """In the block, temporary files are made in a folder that is removed when this process ends.
+
+    If it is killed, the next one of this host and user removes it.
+
+    Raises:
+        OSError: there is no place for one.
+    """
+    before = tempfile.tempdir
+    tempfile.tempdir = str(_temporary_folder())
+    try:
+        yield
+    finally:
+        tempfile.tempdir = before
+
+
+@cache
+def _temporary_folder() -> Path:
+    parent = next(
+        (path for path in (tempfile.gettempdir(), *SHORT_FOLDERS) if _fits(path)), tempfile.gettempdir()
+    )
+    start = f"accelcal-{hashlib.sha256(host().encode()).hexdigest()[:6]}-"
+    _sweep(Path(parent), start)
+    folder = tempfile.mkdtemp(prefix=f"{start}{os.getpid()}-", dir=parent)
+    Finalize(None, shutil.rmtree, (folder, True), exitpriority=EXIT_PRIORITY)
+    return Path(folder)
+
+
+def _fits(path: str) -> bool:
+    return len(os.fsencode(path)) <= LONGEST_PATH and os.access(path, os.W_OK | os.X_OK)
+
+
+def _sweep(parent: Path, start: str) -> None:
+    with contextlib.suppress(OSError), os.scandir(parent) as entries:
+        for entry in entries:
+            owner = entry.name.removeprefix(start).split("-")[0]
+            if entry.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
+                shutil.rmtree(entry.path, ignore_errors=True)
+
+
+@dataclass(slots=True)
+class _Worker:
+    process: BaseProcess
+    pipe: Connection
+    task: Any = None
+    began: float = 0.0
+    fraction: float = 0.0
+
+
+@dataclass(slots=True)
+class ProcessPool:
+    """Workers that take tasks as they become free.
+
+    Attributes:
+        work: what is done with a task.
+        number: how many work at a time.
+        timeout_s: the longest a task may take; None for no end.
+        preload: a module with all that the work imports; imported once where workers are forked.
+        on_progress: see `ProgressDelta`.
+    """
+
+    work: TaskFunction
+    number: int
+    timeout_s: float | None = None
+    preload: str | None = None
+    on_progress: ProgressDelta = lambda _task, _fraction: None
+    _idle: list[_Worker] = field(default_factory=list)
+    _busy: list[_Worker] = field(default_factory=list)
+
+    def run(self, tasks: list[Any]) -> Generator[Finished, None, None]:
+        """Do all tasks; yields each as it ends. All workers are gone when the iteration is.
+
+        Raises:
+            OutputError: there is no worker left, and none can be started.
+        """
+        waiting = list(reversed(tasks))
+        try:
+            while waiting or self._busy:
+                while waiting and len(self._busy) < self.number:
+                    self._assign(waiting)
+                yield from self._listen()
+        finally:
+            self._stop_all()
+
+    def _assign(self, waiting: list[Any]) -> None:
+        """Give the last task to a worker; if none can be started, go on with those there are."""
+        try:
+            worker = self._idle.pop() if self._idle else self._start()
+        except OutputError:
+            if not self._busy:
+                raise
+            self.number = len(self._busy)
+            return
+        task = waiting.pop()
+        worker.task, worker.began, worker.fraction = task, time.monotonic(), 0.0
+        self._busy.append(worker)
+        with contextlib.suppress(OSError):
+            worker.pipe.send(task)
+
+    def _start(self) -> _Worker:
+        """A new worker, from a new server if the first was killed."""
+        preload = self.preload or self.work.__module__
+        try:
+            for _ in range(TRIES):
+                with contextlib.suppress(EOFError, ConnectionError):
+                    return _started(self.work, preload)
+                time.sleep(RETRY_S)
+            return _started(self.work, preload)
+        except (OSError, EOFError) as error:
+            raise OutputError(
+                f"no worker process can be started ({getattr(error, 'strerror', None) or error})",
+                hint="check that the current folder and that of temporary files exist, or use fewer --jobs",
+            ) from error
+
+    def _listen(self) -> Iterator[Finished]:
+        ready = connection.wait([worker.pipe for worker in self._busy], timeout=POLL_S)
+        for worker in [worker for worker in self._busy if worker.pipe in ready]:
+            if (ended := self._receive(worker)) is not None:
+                yield ended
+        for worker in [worker for worker in self._busy if self._overdue(worker)]:
+            self._busy.remove(worker)
+            _end([worker])
+            assert self.timeout_s is not None
+            yield Finished(
+                worker.task, fault=f"took more than {self.timeout_s / 60:g} minutes and was stopped"
+            )
+
+    def _overdue(self, worker: _Worker) -> bool:
+        return self.timeout_s is not None and time.monotonic() - worker.began > self.timeout_s
+
+    def _receive(self, worker: _Worker) -> Finished | None:
+        try:
+            kind, value = worker.pipe.recv()
+        except (EOFError, OSError):
+            self._busy.remove(worker)
+            worker.process.join(GRACE_S)
+            return _lost_worker(worker)
+        if kind == "progress":
+            self.on_progress(worker.task, value - worker.fraction)
+            worker.fraction = value
+            return None
+        self._busy.remove(worker)
+        self._idle.append(worker)
+        self.on_progress(worker.task, 1 - worker.fraction)
+        return Finished(worker.task, result=value)
+
+    def _stop_all(self) -> None:
+        for worker in self._idle:
+            with contextlib.suppress(OSError):
+                worker.pipe.send(None)
+        _end(self._busy)
+        for worker in self._idle:
+            worker.process.join(GRACE_S)
+        _end(self._idle)
+        self._busy, self._idle = [], []
+
+
+def _lost_worker(worker: _Worker) -> Finished:
+    code = worker.process.exitcode
+    worker.pipe.close()
+    if code == SERVER_GONE:
+        return Finished(
+            worker.task, fault="its process ended, and so did the one that could say why", retry=True
+        )
+    code = -signal.SIGTERM if code == TERMINATED else code
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        reason = ", perhaps for lack of memory" if name == "SIGKILL" else ""
+        retry = name in ("SIGKILL", "SIGTERM", "SIGHUP")
+        return Finished(worker.task, fault=f"its process was ended by {name}{reason}", retry=retry)
+    return Finished(worker.task, fault=f"its process ended unexpectedly (code {code})")
+
+
+def _end(workers: list[_Worker]) -> None:
+    """End processes: with SIGTERM, so that they remove their temporary files, else with SIGKILL."""
+    for worker in workers:
+        worker.process.terminate()
+    for worker in workers:
+        worker.process.join(GRACE_S)
+        if worker.process.is_alive():
+            worker.process.kill()
+            worker.process.join()
+        worker.pipe.close()
+
+
+def _started(work: TaskFunction, preload: str) -> _Worker:
+    """A new process, with nothing of this one's state but the pipe."""
+    hold_to_one_thread()
+    ours, theirs = multiprocessing.Pipe()
+    process = _process(theirs, work, preload)
+    try:
+        with forkserver_folder():
+            _start_server()
+            process.start()
+    except (OSError, EOFError):
+        ours.close()
+        raise
+    finally:
+        theirs.close()
+    return _Worker(process, ours)
+
+
+def _process(pipe: Connection, work: TaskFunction, preload: str) -> BaseProcess:
+    """On Linux from a server that has imported everything once, elsewhere from nothing."""
+    if sys.platform != "linux":
+        return multiprocessing.get_context("spawn").Process(target=_serve, args=(pipe, work), daemon=True)
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload([preload])
+    return context.Process(target=_serve, args=(pipe, work), daemon=True)
+
+
+def _start_server() -> None:
+    """Start the server that ignores Ctrl-C: it would print a traceback of what it was importing."""
+    if sys.platform != "linux":
+        return
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(pipe: Connection, work: TaskFunction) -> None:
+    """What a worker process does: one task after another until it receives None."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _terminate)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with contextlib.suppress(EOFError, OSError):
+        while (task := pipe.recv()) is not None:
+            pipe.send(("result", work(task, lambda fraction: pipe.send(("progress", fraction)))))
+
+
+def _terminate(_number: int, _frame: Any) -> None:
+    raise SystemExit(TERMINATED)
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it is gone, however it went."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        os._exit(1)

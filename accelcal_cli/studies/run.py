@@ -1,0 +1,219 @@
+"""A study from beginning to end: lock, find out what is left to do in each round, do it, sum up.
+
+With `--dry-run` it only says what it would do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
+from accelcal_cli.pipeline.outputs import withdraw
+from accelcal_cli.studies import lock, summary
+from accelcal_cli.studies.borrowing import BORROWING
+from accelcal_cli.studies.discovery import as_if_alone, places, refuse_foreign
+from accelcal_cli.studies.ledger import Ledger
+from accelcal_cli.studies.plan import Plan, RoundPlanner, ledger_of, plan
+from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
+from accelcal_cli.studies.prior import LEARNING, without_prior
+from accelcal_cli.studies.records import OWN, Entry, Item, RecordingState
+from accelcal_cli.studies.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
+from accelcal_cli.studies.study import REPLACING, Study
+from accelcal_cli.studies.summary import Summary
+from accelcal_cli.studies.task import CalibrationTask, TaskResult, calibrated
+
+
+def rounds(study: Study) -> tuple[Round, ...]:
+    """The rounds after that of the own results; a shard has none, since a device may have several shards."""
+    if not study.shard.whole:
+        return ()
+    wanted = ((POOLING, study.pool), (APPLY_POOLS, study.pool), (BORROWING, study.borrow))
+    return tuple(one for one, given in (*wanted, (LEARNING, study.prior is not None)) if given)
+
+
+def run(study: Study, observer: StudyObserver) -> Summary:
+    """Do a study.
+
+    Raises:
+        UsageError: see `plan`; or there is nothing to collect.
+        LockedError: another run works in the output folder.
+        OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
+    """
+    places(study.where)
+    try:
+        study.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
+    base = study.shard.basename
+    with lock.held(study.lock, lambda: _other_locks(study)), closing(ledger_of(study)) as ledger:
+        planned = plan(study, ledger)
+        refuse_foreign(study.out, base, planned.sources(), force=study.request.force)
+        if study.collect and planned.waiting and not planned.done:
+            text = (
+                f"none of {counted(len(planned.waiting), 'recording')} has a result made with these options"
+            )
+            raise UsageError(text, hint="give --collect the options of the parts, or run these first")
+        study_run = StudyRun(study, ledger, observer)
+        study_run.run(planned)
+        result = _summary(study, planned, study_run)
+        summary.write(result, study.out, base)
+        ledger.tidy([*study_run.entries(), *planned.left_out, *_of_waiting(study, planned, ledger)])
+        if study.shard.whole and not (planned.waiting or study.where.include):
+            remove_pools(study.out, keep=study_run.known.pools)
+    return result
+
+
+def _of_waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
+    """What is known of recordings that are not begun: a run with other options may build on it."""
+    rounds = (OWN, *REPLACING)
+    return [entry for item in planned.waiting for entry in ledger.held(item.name, study.asked(), rounds)]
+
+
+def _other_locks(study: Study) -> tuple[Path, ...]:
+    """A shard keeps others of the whole study away; shards do not hinder each other."""
+    if study.shard.whole:
+        return tuple(sorted(study.out.glob("study.*-of-*.lock")))
+    return (study.out / "study.lock",)
+
+
+def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
+    standing, pools = study_run.known.standing, study_run.known.pools
+    last = [standing[name].last for name in sorted(standing)]
+    return Summary(
+        rows=[entry.row for entry in last if entry.row is not None],
+        settings=_settings(study),
+        waiting=len(planned.waiting),
+        ahead=planned.ahead(),
+        left_out=len(planned.left_out),
+        up_to_date=len(set(standing) - study_run.worked),
+        pools={name: pools[name].row or {} for name in sorted(pools)},
+    )
+
+
+def _settings(study: Study) -> dict[str, Any]:
+    """All that decides the results but the recordings."""
+    own = study.settings()
+    return {**own, "prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
+
+
+class StudyRun:
+    """A study under way.
+
+    Attributes:
+        worked: names of recordings that were given to a worker.
+    """
+
+    def __init__(self, study: Study, ledger: Ledger, observer: StudyObserver) -> None:
+        self.study = study
+        self.known = StudyState()
+        self.worked: set[str] = set()
+        self._ledger = ledger
+        self._observer = observer
+        self._rounds = rounds(study)
+        self._planner = RoundPlanner(study, ledger)
+        self._pending: dict[str, TaskResult] = {}
+
+    def run(self, planned: Plan) -> None:
+        """All rounds."""
+        self._planner.untouched |= planned.changing
+        for item, entry in planned.done:
+            self._own(item, TaskResult(entry, up_to_date=True))
+        for item in planned.todo:
+            if item.job != (alone := as_if_alone(item)):
+                withdraw(alone)
+        self._calibrate(planned.todo)
+        for name, first in copies_of(self.known.standing).items() if self.study.pool else ():
+            self._observer.note(printable(f"{name}: {said_of_copy(first)}"))
+        for text in without_prior(self.study, self.known):
+            self._observer.note(text)
+        for one in self._rounds:
+            tasks = list(one.tasks(self.study, self.known))
+            if one is self._rounds[-1]:
+                self._restore({task.item.name for task in tasks})
+            self._later(one, tasks)
+        if self._rounds:
+            self._restore(frozenset())
+            for name in sorted(self._pending):
+                self._report(self.known.standing[name].item, self._pending[name])
+
+    def entries(self) -> list[Entry]:
+        """What is to be remembered."""
+        standing = self.known.standing.values()
+        later = [one.last for one in standing if one.last is not one.own]
+        return [*(one.own for one in standing), *later, *self.known.pools.values()]
+
+    def _calibrate(self, items: Sequence[Item]) -> None:
+        common = common_of(self.study, len(items))
+        tasks = [CalibrationTask(item, common) for item in items]
+        for item, result in results(self.study, calibrated, tasks, self._observer):
+            self.worked.add(item.name)
+            self._ledger.add(result.entry)
+            self._own(item, result)
+
+    def _own(self, item: Item, result: TaskResult) -> None:
+        """An own result; it is reported at once if no later round can replace it."""
+        self.known.standing[item.name] = RecordingState(item, result.entry, result.entry)
+        self._pending.pop(item.name, None)
+        if self._rounds and not result.entry.failed:
+            self._pending[item.name] = result
+        else:
+            self._report(item, result)
+
+    def _report(self, item: Item, result: TaskResult) -> None:
+        """Report a result; of a recording that `--include` does not name, only a new one."""
+        if not (item.aside and result.up_to_date):
+            self._observer.finished(item, result)
+
+    def _restore(self, concerned: Set[str]) -> None:
+        """Put own results back in place where an earlier run replaced them and this one does not.
+
+        It is done once all that is replaced is known, and before others' reports are read.
+        """
+        left_alone = concerned | self._planner.untouched
+        standing = [one for name, one in sorted(self.known.standing.items()) if name not in left_alone]
+        own = [one for one in standing if one.last is one.own]
+        self._calibrate([one.item for one in own if not self._ledger.in_place(one.own)])
+
+    def _later(self, one: Round, tasks: Sequence[RoundTask]) -> None:
+        todo, taken = self._planner.of(one, tasks)
+        for task, entry in taken:
+            self._take(one, task.item, TaskResult(entry, up_to_date=True))
+        for item, result in results(self.study, one.work, todo, self._observer):
+            self._ledger.add(result.entry)
+            self._take(one, item, result)
+            self.worked |= set() if one.of_pools else {item.name}
+
+    def _take(self, one: Round, item: Item, result: TaskResult) -> None:
+        self.known.take(one, item.name, result.entry)
+        if not one.of_pools:
+            self._pending[item.name] = result
+
+
+def preview(study: Study) -> dict[Item, str]:
+    """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
+
+    What a later round does is decided by what is known now; nothing is locked or written.
+
+    Raises:
+        UsageError: see `plan`.
+        OutputError: a file is where the output folder should be.
+    """
+    places(study.where)
+    existing = next(path for path in (study.out, *study.out.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise OutputError("cannot be made: a file is in its place", path=existing)
+    ledger = ledger_of(study)
+    planned = plan(study, ledger)
+    known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
+    states = dict.fromkeys(planned.todo, "todo") | dict.fromkeys(planned.waiting, "waiting")
+    planner = RoundPlanner(study, ledger, planned.changing)
+    for one in rounds(study):
+        todo, taken = planner.of(one, one.tasks(study, known))
+        states |= {known.standing[name].item: "todo" for task in todo for name in task.names}
+        for task, entry in taken:
+            known.take(one, task.item.name, entry)
+    named = [one for one in known.standing.values() if not one.item.aside]
+    return {one.item: (one.last.row or {})["outcome"] for one in named} | states

@@ -1,0 +1,255 @@
+"""The study in one table, a row for each recording, as Parquet and CSV, and its counts as JSON.
+
+Sorted and without times, so that a study that was interrupted ends with the same bytes as one that was not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.json
+import pyarrow.parquet as pq
+
+from accelcal_cli import __version__
+from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
+from accelcal_cli.core.zones import UNKNOWN, UTC
+from accelcal_cli.output.files import csv_text, replacing, write_text
+from accelcal_cli.output.report import SPHERE_COLUMNS, sphere_columns
+from accelcal_cli.studies.records import FAILED, Item
+
+DEVICE = ("model", "serial", "firmware")
+AXES = ("x", "y", "z")
+TEXT = (
+    "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
+    "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
+    "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "prior",
+)  # fmt: skip
+WHOLE = (
+    "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
+    "clipped_samples_before", "clipped_samples_after", "problems", "pool_recordings",
+)  # fmt: skip
+PARAMETERS = (
+    *PARAMETER_NAMES[:6], *(f"offset_{axis}_g" for axis in AXES),
+    *(f"slope_{axis}_g_per_c" for axis in AXES),
+)  # fmt: skip
+"""Columns of the parameters, in the order of PARAMETER_NAMES."""
+COLUMNS = (
+    "path", "outcome", "exit_code", "message", "model",
+    "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
+    "own_outcome", "own_message", "own_after_mg", "prior",
+    "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
+    *SPHERE_COLUMNS, "change", "change_at", "change_mg", "misfits",
+    "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
+    "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
+    "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
+    *(f"{end}_{axis}_g" for axis in AXES for end in ("min", "max")),
+    *(f"k_{row}{column}" for row in AXES for column in AXES),
+    *(f"offset_{axis}_g" for axis in AXES),
+    *(f"slope_{axis}_g_per_c" for axis in AXES), "reference_c",
+    *(f"se_{name}" for name in PARAMETERS),
+    "lost_percent", "bytes", "sha256", "accelcal_version", "parquet", "report",
+)  # fmt: skip
+"""In the order of the table. Errors are held out; what is neither TEXT nor WHOLE is a number."""
+
+
+def failed(item: Item, code: int, message: str) -> dict[str, Any]:
+    """The row of a recording that gave no report."""
+    failure = {"outcome": FAILED, "message": message, "bytes": item.size, "accelcal_version": __version__}
+    return dict.fromkeys(COLUMNS) | {"path": printable(item.name), "exit_code": code} | failure
+
+
+def of_report(
+    item: Item, code: int, report: dict[str, Any], outputs: dict[str, str | None]
+) -> dict[str, Any]:
+    """The row of a recording from its report.
+
+    Args:
+        outputs: `parquet` and `report`, their names under OUT.
+    """
+    identity = {"path": printable(item.name), "exit_code": code}
+    verdict = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
+    verdict["prior"] = report["settings"].get("prior")
+    figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
+    return (
+        dict.fromkeys(COLUMNS) | identity | verdict | figures | _change(report) | _misfits(report) | outputs
+    )
+
+
+def own(line: dict[str, Any]) -> dict[str, Any]:
+    """Columns that say what a recording's own result is worth, where another one took its place."""
+    return {f"own_{name}": line[name] for name in ("outcome", "message", "after_mg")}
+
+
+def _recording(report: dict[str, Any]) -> dict[str, Any]:
+    recording, health = report["recording"], report["file_health"]
+    same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256", "lsb_per_g", "range_g")
+    counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after")
+    figures = ("rate_hz_measured", "lost_percent")
+    return {
+        **{name: recording[name] for name in same},
+        "time_zone": recording.get("time_zone"),
+        **{name: health[name] for name in counts + figures},
+        **{f"device_{name}": recording["device"][name] for name in DEVICE},
+        "rate_hz": recording["sample_rate_hz"],
+        "gaps": len(recording["gaps"]) + recording["gaps_omitted"],
+        "problems": sum(problem["count"] or 1 for problem in health["problems"]),
+    }
+
+
+def _errors(report: dict[str, Any]) -> dict[str, Any]:
+    holdout = report["holdout"]
+    if holdout is None:
+        return {}
+    low, high = holdout["ci95_mg"]
+    before = {"before_mg": holdout["before_mg"]["mean"], **{n: holdout[n] for n in ("postures", "points")}}
+    if report["calibration"] is None:
+        return before
+    after = {"after_mg": holdout["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
+    return before | after | {"improvement_percent": holdout["improvement_percent"]} | sphere_columns(report)
+
+
+def _change(report: dict[str, Any]) -> dict[str, Any]:
+    change = report.get("change")
+    if change is None or change["unchecked"] is not None:
+        return {}
+    return {"change": change["kind"], "change_at": change["at"], "change_mg": change["size_mg"]}
+
+
+def _misfits(report: dict[str, Any]) -> dict[str, Any]:
+    """What was found that the parameters do not describe."""
+    misfits = report.get("misfits")
+    if misfits is None:
+        return {}
+    return {"misfits": ", ".join(one["kind"] for one in misfits if one["found"]) or "none"}
+
+
+def _coverage(report: dict[str, Any]) -> dict[str, Any]:
+    coverage = report["coverage"]
+    ends = {
+        f"{end}_{axis}_g": value
+        for end in ("min", "max")
+        for axis, value in zip(AXES, coverage[f"axis_{end}_g"] or (), strict=False)
+    }
+    return {"cells": coverage["cells"], "condition_number": coverage["condition_number"], **ends}
+
+
+def _calibration(section: dict[str, Any] | None) -> dict[str, Any]:
+    if section is None:
+        return {}
+    temperature = section["temperature"]
+    slopes = (
+        {} if temperature is None else dict(zip(PARAMETERS[9:], temperature["slope_g_per_c"], strict=True))
+    )
+    gain = [value for row in section["gain"] for value in row]
+    return {
+        "model": section["model"],
+        **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
+        **dict(zip(PARAMETERS[6:9], section["offset_g"], strict=True)),
+        **slopes,
+        "reference_c": None if temperature is None else temperature["reference_c"],
+        **_standard_errors(section),
+    }
+
+
+def _standard_errors(section: dict[str, Any]) -> dict[str, float]:
+    """Those of the parameters that the model leaves free: what was not fitted has none."""
+    errors = section.get("standard_errors") or {}
+    model = MODELS.get(section["model"])
+    free = range(len(PARAMETERS)) if model is None else model.free
+    named = {f"se_{PARAMETERS[index]}": errors.get(PARAMETER_NAMES[index]) for index in free}
+    return {name: value for name, value in named.items() if value is not None}
+
+
+WAY_OUT = "give the zone of the latter with --timezone, in a separate study if other files state their own"
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """A study's result.
+
+    Attributes:
+        rows: one a recording, by path.
+        waiting: recordings that were not tried yet: too new, too old, or another shard's.
+        ahead: of these, those that were changed in the future by this machine's clock; not written.
+        left_out: files that are no recordings.
+        up_to_date: recordings of which nothing had to be done; not part of what is written.
+        pools: device, number of recordings, outcome and message of each pool, by name.
+    """
+
+    rows: list[dict[str, Any]]
+    settings: dict[str, Any]
+    waiting: int = 0
+    ahead: int = 0
+    left_out: int = 0
+    up_to_date: int = 0
+    pools: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+    def outcomes(self) -> dict[str, int]:
+        """How many recordings had which outcome."""
+        return dict(sorted(Counter(row["outcome"] for row in self.rows).items()))
+
+    def time_zones(self) -> dict[str, int]:
+        """How many Parquet files have times in UTC, and how many in a zone that is unknown."""
+        zones = (row.get("time_zone") for row in self.rows if row["parquet"])
+        return dict(sorted(Counter(zone for zone in zones if zone).items()))
+
+    def mixed_times(self) -> str | None:
+        """What to know before the files are united, where `time` is not of one type in all of them."""
+        zones = self.time_zones()
+        if len(zones) < 2:
+            return None
+        return (
+            f"`time` is in UTC in {counted(zones[UTC], 'Parquet file')} and in local time of an unknown zone "
+            f"in {zones[UNKNOWN]} (see time_zone in the table): do not join them; {WAY_OUT}"
+        )
+
+    def counts(self) -> dict[str, Any]:
+        """The content of `study.json`."""
+        return {
+            "accelcal_version": __version__,
+            "recordings": len(self.rows),
+            "outcomes": self.outcomes(),
+            "models": dict(sorted(Counter(row["model"] for row in self.rows if row["model"]).items())),
+            "time_zones": self.time_zones(),
+            "mixed_times": self.mixed_times(),
+            "waiting": self.waiting,
+            "left_out": self.left_out,
+            "pools": self.pools,
+            "settings": self.settings,
+        }
+
+
+def write(summary: Summary, out: Path, name: str) -> None:
+    """`NAME.parquet`, `NAME.csv`, and last `NAME.json`.
+
+    Raises:
+        OutputError: one cannot be written.
+    """
+    with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
+        pq.write_table(_table(summary.rows), file, compression="zstd")
+    rows = [[row.get(column) for column in COLUMNS] for row in summary.rows]
+    write_text(out / f"{name}.csv", csv_text(COLUMNS, rows))
+    write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
+
+
+def _table(rows: list[dict[str, Any]]) -> pa.Table:
+    """Read from JSON lines: `pa.array` would load pandas, which takes half a second."""
+    schema = pa.schema([(column, _kind(column)) for column in COLUMNS])
+    if not rows:
+        return schema.empty_table()
+    lines = "\n".join(json.dumps({column: row.get(column) for column in COLUMNS}) for row in rows).encode()
+    one_block = pyarrow.json.ReadOptions(block_size=len(lines) + 1)
+    return pyarrow.json.read_json(BytesIO(lines), one_block, pyarrow.json.ParseOptions(schema))
+
+
+def _kind(name: str) -> pa.DataType:
+    if name in TEXT:
+        return pa.string()
+    return pa.int64() if name in WHOLE else pa.float64()

@@ -1,0 +1,87 @@
+"""A ledger that is damaged costs what it saved, no more."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.studies.ledger import Ledger
+from tests.cli.run import run
+from tests.cli.studies import results, run_in, study_folder
+
+Capture = pytest.CaptureFixture[str]
+NAMES = ("a.raw", "b.raw", "c.raw")
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    base = tmp_path_factory.mktemp("ledger")
+    study_folder(base / "in", NAMES)
+    assert run_in(base, "study", base / "in", "-d", base / "out").code == 0
+    return base
+
+
+def changed(line: str, **said: object) -> str:
+    """A line whose content was changed by hand."""
+    return line[:9] + json.dumps(json.loads(line[9:]) | said)
+
+
+@pytest.mark.parametrize(
+    ("damage", "unchanged"),
+    [
+        (lambda line: changed(line, row={}), 2),
+        (lambda line: changed(line, name=[]), 2),
+        (lambda line: changed(line, outputs=[["a\0b", [1, 2]]]), 2),
+        (lambda line: line.replace('"calibrated"', '"calibrbted"'), 2),
+        (lambda line: line.replace('"samples": 4', '"samples": 5'), 2),
+        (lambda line: "[" * 100_000, 2),
+        (lambda line: "\udcff\0\n" + line, 3),
+        (lambda line: line[:200] + "\n" + line, 3),
+        (lambda line: "", 2),
+    ],
+)
+def test_a_damaged_line_is_not_read_and_the_others_are(
+    base: Path, tmp_path: Path, capsys: Capture, damage: Callable[[str], str], unchanged: int
+) -> None:
+    out = shutil.copytree(base / "out", tmp_path / "out")
+    lines = (out / "study.ledger").read_text().splitlines()
+    spoilt = [damage(line) if '"a.raw"' in line else line for line in lines]
+    assert spoilt != lines
+    (out / "study.ledger").write_bytes("\n".join(spoilt).encode("utf-8", "surrogateescape"))
+    ran = run(capsys, "study", base / "in", "-d", out)
+    assert (ran.code, f"{unchanged} unchanged" in ran.err) == (0, True), ran.err
+    assert results(out) == results(base / "out")
+    assert (out / "study.ledger").read_text().splitlines() == lines
+
+
+@pytest.mark.parametrize("kind", ["link", "pipe"])
+def test_a_ledger_that_is_not_a_plain_file_is_neither_followed_nor_waited_for(
+    base: Path, tmp_path: Path, capsys: Capture, kind: str
+) -> None:
+    out, target = shutil.copytree(base / "out", tmp_path / "out"), tmp_path / "mine"
+    target.write_bytes((out / "study.ledger").read_bytes())
+    (out / "study.ledger").unlink()
+    if kind == "link":
+        (out / "study.ledger").symlink_to(target)
+    else:
+        os.mkfifo(out / "study.ledger")
+    ran = run(capsys, "study", base / "in", "-d", out)
+    assert target.read_bytes() == (base / "out" / "study.ledger").read_bytes()
+    assert (ran.code, "study.ledger" in ran.err) == (5, True), ran.err
+
+
+def test_a_line_is_its_checksum_and_its_json(base: Path) -> None:
+    lines = (base / "out/study.ledger").read_bytes().splitlines()
+    assert len(lines) == len(NAMES) + 1
+    ledger = Ledger(base / "out/study.ledger")
+    for line in lines:
+        assert int(line[:8], 16) == zlib.crc32(line[9:])
+        said = json.loads(line[9:])
+        assert said["round"] == "own"
+        assert len(ledger.held(said["name"], said["asked"], ["own"])) == 1
