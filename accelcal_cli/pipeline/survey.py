@@ -63,9 +63,6 @@ BATCH_WINDOWS = 4096
 MAX_GAPS = 1000
 MAX_PROBLEMS = 1000
 GAP_PERIODS = 1.5
-JITTER_PERIODS = 3
-"""Times that go back by more are no jitter, but set back."""
-
 BLOCK_S = 3600
 """Samples of so long make a block of time, in which a sensor is taken not to change."""
 
@@ -447,12 +444,13 @@ class FactsObserver(Observer):
 
     Args:
         rest_lsb: raw counts that rest should measure.
-        short: what is not taken for more than jitter of the times where it goes back.
+        short: jumps that end no window; those back by a period at most end no run for the measured rate
+            either (where a late stamp makes the next go back by more, the gap before it ended one, too).
     """
 
     def __init__(self, recording: Recording, rest_lsb: float, short: ShortGaps = NO_GAPS) -> None:
         self.recording = recording
-        self._jitter_us = min(short.longest_us, round(JITTER_PERIODS * MICROSECONDS / recording.rate_hz))
+        self._jitter_us = min(short.longest_us, round(MICROSECONDS / recording.rate_hz))
         self._rest = RestSums(rest_lsb)
         self.samples = self.filled = self.clipped = 0
         self.first_us: int | None = None

@@ -1,0 +1,91 @@
+"""Recordings of phones, whose stamps jitter and skip: their still windows, and what is said of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.cli.run import run
+from tests.recordings import directions, still_counts, write_csv
+
+Capture = pytest.CaptureFixture[str]
+Numbers = np.ndarray
+LATE_US = 130_000
+"""Three periods and more at 25 Hz: a stamp so late comes after a gap, and the next one goes back."""
+
+
+def late(times_us: Numbers) -> Numbers:
+    """Every 50th stamp comes late."""
+    times_us[20::50] += LATE_US
+    return times_us
+
+
+def lossy(times_us: Numbers) -> Numbers:
+    """Seven rows are lost before every 50th one: 200 ms of nothing, and 320 ms from row to row."""
+    times_us += 280_000 * (np.arange(len(times_us)) // 50)
+    return times_us
+
+
+def recording(folder: Path, stamps: Callable[[Numbers], Numbers] | None, name: str = "a.csv") -> Path:
+    """The good recording with other stamps."""
+    header, *lines = write_csv(folder / name, still_counts(directions(12))).read_text().splitlines()
+    if stamps is not None:
+        times = stamps(40_000 * np.arange(len(lines), dtype=np.int64)) + 1_709_510_400_000_000
+        rows = [line.split(",", 1)[1] for line in lines]
+        lines = [f"{time},{row}" for time, row in zip(times.tolist(), rows, strict=True)]
+    path = folder / name
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
+    ran = run(capsys, "calibrate", "--report-only", "--json", "-q", "--force", path, *words)
+    report: dict[str, Any] = json.loads(ran.out)
+    return report
+
+
+@pytest.mark.parametrize("stamps", [late, lossy])
+def test_the_same_rows_give_the_same_calibration_however_their_stamps_jitter(
+    tmp_path: Path, capsys: Capture, stamps: Callable[[Numbers], Numbers]
+) -> None:
+    even = calibrated(capsys, recording(tmp_path, None, "even.csv"))
+    found = calibrated(capsys, recording(tmp_path, stamps))
+    for key in ("calibration", "fit", "sphere_mg", "coverage"):
+        assert found[key] == even[key]
+    assert found["recording"]["sample_rate_hz"] == 25.0
+    assert found["file_health"]["clock"]["rate_hz_measured"] == 25.0
+
+
+def test_gaps_are_told_and_what_was_done(tmp_path: Path, capsys: Capture) -> None:
+    found = calibrated(capsys, recording(tmp_path, late))
+    assert (found["file_health"]["clock"]["gaps"], found["file_health"]["clock"]["backward"]) == (180, 180)
+    assert found["settings"]["longest_gap_s"] == 0.5
+    note = "its times jitter or skip a little: 360 short gaps and steps back in what was read; "
+    assert found["recording"]["notes"][-1] == note + "windows go on over them (--longest-gap)"
+    assert note in run(capsys, "inspect", "--full", recording(tmp_path, late)).out
+
+
+def test_windows_end_at_every_gap_if_that_is_asked_for(tmp_path: Path, capsys: Capture) -> None:
+    path = recording(tmp_path, lossy)
+    for seconds in (0, 0.319):
+        found = calibrated(capsys, path, "--longest-gap", seconds)
+        assert (found["outcome"], found["fit"]["windows"]["complete"]) == ("refused", 0)
+        assert not any("jitter" in note for note in found["recording"]["notes"])
+    assert calibrated(capsys, path, "--longest-gap", 0.32)["outcome"] == "calibrated"
+
+
+def test_a_report_of_an_earlier_version_is_verified_as_it_was_made(tmp_path: Path, capsys: Capture) -> None:
+    path = recording(tmp_path, lossy)
+    calibrated(capsys, path, "--longest-gap", 0)
+    report = tmp_path / "a.calibration.json"
+    held = json.loads(report.read_text())
+    del held["settings"]["longest_gap_s"]
+    held["accelcal_version"] = "0.1.0"
+    report.write_text(json.dumps(held))
+    ran = run(capsys, "verify", "--json", report, path)
+    assert (ran.code, json.loads(ran.out)["settings_assumed"]) == (0, ["longest_gap_s"])
