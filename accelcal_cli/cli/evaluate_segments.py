@@ -38,6 +38,9 @@ FIGURES = {
 }
 """Columns of the table and how their values are shown."""
 
+OF_SENSORS = {"measured_mg": ".2f"}
+"""Those that simulated sensors have besides."""
+
 
 USUAL = Population()
 ERRORS = ("gain_percent", "misalignment_percent", "offset_mg", "one_misalignment_percent")
@@ -96,7 +99,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     above the limit or worse than raw data, and the share of the 95 % intervals that hold the error.
 
     With --sensors, what the sensor measured in its still windows is replaced by what simulated ones would
-    have measured, each in one of the segments; the errors are then the true ones over the whole sphere.
+    have measured, each in one of the segments. The errors are then the true ones over the whole sphere;
+    `measured` is what rests would show of them, whose |a| scatters: the intervals are held against that.
     """
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:
@@ -154,10 +158,11 @@ def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool
 
 def _table(found: list[Segment], limit_mg: float) -> str:
     """A row for each length, and one for all."""
+    shown = FIGURES | (OF_SENSORS if any(item.sensor is not None for item in found) else {})
     lengths = dict.fromkeys(item.hours for item in found)
     groups = {f"{hours:g}": [item for item in found if item.hours == hours] for hours in lengths}
     rows = []
     for name, group in {**groups, "all": found}.items():
         row = asdict(summary(group, limit_mg))
-        rows.append([name, *(number(row[key], shown) for key, shown in FIGURES.items())])
-    return aligned(["hours", *(key.replace("_", " ") for key in FIGURES)], rows)
+        rows.append([name, *(number(row[key], form) for key, form in shown.items())])
+    return aligned(["hours", *(key.replace("_", " ") for key in shown)], rows)

@@ -100,6 +100,7 @@ class Summary:
         above_limit: how many have an error on the rest of `max_error_mg` or more.
         worse: how many have a larger error on the rest than without calibration.
         holds: share of the intervals that hold the error on the rest.
+        measured_mg: of simulated sensors, the mean error as rests show it.
     """
 
     segments: int
@@ -110,6 +111,7 @@ class Summary:
     above_limit: int
     worse: int
     holds: float | None
+    measured_mg: float | None = None
 
 
 def stillness(
@@ -232,6 +234,7 @@ def summary(found: list[Segment], limit_mg: float) -> Summary:
         above_limit=sum((item.true_mg or 0) >= limit_mg for item in usable),
         worse=sum((item.true_mg or 0) > (item.raw_mg or 0) for item in usable),
         holds=sum(held) / len(held) if held else None,
+        measured_mg=_mean([item.measured_mg for item in usable]),
     )
 
 

@@ -170,5 +170,10 @@ def test_the_command(tmp_path: Path, capsys: Capture) -> None:
     assert all(
         item["holds"] == (item["ci95_mg"][0] <= item["measured_mg"] <= item["ci95_mg"][1]) for item in found
     )
+    ran = run(
+        capsys, *words, "--sensors", 1, "--gain-percent", 0, "--misalignment-percent", 0, "--offset-mg", 0
+    )
+    assert ran.lines[1].split()[-3:] == ["holds", "measured", "mg"]
+    assert ran.lines[-1].split()[:4] == ["all", "1", "1", "0.00"]
     ran = run(capsys, *words, "--offset-mg", 5)
     assert (ran.code, "add --sensors" in ran.err) == (2, True)
