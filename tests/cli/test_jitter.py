@@ -10,8 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.pipeline import inspect
+from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import run
 from tests.recordings import directions, still_counts, write_csv
+from tests.six_pose.made import six_faces
 
 Capture = pytest.CaptureFixture[str]
 Numbers = np.ndarray
@@ -33,12 +37,16 @@ def lossy(times_us: Numbers) -> Numbers:
 
 def recording(folder: Path, stamps: Callable[[Numbers], Numbers] | None, name: str = "a.csv") -> Path:
     """The good recording with other stamps."""
-    header, *lines = write_csv(folder / name, still_counts(directions(12))).read_text().splitlines()
-    if stamps is not None:
-        times = stamps(40_000 * np.arange(len(lines), dtype=np.int64)) + 1_709_510_400_000_000
-        rows = [line.split(",", 1)[1] for line in lines]
-        lines = [f"{time},{row}" for time, row in zip(times.tolist(), rows, strict=True)]
-    path = folder / name
+    path = write_csv(folder / name, still_counts(directions(12)))
+    return path if stamps is None else restamped(path, stamps)
+
+
+def restamped(path: Path, stamps: Callable[[Numbers], Numbers], period_us: int = 40_000) -> Path:
+    """A table with other stamps, which its rows had every so many microseconds."""
+    header, *lines = path.read_text().splitlines()
+    times = stamps(period_us * np.arange(len(lines), dtype=np.int64)) + 1_709_510_400_000_000
+    rows = [line.split(",", 1)[1] for line in lines]
+    lines = [f"{time},{row}" for time, row in zip(times.tolist(), rows, strict=True)]
     path.write_text("\n".join([header, *lines]) + "\n")
     return path
 
@@ -94,3 +102,24 @@ def test_a_report_of_an_earlier_version_is_verified_as_it_was_made(tmp_path: Pat
     report.write_text(json.dumps(held))
     ran = run(capsys, "verify", "--json", report, path)
     assert (ran.code, json.loads(ran.out)["settings_assumed"]) == (0, ["longest_gap_s"])
+
+
+def test_no_window_spans_two_pieces_of_a_look(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(inspect, "PREVIEW_SAMPLES", 1020)  # so that a piece begins with a late stamp
+    path = recording(tmp_path, late)
+    with open_marked(path, ReadOptions()) as reader:
+        pieces = list(reader.preview(1020, inspect.PREVIEW_PIECES))
+    assert any(0 in piece.clock_jumps for piece in pieces)
+    ran = run(capsys, "inspect", "--json", path)
+    assert json.loads(ran.out)["read"]["windows"] == sum(len(piece) // 125 for piece in pieces)
+
+
+def test_a_session_on_six_faces_goes_on_too(tmp_path: Path, capsys: Capture) -> None:
+    path = six_faces(tmp_path)
+    even = json.loads(run(capsys, "six-pose", path, "--json").out)
+    found = json.loads(run(capsys, "six-pose", restamped(path, late, 20_000), "--json", "--force").out)
+    assert found["calibration"] == even["calibration"]
+    assert found["fit"]["windows"] == even["fit"]["windows"]
+    assert "jitter" in found["recording"]["notes"][-1]
