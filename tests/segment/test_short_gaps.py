@@ -75,8 +75,15 @@ def test_gaps_of_different_windows_and_between_them_are_not_added() -> None:
 
 
 def test_a_break_for_another_reason_ends_the_window_however_short() -> None:
-    assert starts(jumping(10, {7: 50}, breaks=(7,))) == [0]
+    assert starts(jumping(10, {3: 50, 7: 50}, breaks=(7,))) == [0]
     assert starts(replace(jumping(10, {7: 50}), jumps=(), breaks=(7,))) == [0]
+
+
+def test_windows_are_counted_from_the_last_break_though_their_chunks_have_no_jump() -> None:
+    stream = jumping(22, {12: 100, 13: 100}, breaks=(7,))
+    for cuts in ((), (10,), (7, 10)):
+        found, _ = segmented(stream, 5, ANYTHING, cuts, GAPS)
+        assert [row[0] for row in found] == [0, 7, 12, 17], "the jump before 12 lies between two windows"
 
 
 def test_the_jumps_within_windows_are_counted() -> None:
