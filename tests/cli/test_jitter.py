@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Chunk
 from accelcal_cli.pipeline import inspect
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import run
@@ -108,18 +109,24 @@ def test_no_window_spans_two_pieces_of_a_look(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inspect, "PREVIEW_SAMPLES", 700)
+    border = looked_at(recording(tmp_path, lambda times_us: times_us))[1].first_sample
 
-    def first_of_second_piece_late(times_us: Numbers) -> Numbers:
-        times_us[9000 // 13] += LATE_US
+    def late_there(times_us: Numbers) -> Numbers:
+        times_us[border] += LATE_US
         return times_us
 
-    path = recording(tmp_path, first_of_second_piece_late)
-    with open_marked(path, ReadOptions()) as reader:
-        pieces = list(reader.preview(700, inspect.PREVIEW_PIECES))
+    path = recording(tmp_path, late_there)
+    pieces = looked_at(path)
     assert pieces[1].clock_jumps.tolist() == [0, 1]
     ran = run(capsys, "inspect", "--json", path)
     windows = sum(len(piece) // 125 for piece in pieces)
     assert json.loads(ran.out)["read"]["windows"] == windows < 9000 // 125
+
+
+def looked_at(path: Path) -> list[Chunk]:
+    """The pieces of a table that a look at it reads."""
+    with open_marked(path, ReadOptions()) as reader:
+        return list(reader.preview(inspect.PREVIEW_SAMPLES, inspect.PREVIEW_PIECES))
 
 
 def test_a_session_on_six_faces_goes_on_too(tmp_path: Path, capsys: Capture) -> None:
