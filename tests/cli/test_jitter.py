@@ -108,7 +108,7 @@ def test_a_report_of_an_earlier_version_is_verified_as_it_was_made(tmp_path: Pat
 def test_no_window_spans_two_pieces_of_a_look(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(inspect, "PREVIEW_SAMPLES", 700)
+    monkeypatch.setattr(inspect, "PREVIEW_SAMPLES", 1150)
     border = looked_at(recording(tmp_path, lambda times_us: times_us))[1].first_sample
 
     def late_there(times_us: Numbers) -> Numbers:
