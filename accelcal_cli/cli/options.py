@@ -146,7 +146,7 @@ _READING = [
     for name in ReadOptions.__dataclass_fields__
 ]
 _METHOD = _settings_options(
-    "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g"
+    "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g", "longest_gap_s"
 )
 _FITTING = _settings_options("optimizer", "model", "prior", "temperature")
 _GRAVITY = _settings_options("latitude", "altitude_m")

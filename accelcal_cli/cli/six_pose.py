@@ -10,7 +10,7 @@ import click
 
 from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
-from accelcal_cli.core.settings import PoseSettings
+from accelcal_cli.core.settings import POSES, PoseSettings
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request, Result, plan_report
 from accelcal_cli.six_pose.run import six_pose
@@ -25,6 +25,7 @@ from accelcal_cli.six_pose.run import six_pose
 @options.printing_options
 @options.setting_option(PoseSettings, "segment_seconds")
 @options.setting_option(PoseSettings, "stillness_threshold_g")
+@options.setting_option(PoseSettings, "longest_gap_s")
 @options.setting_option(PoseSettings, "face_degrees")
 @options.reading_options
 @options.damage_option
@@ -40,7 +41,7 @@ def command(recording: Path, **values: Any) -> int:
     job = plan_report(recording, values["output_dir"], values["output"], *inputs)
     request = Request(
         options=given.read_options(values),
-        settings=given.with_given(PoseSettings(), values),
+        settings=given.with_given(POSES, values),
         poses=values["poses"],
         report_only=True,
         chunk_samples=values["chunk_samples"],

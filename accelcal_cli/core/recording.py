@@ -129,6 +129,8 @@ class Chunk:
         end_byte: how far into the file this chunk reaches, for progress.
         breaks: rows r in 0..n-1, ascending, before which the recording is not continuous (lost
             data, a jump of the clock); the recording's very first row is not one.
+        clock_jumps: those of the breaks where nothing but the clock jumps: of the file, the row follows
+            directly on the one before. Only a reader whose rows have stamps of their own knows that.
         temperature_mc: (n,) int32, thousandths of a degree Celsius, or None.
         gyro_counts: (n, 3) int16 or int32, or None.
         validity: (n,) uint8 of `Validity`, or None if all rows were measured.
@@ -142,6 +144,7 @@ class Chunk:
     clock: Clock
     end_byte: int
     breaks: NDArray[np.int64] = field(default_factory=lambda: NO_BREAKS)
+    clock_jumps: NDArray[np.int64] = field(default_factory=lambda: NO_BREAKS)
     temperature_mc: NDArray[np.int32] | None = None
     gyro_counts: Counts | None = None
     validity: NDArray[np.uint8] | None = None
@@ -164,18 +167,23 @@ class Chunk:
     def part(self, start: int, stop: int) -> Chunk:
         """Rows start..stop-1, as views; problems and used bytes go with row 0."""
         low, high = np.searchsorted(self.breaks, (start, stop))
+        first, last = np.searchsorted(self.clock_jumps, (start, stop))
         return replace(
             self,
             **cut_columns(self, CHANNELS, slice(start, stop)),
             first_sample=self.first_sample + start,
             clock=self.clock.part(start, stop),
             breaks=self.breaks[low:high] - start,
+            clock_jumps=self.clock_jumps[first:last] - start,
             problems=() if start else self.problems,
             used_bytes=0 if start else self.used_bytes,
         )
 
     def keep(self, mask: NDArray[np.bool_]) -> Chunk:
-        """The rows of a mask (n,), which do not continue across those left out."""
+        """The rows of a mask (n,), which do not continue across those left out.
+
+        After that, no break is known to be of the clock alone.
+        """
         broken = ~mask
         broken[self.breaks] = True
         return replace(
@@ -183,6 +191,7 @@ class Chunk:
             **cut_columns(self, CHANNELS, mask),
             clock=StampClock(self.time_us[mask]),
             breaks=np.flatnonzero(np.diff(np.cumsum(broken)[mask], prepend=0)),
+            clock_jumps=NO_BREAKS,
         )
 
     def copy(self) -> Chunk:
@@ -202,13 +211,14 @@ def joined(chunks: Sequence[Chunk]) -> Chunk:
     with_rows = [chunk for chunk in chunks if len(chunk)] or chunks
     lengths = np.array([len(chunk) for chunk in chunks])
     first_rows = np.cumsum(lengths) - lengths
-    breaks = [chunk.breaks + row for chunk, row in zip(chunks, first_rows.tolist(), strict=True)]
+    placed = [*zip(chunks, first_rows.tolist(), strict=True)]
     return replace(
         chunks[-1],
         **{name: _joined_channel(with_rows, name) for name in CHANNELS},
         first_sample=chunks[0].first_sample,
         clock=_joined_clock(chunks),
-        breaks=np.concatenate(breaks),
+        breaks=np.concatenate([chunk.breaks + row for chunk, row in placed]),
+        clock_jumps=np.concatenate([chunk.clock_jumps + row for chunk, row in placed]),
         problems=tuple(problem for chunk in chunks for problem in chunk.problems),
         used_bytes=sum(chunk.used_bytes for chunk in chunks),
     )

@@ -352,6 +352,7 @@ class Facts:
         lost_bytes, used_bytes: of the (uncompressed) file: damaged ones, and those that the samples
             were made of.
         zone_change: the zone changed its offset from UTC during the recording; None if not, or unknown.
+        gone_over: short jumps of its times that did not end a window.
     """
 
     samples: int
@@ -370,6 +371,7 @@ class Facts:
     used_bytes: int = 0
     jumps: Jumps = Jumps()
     zone_change: ZoneChange | None = None
+    gone_over: int = 0
 
     def lost_percent(self) -> float:
         """Share of the recording's bytes that damage has taken."""

@@ -157,6 +157,10 @@ class Settings:
         stillness_axes: axes of the max - min rule (F: one; here all, since slow movement across
             the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
+        longest_gap_s: a window goes on over gaps and steps back of the clock of at most so much [s], together
+            no more than its own length; 0, which older reports had: over none (docs/stillness.md; phones
+            lose up to 0.2 s at a time, and what is still before and after half a second hardly moved
+            in between).
         cells_per_g: orientation cells per g on each axis (measured: 20; 10 leaves a bias).
         norm_low_g, norm_high_g: still windows with |mean| outside are implausible [g].
         posture_degrees: points within so many degrees are one posture.
@@ -246,6 +250,17 @@ class Settings:
     stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
     stillness_axes: tuple[int, ...] = setting((0, 1, 2), 0, 2)
     adaptive: Adaptive | None = None
+    longest_gap_s: float = setting(
+        0.0,
+        0,
+        10,
+        Option(
+            "--longest-gap",
+            "Windows go on over gaps and steps back of stamps of at most this; 0: over none.",
+            "SECONDS",
+            default="0.5; profile paper: 0",
+        ),
+    )
     cells_per_g: int = setting(20, 1, 1000)
     norm_low_g: float = setting(0.5, 0, 10)
     norm_high_g: float = setting(1.5, 0, 10)
@@ -305,6 +320,7 @@ class PoseSettings:
     Attributes:
         segment_seconds: length of a window [s]; short, since a face is held for seconds.
         stillness_threshold_g, stillness_deviation_g: as in `Settings`, on every axis.
+        longest_gap_s: as in `Settings`.
         norm_low_g, norm_high_g: as in `Settings`; not asked of listed poses.
         face_degrees: a state within so many degrees of an axis lies on that face; wide, since raw
             values carry the very errors that are sought.
@@ -325,6 +341,7 @@ class PoseSettings:
         0.12, 1e-9, 4, Option("--stillness-threshold-g", "Largest max - min in a still window.", above=0)
     )
     stillness_deviation_g: float = _as_in_settings("stillness_deviation_g")
+    longest_gap_s: float = _as_in_settings("longest_gap_s")
     norm_low_g: float = _as_in_settings("norm_low_g")
     norm_high_g: float = _as_in_settings("norm_high_g")
     face_degrees: float = setting(
@@ -362,6 +379,7 @@ class PoseSettings:
             "segment_seconds",
             "stillness_threshold_g",
             "stillness_deviation_g",
+            "longest_gap_s",
             "norm_low_g",
             "norm_high_g",
             "latitude",
@@ -407,6 +425,7 @@ def with_stillness(settings: Settings, name: str) -> Settings:
     return replace(settings, stillness=name, **STILLNESS[name])
 
 
-DEFAULT = Settings(prior="population", recalibrate="auto")
+DEFAULT = Settings(prior="population", recalibrate="auto", longest_gap_s=0.5)
 PAPER = replace(with_stillness(Settings(), "range"), profile="paper", temperature=False, min_distance_g=0.2)
 PROFILES = {"default": DEFAULT, "paper": PAPER}
+POSES = PoseSettings(longest_gap_s=DEFAULT.longest_gap_s)

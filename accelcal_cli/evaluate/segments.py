@@ -2,7 +2,7 @@
 
 A segment of a few hours is calibrated as if it were all there is. What its report claims is then compared
 with the error that the calibration leaves on the still windows of the rest of the recording, where the wrist
-was in other postures too.
+was in other postures too. Segments on which a simulated sensor was worn: evaluate/sensors.py.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from accelcal_cli.collect.table import read_table, windows_of
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import Windows
+from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import mean
 from accelcal_cli.judge.verdict import held_out
@@ -59,10 +60,13 @@ class Segment:
 
     Attributes:
         hours, start_h: length, and start in the recording.
-        raw_mg: error on the rest without calibration; None if there is too little of it.
+        raw_mg: error on the rest without calibration; None if there is too little of it. Of a simulated
+            sensor: the true one over the whole sphere.
         true_mg: the same with the segment's calibration, None without one.
         claimed_mg, ci95_mg: the report's headline, None without one.
         holdout_mg: held-out error within the segment.
+        sensor: number of the simulated sensor, None if it is the recording's own.
+        measured_mg: of a simulated sensor, `true_mg` as rests on a wrist would show it, whose |a| scatters.
     """
 
     hours: float
@@ -74,13 +78,16 @@ class Segment:
     claimed_mg: float | None
     ci95_mg: tuple[float, float] | None
     holdout_mg: float | None
+    sensor: int | None = None
+    measured_mg: float | None = None
 
     @property
     def holds(self) -> bool | None:
-        """Whether the interval holds the error on the rest."""
-        if self.ci95_mg is None or self.true_mg is None:
+        """Whether the interval holds the error, with the scatter of rests, of which the claim is."""
+        error_mg = self.true_mg if self.measured_mg is None else self.measured_mg
+        if self.ci95_mg is None or error_mg is None:
             return None
-        return self.ci95_mg[0] <= self.true_mg <= self.ci95_mg[1]
+        return self.ci95_mg[0] <= error_mg <= self.ci95_mg[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +100,7 @@ class Summary:
         above_limit: how many have an error on the rest of `max_error_mg` or more.
         worse: how many have a larger error on the rest than without calibration.
         holds: share of the intervals that hold the error on the rest.
+        measured_mg: of simulated sensors, the mean error as rests show it.
     """
 
     segments: int
@@ -103,6 +111,7 @@ class Summary:
     above_limit: int
     worse: int
     holds: float | None
+    measured_mg: float | None = None
 
 
 def stillness(
@@ -150,25 +159,43 @@ def segments(still: Stillness, hours: float, number: int, settings: Settings) ->
     Raises:
         UsageError: the settings have a profile without orientation cells.
     """
+    for start in starts(still, hours, number, settings):
+        yield _segment(still, start, hours, settings)
+
+
+def starts(still: Stillness, hours: float, number: int, settings: Settings) -> list[float]:
+    """When segments begin [h]; raises UsageError for a profile without orientation cells."""
     if settings.profile != "default":
         raise UsageError("segments are judged with --profile default only", hint="omit --profile")
     room = still.span_h - hours
     if room < 0:
-        return
+        return []
     count = min(number, max(1, int(2 * room / hours) + 1))
-    for start in np.linspace(0, room, count).tolist():
-        yield _segment(still, start, hours, settings)
+    found: list[float] = np.linspace(0, room, count).tolist()
+    return found
 
 
 def _segment(still: Stillness, start_h: float, hours: float, settings: Settings) -> Segment:
-    inside = (still.hours >= start_h) & (still.hours < start_h + hours)
-    judgement = _collected(still, inside, settings).judge(fitting(settings))
-    calibration, sphere, holdout = judgement.calibration, judgement.sphere, judgement.holdout
-    rest = _collected(still, ~inside, settings).result()
+    which = inside(still, start_h, hours)
+    judgement = collected(still, which, settings).judge(fitting(settings))
+    rest = collected(still, ~which, settings).result()
     raw = true = None
-    if calibration is not None:
-        held = held_out(rest, calibration, settings.gravity, settings.posture_degrees, REST)
+    if judgement.calibration is not None:
+        held = held_out(rest, judgement.calibration, settings.gravity, settings.posture_degrees, REST)
         raw, true = (None, None) if held is None else (held.before.mean, held.after.mean)
+    return claimed(judgement, hours, start_h, raw, true)
+
+
+def inside(still: Stillness, start_h: float, hours: float) -> NDArray[np.bool_]:
+    """Which windows lie in a segment, (m,)."""
+    return np.asarray((still.hours >= start_h) & (still.hours < start_h + hours))
+
+
+def claimed(
+    judgement: Judgement, hours: float, start_h: float, raw: float | None, true: float | None
+) -> Segment:
+    """A segment's own claim, beside the errors without and with its calibration."""
+    calibration, sphere, holdout = judgement.calibration, judgement.sphere, judgement.holdout
     claimed, interval = None, None
     if calibration is not None and sphere is not None:
         claimed, interval = sphere.mean, sphere.ci95
@@ -187,7 +214,8 @@ def _segment(still: Stillness, start_h: float, hours: float, settings: Settings)
     )
 
 
-def _collected(still: Stillness, which: NDArray[np.bool_], settings: Settings) -> CellProcedure:
+def collected(still: Stillness, which: NDArray[np.bool_], settings: Settings) -> CellProcedure:
+    """Some windows, as the procedure takes them in."""
     collector = CellCollector(still.lsb_per_g, settings, temperature=still.has_temperature)
     collector.add(still.windows.select(which))
     return CellProcedure(collector)
@@ -206,6 +234,7 @@ def summary(found: list[Segment], limit_mg: float) -> Summary:
         above_limit=sum((item.true_mg or 0) >= limit_mg for item in usable),
         worse=sum((item.true_mg or 0) > (item.raw_mg or 0) for item in usable),
         holds=sum(held) / len(held) if held else None,
+        measured_mg=_mean([item.measured_mg for item in usable]),
     )
 
 

@@ -27,6 +27,12 @@ LONGEST_GROUP = 4
 DEVICE_RATES = (1.5625, 3.125, 6.25, 12.5, 25.6, 31.25, 100 / 3, 51.2, 62.5, 200 / 3, 102.4, 204.8)
 """Rates that are no whole number, of devices in common use."""
 
+JITTERED = 0.001
+"""Share of steps back from which on stamps are taken to jitter; steps then do not tell the rate."""
+
+SPAN_ROWS = 16
+"""Rows over which jitter is averaged: enough for that, and few, so that most spans hold no gap."""
+
 DISAGREEMENT = 1.2
 SHORTFALL = 0.2
 """Groups of rows that miss the usual size by more lie beside a gap."""
@@ -110,6 +116,25 @@ def stamp_pace(stamps: NDArray[np.int64], stated_hz: float | None, rate_hz: floa
     if shown is None:
         return Pace(rate_hz, only_stamp_period(stamps))
     return shown if stated_hz is None or not shown.agrees(stated_hz) else replace(shown, rate_hz=stated_hz)
+
+
+def jittered_step(stamps: NDArray[np.int64]) -> float | None:
+    """Time from one row to the next [us] of stamps (n,) of which some go back; None for all others.
+
+    A mean of steps that leaves out those back, or those after a stall, is wrong by a tenth. Spans of
+    `SPAN_ROWS` rows have the usual length but for those that hold a gap: the mean of those within
+    a row and a half of the middle, found by repeating.
+    """
+    if len(stamps) < 4 * SPAN_ROWS or np.mean(np.diff(stamps) < 0) < JITTERED:
+        return None
+    spans = stamps[SPAN_ROWS:] - stamps[:-SPAN_ROWS]
+    usual = float(np.median(spans))
+    for _ in range(8):
+        near = spans[np.abs(spans - usual) <= 1.5 * usual / SPAN_ROWS]
+        if usual <= 0 or not len(near):
+            return None
+        usual = float(near.sum()) / len(near)
+    return usual / SPAN_ROWS
 
 
 def nice_rate(measured: float) -> float:

@@ -43,6 +43,10 @@ EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
 SCHEMA_VERSION = 2
 SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg", "sphere_before_mg")
+SHORT_JUMPS = (
+    "its times jitter or skip a little: {} short gaps and steps back in what was read; "
+    "windows go on over them (--longest-gap)"
+)
 LARGEST_BYTES = 64 << 20
 """A report has some thousand entries at most; what is longer is none."""
 
@@ -300,9 +304,13 @@ def _zone_change(change: ZoneChange) -> dict[str, Any]:
 
 
 def notes_json(recording: Recording, facts: Facts) -> list[str]:
-    """The recording's notes, and the change of its zone."""
-    change = facts.zone_change
-    return [*recording.notes, *(() if change is None else (change.note(),))]
+    """The recording's notes, the change of its zone, and that its stamps jump a little."""
+    notes = [*recording.notes]
+    if facts.zone_change is not None:
+        notes.append(facts.zone_change.note())
+    if facts.gone_over:
+        notes.append(SHORT_JUMPS.format(facts.gone_over))
+    return notes
 
 
 def rounded(value: float | None) -> float | None:

@@ -314,13 +314,13 @@ class RecordingRun:
     def survey(self, method: survey.Method, *others: survey.Observer) -> Facts:
         """Facts of the recording, and its still windows into the method and other observers."""
         recording, request = self.reader.recording, self.request
-        facts = survey.FactsObserver(recording, method.rest_lsb)
+        facts = survey.FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
         observers = (facts, method.procedure, *others)
         shown = self.progress("reading", recording.total_bytes)
         chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
         survey.survey(chunks, method.segmenter, observers, shown, request.threads)
         give_back_freed_memory()
-        return facts.result()
+        return replace(facts.result(), gone_over=method.segmenter.gone_over)
 
     def write(self, found: FirstPass, integers: dict[str, Any] | None = None) -> Result:
         """Parquet first, the report last: it is the commit mark.

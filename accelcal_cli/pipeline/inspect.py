@@ -69,9 +69,9 @@ def inspect(
         recording = reader.recording
         fitter, method = quick_fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
-        observer = FactsObserver(recording, method.rest_lsb)
+        observer = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
         survey(pieces, method.segmenter, (observer, method.procedure))
-    facts = observer.result()
+    facts = replace(observer.result(), gone_over=method.segmenter.gone_over)
     whole = full or facts.samples == recording.samples
     points = method.procedure.result()
     covered = coverage(points, postures(points, settings.posture_degrees))
@@ -95,7 +95,7 @@ def _pieces(reader: Reader) -> Iterator[Chunk]:
     """Pieces that no window and no measured rate spans."""
     for chunk in reader.preview(PREVIEW_SAMPLES, PREVIEW_PIECES):
         breaks = np.union1d(chunk.breaks, np.zeros(min(1, len(chunk)), np.int64))
-        yield replace(chunk, breaks=breaks)
+        yield replace(chunk, breaks=breaks, clock_jumps=chunk.clock_jumps[chunk.clock_jumps > 0])
 
 
 def as_json(inspection: Inspection) -> dict[str, Any]:

@@ -54,8 +54,8 @@ from accelcal_cli.judge.verdict import (
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report import WindowUse
 from accelcal_cli.pipeline.jobs import Progress
-from accelcal_cli.segment import chosen_rule, window_length
-from accelcal_cli.segment.segmenter import Segmenter, TimedSegmenter
+from accelcal_cli.segment import chosen_rule, short_gaps, window_length
+from accelcal_cli.segment.segmenter import NO_GAPS, Segmenter, ShortGaps, TimedSegmenter
 
 if TYPE_CHECKING:  # few runs use profile `paper`
     from accelcal_cli.collect.subsets import PaperCollector
@@ -166,16 +166,17 @@ class Method:
 
     def timed(self, rate_hz: float) -> Method:
         """The same with windows that carry their times."""
-        segmenter = TimedSegmenter(self.segmenter.length, self.segmenter.rule, rate_hz)
-        return replace(self, segmenter=segmenter)
+        plain = self.segmenter
+        return replace(self, segmenter=TimedSegmenter(plain.length, plain.rule, rate_hz, plain.gaps))
 
 
 def make_method(recording: Recording, settings: Settings) -> Method:
     """The method of the settings for one recording."""
     length = window_length(settings, recording.rate_hz)
-    segmenter = Segmenter(length, chosen_rule(settings, recording.lsb_per_g, length))
+    rule = chosen_rule(settings, recording.lsb_per_g, length)
+    gaps = short_gaps(settings, length, recording.rate_hz)
     lsb_per_g = local_lsb_per_g(recording, settings)
-    return Method(segmenter, _procedure(recording, settings, lsb_per_g), lsb_per_g)
+    return Method(Segmenter(length, rule, gaps), _procedure(recording, settings, lsb_per_g), lsb_per_g)
 
 
 def _procedure(recording: Recording, settings: Settings, lsb_per_g: float) -> Procedure:
@@ -473,10 +474,13 @@ class FactsObserver(Observer):
 
     Args:
         rest_lsb: raw counts that rest should measure.
+        short: jumps that end no window; those back by a period at most end no run for the measured rate
+            either (where a late stamp makes the next go back by more, the gap before it ended one, too).
     """
 
-    def __init__(self, recording: Recording, rest_lsb: float) -> None:
+    def __init__(self, recording: Recording, rest_lsb: float, short: ShortGaps = NO_GAPS) -> None:
         self.recording = recording
+        self._jitter_us = min(short.longest_us, round(MICROSECONDS / recording.rate_hz))
         self._rest = RestSums(rest_lsb)
         self.samples = self.filled = self.clipped = 0
         self.first_us: int | None = None
@@ -584,21 +588,32 @@ class FactsObserver(Observer):
             self.first_us = self._run_start_us = int(chunk.clock.times(0, 1)[0])
         rows = chunk.breaks[chunk.breaks + self.samples > 0]
         if len(rows):
-            self._note_breaks(rows, chunk.time_us)
+            self._note_breaks(rows, chunk)
         self.last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
 
-    def _note_breaks(self, rows: NDArray[np.int64], time_us: NDArray[np.int64]) -> None:
-        """Runs that end before these rows of a chunk, whose rows have these times.
+    def _note_breaks(self, rows: NDArray[np.int64], chunk: Chunk) -> None:
+        """The breaks before these rows of a chunk; a step back that is jitter ends no run.
 
-        All at once: a damaged file may have a break before each row. Sums of times are made of Python's
-        integers, which do not overflow.
+        All at once: a damaged file may have a break before each row.
         """
+        time_us = chunk.time_us
         before, after = np.where(rows > 0, time_us[rows - 1], self.last_us or 0), time_us[rows]
+        steps_us = after - before
+        jitter = np.isin(rows, chunk.clock_jumps) & (steps_us < 0) & (steps_us >= -self._jitter_us)
+        if not jitter.all():
+            self._end_runs(rows[~jitter], before[~jitter], after[~jitter])
+        self._note_gaps(rows, before, steps_us)
+
+    def _end_runs(self, rows: NDArray[np.int64], before: NDArray[np.int64], after: NDArray[np.int64]) -> None:
+        """Runs that end before these rows; sums of times are of Python's integers, which do not overflow."""
         first = self.samples + int(rows[-1])
         self._run_us += sum(before.tolist()) - sum(after[:-1].tolist()) - self._run_start_us
         self._run_steps += first - self._run_first - len(rows)
         self._run_start_us, self._run_first = int(after[-1]), first
-        steps_us = after - before
+
+    def _note_gaps(
+        self, rows: NDArray[np.int64], before: NDArray[np.int64], steps_us: NDArray[np.int64]
+    ) -> None:
         seconds = steps_us / 1e6
         jumps = (seconds <= 0) | (seconds * self.recording.rate_hz > GAP_PERIODS)
         self._gap_us += sum(steps_us[jumps & (seconds > 0)].tolist())

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.points import Windows
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.segment.adaptive import AdaptiveRule
-from accelcal_cli.segment.segmenter import Blocks, Rule, centred_squares
+from accelcal_cli.segment.segmenter import Blocks, Rule, ShortGaps, centred_squares
 
 MOST_SQUARES = 1 << 62
 """Above any sum of squares that int64 holds exactly: a limit beyond it leaves every window still."""
@@ -114,3 +115,9 @@ def window_length(settings: Settings, rate_hz: float) -> int:
     """Samples in a window."""
     fewest = 1 if settings.adaptive is None else settings.adaptive.min_samples
     return max(fewest, round(settings.segment_seconds * rate_hz))
+
+
+def short_gaps(settings: Settings | PoseSettings, length: int, rate_hz: float) -> ShortGaps:
+    """What windows of so many samples go on over: together their own length at most."""
+    longest_us = round(settings.longest_gap_s * MICROSECONDS)
+    return ShortGaps(longest_us, round(length * MICROSECONDS / rate_hz))

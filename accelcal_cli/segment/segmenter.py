@@ -1,8 +1,9 @@
 """The online segmenter: chunks in, still windows out, in bounded memory.
 
-Windows do not overlap and start again after every break, so that none spans a gap; what is left of a
-run when it breaks is not used. The windows do not depend on how the rows are chunked. A `Rule` decides
-which windows, handed to it as `Blocks`, are still.
+Windows do not overlap and start again after every break, so that none spans lost data; what is left of a
+run when it breaks is not used. Only over short gaps of a clock that jitters may a window go on
+(`ShortGaps`). The windows do not depend on how the rows are chunked. A `Rule` decides which windows,
+handed to it as `Blocks`, are still.
 
 Integer sums are computed at floating-point speed: a float holds every integer up to 2**24 (single) or
 2**53 (double), and a sum of integers whose absolute values add up to less than that is exact in any
@@ -26,7 +27,7 @@ _EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blocks:
-    """m complete windows of n samples, one after the other, without a break between them.
+    """m complete windows of n samples, one after the other, without a break between them but short gaps.
 
     Attributes:
         run: number of the unbroken stretch that they are part of, rising with time.
@@ -71,6 +72,23 @@ class Blocks:
         samples = np.full(len(self), self.length, np.int64)
         spread = (self.high - self.low).T
         return Windows(samples, self.first_samples, self.sums.T, spread, self.temperature_sums).select(which)
+
+
+@dataclass(frozen=True, slots=True)
+class ShortGaps:
+    """Jumps of the clock, ahead or back, that do not end a window: its mean needs rest, not even spacing.
+
+    Attributes:
+        longest_us: one that is longer ends the window [us]; 0: all do.
+        together_us: so much at most within one window [us], so that it stays bounded in time.
+    """
+
+    longest_us: int = 0
+    together_us: int = 0
+
+
+NO_GAPS = ShortGaps()
+"""Every jump ends a window."""
 
 
 class Rule(Protocol):
@@ -139,17 +157,25 @@ def _from_first(blocks: NDArray[Any]) -> NDArray[Any]:
 class Segmenter:
     """Feed it chunks; it yields the still windows that are decided so far, the last from `finish`."""
 
-    def __init__(self, length: int, rule: Rule) -> None:
+    def __init__(self, length: int, rule: Rule, gaps: ShortGaps = NO_GAPS) -> None:
         self.length = length
         self.rule = rule
+        self.gaps = gaps
         self.counts = WindowCounts()
+        self.gone_over = 0
+        """Jumps of the clock within windows that these went on over."""
         self._run_number = 0
         self._pending: Chunk | None = None
+        self._run_first = 0
+        self._last_us = 0
+        self._window, self._window_us = -1, 0
+        """The number within its run of the window that went on over the last jump, and over how much [us]."""
 
     def feed(self, chunk: Chunk) -> Iterator[Windows]:
         """Still windows that are decided in this chunk, in batches."""
-        edges = np.concatenate(([0], chunk.breaks[chunk.breaks > 0], [len(chunk)]))
-        if chunk.is_fresh:
+        breaks = self._run_ends(chunk)
+        edges = np.concatenate(([0], breaks[breaks > 0], [len(chunk)]))
+        if len(breaks) and not breaks[0]:
             self._run_number += 1
             self._pending = None
         first = self._run_number
@@ -167,6 +193,47 @@ class Segmenter:
             self._count_still(windows)
             yield windows
 
+    def _run_ends(self, chunk: Chunk) -> NDArray[np.int64]:
+        """The breaks of a chunk but those that windows go on over."""
+        if not self.gaps.longest_us or not len(chunk):
+            return chunk.breaks
+        if len(chunk.clock_jumps):
+            breaks = self._without_short(chunk)
+        else:
+            breaks = chunk.breaks
+            if len(breaks):
+                self._begin_run(chunk.first_sample + int(breaks[-1]))
+        self._last_us = int(chunk.clock.times(len(chunk) - 1, len(chunk))[0])
+        return breaks
+
+    def _without_short(self, chunk: Chunk) -> NDArray[np.int64]:
+        """The same for a chunk in which the clock jumps."""
+        rows, times_us = chunk.breaks, chunk.time_us
+        steps_us = np.abs(times_us[rows] - np.where(rows > 0, times_us[rows - 1], self._last_us))
+        short = np.isin(rows, chunk.clock_jumps) & (steps_us <= self.gaps.longest_us)
+        ends = np.ones(len(rows), np.bool_)
+        for index, sample in enumerate((chunk.first_sample + rows).tolist()):
+            if short[index] and self._goes_on(sample, int(steps_us[index])):
+                ends[index] = False
+            else:
+                self._begin_run(sample)
+        return rows[ends]
+
+    def _begin_run(self, sample: int) -> None:
+        self._run_first, self._window = sample, -1
+
+    def _goes_on(self, sample: int, step_us: int) -> bool:
+        """Whether the window that holds a sample may go on over a short jump before it."""
+        window, row = divmod(sample - self._run_first, self.length)
+        if not row:
+            return True
+        so_far_us = self._window_us if window == self._window else 0
+        if so_far_us + step_us > self.gaps.together_us:
+            return False
+        self._window, self._window_us = window, so_far_us + step_us
+        self.gone_over += 1
+        return True
+
     def _mattering(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
         """Which of a chunk's runs, of so many rows each, may make a window; damaged files have many more."""
         whole = rows >= self.length
@@ -175,7 +242,7 @@ class Segmenter:
         return np.flatnonzero(whole & (rows > 0))
 
     def _run(self, rows: Chunk) -> Iterator[Windows]:
-        """The windows in rows without a break inside."""
+        """The windows in rows without a break that ends one inside."""
         if self._pending is not None:
             need = self.length - len(self._pending)
             window = joined((self._pending, rows.part(0, min(need, len(rows)))))
@@ -226,8 +293,8 @@ class Segmenter:
 class TimedSegmenter(Segmenter):
     """A segmenter whose windows carry their times, whenever its rule decides on them."""
 
-    def __init__(self, length: int, rule: Rule, rate_hz: float) -> None:
-        super().__init__(length, rule)
+    def __init__(self, length: int, rule: Rule, rate_hz: float, gaps: ShortGaps = NO_GAPS) -> None:
+        super().__init__(length, rule, gaps)
         self._period_us = round(1e6 / rate_hz)
         self._times = np.empty((3, 0), np.int64)
         """Of all windows that may still be decided on: first sample, times of the first and last one [us]."""
@@ -243,7 +310,8 @@ class TimedSegmenter(Segmenter):
     def _blocks(self, rows: Chunk) -> Blocks:
         blocks = super()._blocks(rows)
         times_us = rows.time_us.reshape(len(blocks), self.length)
-        known = np.stack([blocks.first_samples, times_us[:, 0], times_us[:, -1]])
+        last_us = np.maximum(times_us[:, 0], times_us[:, -1])
+        known = np.stack([blocks.first_samples, times_us[:, 0], last_us])
         self._times = np.concatenate([self._times, known], axis=1)
         return blocks
 

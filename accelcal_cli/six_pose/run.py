@@ -18,7 +18,7 @@ from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.survey import CellProcedure, Method, StillWindows, local_lsb_per_g
-from accelcal_cli.segment import chosen_rule, window_length
+from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import TimedSegmenter
 from accelcal_cli.six_pose.poses import Listed, Origin, Session, find_faces, find_listed, read_list
 from accelcal_cli.six_pose.solve import check_range, six_pose_fit
@@ -90,7 +90,8 @@ class KnownOrientations(Judge):
         length = window_length(self.settings, recording.rate_hz)
         rule = chosen_rule(self.settings, recording.lsb_per_g, length)
         procedure = SessionProcedure(CellCollector(rest_lsb, self.settings, temperature=False))
-        return Method(TimedSegmenter(length, rule, recording.rate_hz), procedure, rest_lsb)
+        gaps = short_gaps(self.settings, length, recording.rate_hz)
+        return Method(TimedSegmenter(length, rule, recording.rate_hz, gaps), procedure, rest_lsb)
 
     def optimizer(self) -> dict[str, Any]:
         """The report's `optimizer`."""

@@ -46,6 +46,7 @@ def whole_chunk(rows: int, clock: str, breaks: set[int], *, channels: bool = Tru
         clock_of(clock, rows),
         5_000,
         breaks=np.array(sorted(row for row in breaks if row < rows), np.int64),
+        clock_jumps=np.array(sorted(row for row in breaks if row < rows and row % 2), np.int64),
         temperature_mc=counts[:, 0].astype(np.int32) if channels else None,
         gyro_counts=-counts if channels else None,
         validity=(counts[:, 1] % 4).astype(np.uint8) if channels else None,
@@ -58,6 +59,7 @@ def assert_same(one: Chunk, other: Chunk) -> None:
     """All that two chunks say."""
     assert one.time_us.tolist() == other.time_us.tolist()
     assert one.breaks.tolist() == other.breaks.tolist()
+    assert one.clock_jumps.tolist() == other.clock_jumps.tolist()
     for name in CHANNELS:
         first, second = getattr(one, name), getattr(other, name)
         assert (first is None) == (second is None), name
@@ -125,6 +127,7 @@ def test_rows_of_a_mask_break_where_a_row_is_left_out(clock: str, breaks: set[in
         if row != before[index] + 1 or any(before[index] < at <= row for at in breaks)
     ]
     assert kept.breaks.tolist() == expected
+    assert not len(kept.clock_jumps)
     assert kept.is_fresh == (expected[:1] == [0])
     assert kept.problems == whole.problems and kept.used_bytes == whole.used_bytes
 

@@ -58,6 +58,7 @@ LIMITS = {
     "altitude_m": (-500, 9000),
     "max_damage_percent": (0, 100),
     "min_distance_g": (0, 2),
+    "longest_gap_s": (0, 10),
     "rate_hz": (1e-3, 1e5),
     "lsb_per_g": (1e-9, 1e9),
 }

@@ -9,11 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from accelcal_cli.core.clock import UniformClock
+from accelcal_cli.core.clock import Clock, StampClock, UniformClock
 from accelcal_cli.core.points import WindowCounts, Windows
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.segment import StillRule
-from accelcal_cli.segment.segmenter import Rule, Segmenter
+from accelcal_cli.segment.segmenter import NO_GAPS, Rule, Segmenter, ShortGaps
 
 Row = tuple[int, tuple[int, ...], tuple[int, ...], int | None]
 """A still window: first sample, sums, spreads, temperature sum."""
@@ -21,13 +21,18 @@ Row = tuple[int, tuple[int, ...], tuple[int, ...], int | None]
 
 @dataclass(frozen=True)
 class Stream:
-    """A whole recording; `breaks` are the rows before which it is not continuous."""
+    """A whole recording; `breaks` are the rows before which it is not continuous.
+
+    `jumps` are rows before which only the clock jumps, `times_us` the times; None: evenly spaced.
+    """
 
     counts: np.ndarray
     breaks: tuple[int, ...] = ()
     temperature_mc: np.ndarray | None = None
     validity: np.ndarray | None = None
     gyro: np.ndarray | None = None
+    jumps: tuple[int, ...] = ()
+    times_us: np.ndarray | None = None
 
     def chunks(self, cuts: Iterable[int] = ()) -> Iterator[Chunk]:
         """The recording cut at the given rows; a row named twice gives an empty chunk."""
@@ -35,7 +40,11 @@ class Stream:
             yield self._chunk(low, high)
 
     def _chunk(self, low: int, high: int) -> Chunk:
-        breaks = [row - low for row in sorted(set(self.breaks)) if low <= row < high]
+        breaks = [row - low for row in sorted({*self.breaks, *self.jumps}) if low <= row < high]
+        jumps = [row - low for row in sorted(set(self.jumps) - set(self.breaks)) if low <= row < high]
+        clock: Clock = UniformClock(0, low, Fraction(100))
+        if self.times_us is not None:
+            clock = StampClock(self.times_us[low:high])
         warm = None if self.temperature_mc is None else self.temperature_mc[low:high]
         valid = None if self.validity is None else self.validity[low:high]
         if valid is not None and not valid.any():
@@ -43,9 +52,10 @@ class Stream:
         return Chunk(
             low,
             self.counts[low:high],
-            UniformClock(0, low, Fraction(100)),
+            clock,
             0,
             breaks=np.array(breaks, np.int64),
+            clock_jumps=np.array(jumps, np.int64),
             temperature_mc=warm,
             gyro_counts=None if self.gyro is None else self.gyro[low:high],
             validity=valid,
@@ -53,18 +63,18 @@ class Stream:
 
 
 def segmented(
-    stream: Stream, length: int, rule: StillRule, cuts: Iterable[int] = ()
+    stream: Stream, length: int, rule: StillRule, cuts: Iterable[int] = (), gaps: ShortGaps = NO_GAPS
 ) -> tuple[list[Row], WindowCounts]:
     """What the segmenter makes of a stream cut into chunks."""
-    batches, counts = batched(stream, length, rule, cuts)
+    batches, counts = batched(stream, length, rule, cuts, gaps)
     return [row for windows in batches for row in rows(windows)], counts
 
 
 def batched(
-    stream: Stream, length: int, rule: Rule, cuts: Iterable[int] = ()
+    stream: Stream, length: int, rule: Rule, cuts: Iterable[int] = (), gaps: ShortGaps = NO_GAPS
 ) -> tuple[list[Windows], WindowCounts]:
     """All that the segmenter yields for a stream cut into chunks."""
-    segmenter = Segmenter(length, rule)
+    segmenter = Segmenter(length, rule, gaps)
     found = [windows for chunk in stream.chunks(cuts) for windows in segmenter.feed(chunk)]
     found += segmenter.finish()
     return found, segmenter.counts
@@ -80,11 +90,34 @@ def rows(windows: Windows) -> list[Row]:
     ]
 
 
-def naive(stream: Stream, length: int, rule: StillRule) -> tuple[list[Row], WindowCounts]:
+def run_starts(stream: Stream, length: int, gaps: ShortGaps) -> list[int]:
+    """Where runs begin, by the definition, row by row: a short jump within a window ends it only if there
+    were too many."""
+    starts, rows_in_window, gone_over_us = [0], 0, 0
+    for row in range(1, len(stream.counts)):
+        rows_in_window += 1
+        if rows_in_window == length:
+            rows_in_window = gone_over_us = 0
+        if row not in stream.breaks + stream.jumps:
+            continue
+        jump_us = gaps.longest_us + 1
+        if row in stream.jumps and row not in stream.breaks and stream.times_us is not None:
+            jump_us = abs(int(stream.times_us[row]) - int(stream.times_us[row - 1]))
+        if rows_in_window:
+            gone_over_us += jump_us
+        if jump_us > gaps.longest_us or gone_over_us > gaps.together_us:
+            starts.append(row)
+            rows_in_window = gone_over_us = 0
+    return starts
+
+
+def naive(
+    stream: Stream, length: int, rule: StillRule, gaps: ShortGaps = NO_GAPS
+) -> tuple[list[Row], WindowCounts]:
     """The same by the definition: runs between breaks, windows from each run's start."""
     found: list[Row] = []
     fates = dict.fromkeys(WindowCounts.__dataclass_fields__, 0)
-    edges = sorted({0, *stream.breaks, len(stream.counts)})
+    edges = [*run_starts(stream, length, gaps), len(stream.counts)]
     for low, high in pairwise(edges):
         for first in range(low, high - length + 1, length):
             fate = _fate(stream, first, first + length, rule)

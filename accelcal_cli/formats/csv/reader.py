@@ -190,7 +190,7 @@ class Assembler:
         counts = kept.of(rows.counts)
         channels = {name: kept.of(values) for name, values in (rows.channels | _validity(rows)).items()}
         events = list(self._row_events(rows))
-        breaks = self._breaks(kept, events, rows.first_row + len(rows))
+        breaks, clock_jumps = self._breaks(kept, events, rows.first_row + len(rows))
         for event in events:
             self._log.add(event)
         self.rows += len(rows)
@@ -205,6 +205,7 @@ class Assembler:
                 self._clock(kept, start, stop),
                 block.end_byte,
                 breaks=breaks[(breaks >= start) & (breaks < stop)] - start,
+                clock_jumps=clock_jumps[(clock_jumps >= start) & (clock_jumps < stop)] - start,
                 problems=problems if start == 0 else (),
                 used_bytes=(stop - start) * self._row_bytes,
                 **recording.cut_channels(channels, part),
@@ -261,8 +262,12 @@ class Assembler:
         first = int(kept.row[start]) if len(kept.row) else 0
         return UniformClock(self._start_us, first, self._rate)
 
-    def _breaks(self, kept: _Kept, events: list[Event], stop: int) -> NDArray[np.int64]:
-        """Rows before which the recording is not continuous; jumps of the clock are added to the events.
+    def _breaks(
+        self, kept: _Kept, events: list[Event], stop: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Rows before which the recording is not continuous, and those of them where only the clock jumps.
+
+        Jumps of the clock are added to the events.
 
         A jump reaches up to the next good row, or to `stop`, the row after the stretch, until more is known.
         """
@@ -270,13 +275,13 @@ class Assembler:
             length = (int(kept.row[0]) if len(kept.row) else stop) - self.rows
             events.append(Event(self.rows, length, *self._last_jump, None, self.samples, 0))
         if not len(kept.row):
-            return recording.NO_BREAKS
+            return recording.NO_BREAKS, recording.NO_BREAKS
         first = self._last_row < 0
         rows = self._strides(kept)
         broken = rows > 1
         self._last_row = int(kept.row[-1])
         if kept.time_us is None or not self._stamped:
-            return np.flatnonzero(broken)
+            return np.flatnonzero(broken), recording.NO_BREAKS
         steps = np.diff(kept.time_us, prepend=kept.time_us[0] if first else self._last_us)
         self._last_us = int(kept.time_us[-1])
         ahead = steps > (rows + GAP_PERIODS - 1) * self._pace.period_us
@@ -285,7 +290,8 @@ class Assembler:
             if jumps.any():
                 events += self._jumps(kind, np.flatnonzero(jumps), kept, steps, stop)
         self._last_jump = AHEAD if ahead[-1] else BACK if back[-1] else None
-        return np.flatnonzero(broken | ahead | back)
+        jumps = ahead | back
+        return np.flatnonzero(broken | jumps), np.flatnonzero(jumps & ~broken)
 
     def _strides(self, kept: _Kept) -> NDArray[np.int64]:
         """How many rows of the file each is after the good one before: (n,), or (1,) where all are alike."""

@@ -26,6 +26,7 @@ from accelcal_cli.formats._stamps import (
     IMPOSSIBLE,
     NO_TIME,
     Pace,
+    jittered_step,
     nice_rate,
     only_stamp_period,
     shared_pace,
@@ -270,7 +271,10 @@ def agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pa
 
 
 def _single(stamps: NDArray[np.int64]) -> Pace | None:
-    """Every row its own stamp: the mean of the steps that are not gaps."""
+    """Every row its own stamp: the mean of the steps that are not gaps, unless stamps jitter."""
+    jittered = jittered_step(stamps)
+    if jittered is not None:
+        return Pace(nice_rate(MICROSECONDS / jittered))
     steps = np.diff(stamps)
     steps = steps[steps >= 0]
     usual = steps[steps <= GAP_PERIODS * max(float(np.median(steps)), 1.0)] if len(steps) else steps

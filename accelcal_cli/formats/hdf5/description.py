@@ -16,7 +16,7 @@ from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
-from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, spread, stamp_pace
+from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, jittered_step, nice_rate, spread, stamp_pace
 from accelcal_cli.formats.hdf5 import datasets, units
 from accelcal_cli.formats.hdf5.channels import Axes, Channel
 from accelcal_cli.formats.hdf5.datasets import Group, Track
@@ -127,13 +127,22 @@ def measured_stamps(
             path=path,
             hint="ignore it with --time-column none and give --rate HZ",
         )
-    step = units.typical_step(times)
-    rate = checked_rate(units.nominal_rate(step) if stated_hz is None and step else stated_hz, path)
+    step, shown_hz = _usual_step(times)
+    rate = checked_rate(shown_hz if stated_hz is None and step else stated_hz, path)
     pace = stamp_pace(times, stated_hz, rate)
     begin = spread(head, pace)
     end = spread(stored_stamps(rows, scale, max(0, track.rows - BLOCK_ROWS), track.rows), pace)
     first, last = int(begin[0]), int(end[-1] if len(end) else begin[-1])
     return Stamps(track, scale, pace, first, max(last, first), step), rate
+
+
+def _usual_step(times: NDArray[np.int64]) -> tuple[float | None, float | None]:
+    """Time from one row to the next [us], and the rate that it means; None if no step goes forward."""
+    jittered = jittered_step(times)
+    if jittered is not None:
+        return jittered, nice_rate(MICROSECONDS / jittered)
+    step = units.typical_step(times)
+    return step, None if step is None else units.nominal_rate(step)
 
 
 def checked_rate(rate_hz: float | None, path: Path) -> float:

@@ -299,7 +299,7 @@ class _Stream:
         times = None if self._times is None else self._times.next(selection)
         rows = selection.rows()
         clock = self._clock(times, rows, selection)
-        breaks = self._breaks(times, rows, selection)
+        breaks, clock_jumps = self._breaks(times, rows, selection)
         for event in selection.events(self._log, self._sample):
             self._log.add(event)
         chunk = Chunk(
@@ -308,6 +308,7 @@ class _Stream:
             clock=clock,
             end_byte=self._plan.recording.total_bytes * stop // self._plan.rows,
             breaks=breaks,
+            clock_jumps=clock_jumps,
             problems=self._log.take(None if last else stop) + self._end(last, len(rows)),
             used_bytes=len(rows) * self.row_bytes,
             **{name: selection.kept(values) for name, values in channels.items()},
@@ -345,18 +346,19 @@ class _Stream:
 
     def _breaks(
         self, times: NDArray[np.int64] | None, rows: NDArray[np.int64], selection: RowSelection
-    ) -> NDArray[np.int64]:
-        """Where the kept rows do not follow on the ones before them, in place or in time."""
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where the kept rows do not follow on the ones before them, in place or time; where only in time."""
         if not len(rows):
-            return recording.NO_BREAKS
+            return recording.NO_BREAKS, recording.NO_BREAKS
         before = self._last_row
         every = len(rows) == len(selection.keep)
         jumps = np.zeros(len(rows), np.bool_) if every else np.diff(rows, prepend=rows[0]) != 1
         jumps[0] = before is not None and int(rows[0]) + selection.start != before + 1
+        in_time = np.zeros(len(rows), np.bool_)
         if times is not None:
-            jumps |= self._time_jumps(times[rows], rows, jumps, selection)
+            in_time = self._time_jumps(times[rows], rows, jumps, selection)
         self._last_row = int(rows[-1]) + selection.start
-        return np.flatnonzero(jumps)
+        return np.flatnonzero(jumps | in_time), np.flatnonzero(in_time & ~jumps)
 
     def _time_jumps(
         self,
