@@ -33,6 +33,7 @@ from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, survey
+from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.timeline import Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.windows import WindowLog
@@ -314,7 +315,7 @@ class RecordingRun:
     def survey(self, method: survey.Method, *others: survey.Observer) -> Facts:
         """Facts of the recording, and its still windows into the method and other observers."""
         recording, request = self.reader.recording, self.request
-        facts = survey.FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
+        facts = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
         observers = (facts, method.procedure, *others)
         shown = self.progress("reading", recording.total_bytes)
         chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)

@@ -25,7 +25,8 @@ from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
-from accelcal_cli.pipeline.survey import FactsObserver, fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15

@@ -20,7 +20,8 @@ from accelcal_cli.judge.quality import by_block, deviations_mg, point_deviations
 from accelcal_cli.judge.verdict import temperatures_c
 from accelcal_cli.output.quality import BlockErrors, PointErrors, QualityInput
 from accelcal_cli.output.report import ReportInput
-from accelcal_cli.pipeline.survey import GAP_PERIODS, Method, Observer, TimedCellProcedure
+from accelcal_cli.pipeline.facts import GAP_PERIODS
+from accelcal_cli.pipeline.survey import Method, Observer, TimedCellProcedure
 
 NOT_WORN_G, NOT_WORN_AXES = 0.05, 2
 """A device whose values stay within the first on so many axes for an hour is not worn (van Hees et al. 2011,

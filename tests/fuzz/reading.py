@@ -11,7 +11,8 @@ from accelcal_cli.core.errors import AccelcalError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Validity
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.pipeline.survey import FactsObserver, make_method, open_marked, survey
+from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.survey import make_method, open_marked, survey
 from tests.fuzz.mutant import Rows
 
 CHUNK_SAMPLES = 300

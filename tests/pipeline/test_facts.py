@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import Facts, Jumps
-from accelcal_cli.pipeline import survey as module
-from accelcal_cli.pipeline.survey import FactsObserver, with_clipping
+from accelcal_cli.pipeline import facts as module
+from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.survey import with_clipping
 
 RECORDING = Recording(Path("a"), "test", rate_hz=10.0, lsb_per_g=256.0, total_bytes=0, range_g=8.0)
 
