@@ -60,17 +60,39 @@ class Repetitions:
             known: so many at the beginning were held back: the present run up to now, or what follows it.
         """
         kept, begun = np.ones(len(windows), np.bool_), 0
-        keys = _keys(windows)
         changing = np.flatnonzero(windows.spread[known:].max(axis=1, initial=0) > 0) + known
-        for index in changing.tolist():
-            self._take(int(keys[index]), int(windows.first_sample[index]))
+        keys = _keys(windows)[changing].tolist()
+        samples = windows.first_sample[changing].tolist()
+        new = 0
+        for place in self._seen(keys):
+            self._remember(keys[new:place], samples[new:place])
+            self._take(keys[place], samples[place])
+            index, new = int(changing[place]), place + 1
             if self._run <= 1:
                 begun = index
             if self._run >= LEAST_WINDOWS:
                 kept[begun : index + 1] = False
                 begun = index + 1
+        self._remember(keys[new:], samples[new:])
         self.windows += int((~kept).sum())
         return kept, begun if self._run else len(windows)
+
+    def _seen(self, keys: list[int]) -> list[int]:
+        """Places of keys that were seen before, here or earlier; hardly any."""
+        seen, here = [], set[int]()
+        for place, key in enumerate(keys):
+            if key in self._place or key in here:
+                seen.append(place)
+            here.add(key)
+        return seen
+
+    def _remember(self, keys: list[int], samples: list[int]) -> None:
+        """Windows that are like none before: no repetition goes on with them, or begins."""
+        if keys:
+            self._place.update(zip(keys, range(len(self._keys), len(self._keys) + len(keys)), strict=True))
+            self._keys += keys
+            self._samples += samples
+            self._like, self._run = -1, 0
 
     def _take(self, key: int, first_sample: int) -> None:
         """See whether a window goes on with the present repetition, or may begin one; remember it."""

@@ -18,7 +18,7 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
-from accelcal_cli.judge.errors import jacobian, mean, per_posture, standard_error, student_t_975
+from accelcal_cli.judge.errors import jacobian, mean, standard_error, student_t_975
 from accelcal_cli.judge.model_ladder import folds
 from accelcal_cli.judge.posterior import Bend, Posterior, noise
 from accelcal_cli.judge.sphere import largest_error_mg
@@ -168,7 +168,9 @@ class MisfitSearch:
             out = self._fold == fold
             moved, _ = self._fit(suspect, ~out, self._known.noise_g)
             left[out] = self._error[out] - full[out] @ moved
-        return list(per_posture(500 * np.abs(left), self._points.weights, self._label).values())
+        errors = np.bincount(self._label, 500 * np.abs(left) * self._weights)
+        held: list[float] = (errors / np.bincount(self._label, self._weights)).tolist()
+        return held
 
     def _fit(
         self, suspect: Suspect | None, which: NDArray[np.bool_], noise_g: float

@@ -63,30 +63,23 @@ def postures(points: PointSet, degrees: float) -> NDArray[np.int64]:
     posture within so many degrees of its first point, or begins one.
     """
     limit = round(4096 * cos(radians(degrees)) ** 2)
-    coarse = points.xyz >> (FRACTION_BITS - _COARSE_BITS)
+    order = np.lexsort((np.arange(len(points)), -points.windows))
+    coarse = points.xyz[order] >> (FRACTION_BITS - _COARSE_BITS)
     norms = np.maximum(1, (coarse * coarse).sum(axis=1))
-    label = np.full(len(points), -1, np.int64)
-    leaders: list[int] = []
-    for index in np.lexsort((np.arange(len(points)), -points.windows)).tolist():
-        label[index] = _nearest(coarse, norms, leaders, index, limit)
-        if label[index] < 0:
-            label[index] = len(leaders)
-            leaders.append(index)
-    return label
-
-
-def _nearest(
-    coarse: NDArray[np.int64], norms: NDArray[np.int64], leaders: list[int], index: int, limit: int
-) -> int:
-    """The leader with the smallest angle to a point if cos^2 reaches the limit / 4096, or -1."""
-    if not leaders:
-        return -1
-    dots = coarse[leaders] @ coarse[index]
-    near = (dots > 0) & (dots * dots // norms[leaders] * 4096 >= limit * norms[index])
-    if not near.any():
-        return -1
-    closeness = np.where(near, dots * dots // norms[leaders], -1)
-    return int(closeness.argmax())
+    label, closest = np.full(len(points), -1, np.int64), np.full(len(points), -1, np.int64)
+    leaders = 0
+    while (label < 0).any():
+        first = int((label < 0).argmax())
+        label[first] = leaders
+        dots = coarse[first + 1 :] @ coarse[first]
+        closeness = dots * dots // norms[first]
+        near = (dots > 0) & (closeness * 4096 >= limit * norms[first + 1 :])
+        nearer = first + 1 + np.flatnonzero(near & (closeness > closest[first + 1 :]))
+        label[nearer], closest[nearer] = leaders, closeness[nearer - first - 1]
+        leaders += 1
+    in_order = np.empty_like(label)
+    in_order[order] = label
+    return in_order
 
 
 def temperature_blocks(points: PointSet, label: NDArray[np.int64], width_c: float) -> NDArray[np.int64]:
