@@ -35,7 +35,9 @@ LEAST_H = 4
 0.4 to 3 mg."""
 
 LEAST_MG = 3.0
-"""An alarm needs a change of so much, and an error that clearly falls: its 95 % interval is above 0."""
+LEAST_FALL = 0.05
+"""An alarm needs a change of so much in some direction, and an error that clearly falls (the 95 % interval of
+its fall is above 0), by at least this share: in weeks of data less than a tenth of a mg would be clear."""
 
 ALIKE_MG = 0.05
 """Errors that differ by less are as good as equal."""
@@ -260,7 +262,8 @@ def _stretch_blocks(means: TimedMeans) -> int:
 
 def _falls(before: list[float], after: list[float]) -> bool:
     gain = [one - other for one, other in zip(before, after, strict=True)]
-    return mean(gain) > student_t_975(len(gain) - 1) * standard_error(gain)
+    clear = mean(gain) > student_t_975(len(gain) - 1) * standard_error(gain)
+    return clear and mean(gain) >= LEAST_FALL * mean(before)
 
 
 def _simplest(alarms: list[Found]) -> Found:

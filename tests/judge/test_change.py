@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -181,3 +182,14 @@ def test_what_puts_a_sensor_right_gives_that_of_one_that_stays(
 
 def test_another_device_is_not_followed() -> None:
     assert find_change(means(device), calibration()).course is None
+
+
+def small(part: float, raw: np.ndarray, block: np.ndarray) -> np.ndarray:
+    """A part of the step, half-way through 300 hours."""
+    return raw + part * np.outer(block >= 150, [0.012, -0.010, 0.012])
+
+
+@pytest.mark.parametrize(("part", "kind"), [(0.15, "none"), (0.2, "drift")])
+def test_what_hardly_changes_the_error_is_no_alarm_however_clear_it_is(part: float, kind: str) -> None:
+    """4 % less is clear by six standard errors, and nobody's concern; 7 % less is told."""
+    assert find_change(means(partial(small, part), hours=300, noise_g=0.0025), calibration()).kind == kind
