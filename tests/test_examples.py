@@ -148,3 +148,31 @@ def test_python_examples_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys:
     if name.endswith("ipynb"):
         raw, calibrated = re.findall(r"[\d.]+(?= mg)", capsys.readouterr().out)
         assert float(raw) > float(calibrated) > 0
+
+
+def test_the_cookbook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
+    page = ROOT / "docs/cookbook.md"
+    (command,) = re.findall(r"^```sh\naccelcal (.*?)\n```", page.read_text("utf-8"), re.MULTILINE)
+    assert run(capsys, *command.split(), "-j", 2, "-q").code == 0
+    names: dict[str, Any] = {}
+    for part in python_of(page):
+        exec(compile(part, page.name, "exec"), names)
+    assert names["epochs"]["enmo_mg"].between(0, 500).mean() > 0.9
+    assert names["by_hour"].sum() == len(names["table"]) and names["shares"][0] > 0.5
+    assert len(names["good"]) >= 3 and len(names["look_at"]) == 0
+    assert names["minutes"]["filename"].nunique() == len(names["study"])
+    assert len(names["quiet"]) > 100 and names["worn_hours"] >= 1
+
+
+def test_the_cookbook_runs_in_r(tmp_path: Path, capsys: Capture) -> None:
+    interpreter = tool("Rscript")
+    if "TRUE" not in says(interpreter, "-e", "cat(requireNamespace('arrow', quietly = TRUE))")[1]:
+        pytest.skip("R's package arrow is not installed")
+    run(capsys, "calibrate", ROOT / "sample_data/recording.bin", "-d", tmp_path / "out", "-q")
+    (text,) = re.findall(
+        r"^```r\n(.*?)^```", (ROOT / "docs/cookbook.md").read_text(), re.MULTILINE | re.DOTALL
+    )
+    code, said = says(interpreter, "-e", f"{text}; cat(enmo_mg)", cwd=tmp_path)
+    assert code == 0 and float(said.split()[-1]) > 0
