@@ -90,12 +90,31 @@ def text(inspection: Inspection, shown: dict[str, Any]) -> str:
         f"  duration     {_hours(about['duration_s'])}{samples}",
         f"  also holds   {extras}",
         f"  read         {scope}: {windows} windows still",
+        *_values(shown["values"]),
         f"  problems     {_problems(shown)}",
         f"  damage       {shown['file_health']['lost_percent']:g} % of what was read is lost",
         f"  clock        {_clock(shown['file_health']['clock'])}",
         f"  prediction   {shown['prediction']['outcome']}: {shown['prediction']['message']}",
     ]
     return "\n".join(map(printable, lines + [f"  note         {note}" for note in about["notes"]]))
+
+
+def _values(values: dict[str, Any] | None) -> list[str]:
+    """Lines about raw values; none without samples."""
+    if values is None:
+        return []
+    rows = [f"{one['time']}  {'  '.join(f'{v:8.4f}' for v in one['g'])}" for one in values["first"]]
+    axes = zip("xyz", values["low_g"], values["high_g"], values["mean_g"], strict=True)
+    spans = ", ".join(f"{axis} {low:.2f} to {high:.2f} (mean {mean:.2f})" for axis, low, high, mean in axes)
+    lines = [f"  {'first rows' if not place else '':<12} {row} g" for place, row in enumerate(rows)]
+    lines += [f"  values       {spans} g"]
+    rest = values["rest"]
+    if rest is not None:
+        low, middle, high = (rest[name] for name in ("p5_g", "median_g", "p95_g"))
+        lines += [
+            f"  at rest      |a| {low:.3f} to {high:.3f} g in nine windows of ten, median {middle:.3f} g"
+        ]
+    return lines
 
 
 def _scale(lsb_per_g: float) -> str:

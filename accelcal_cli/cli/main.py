@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import gc
 import importlib
 import sys
@@ -34,6 +35,15 @@ class LazyGroup(click.Group):
         module = importlib.import_module(self.modules + cmd_name.replace("-", "_"))
         command: click.Command = module.command
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find a command; one that does not exist may be a slip."""
+        near = difflib.get_close_matches(args[0], self.parts, 3)
+        if near and args[0] not in self.parts:
+            ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, near))}?")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Show the one-line helps without importing anything."""

@@ -24,12 +24,37 @@ from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
 from accelcal_cli.output import report as reports
-from accelcal_cli.output.report import clock_json, damage_json, holdout_json, notes_json, problem_json
+from accelcal_cli.output.report import (
+    clock_json,
+    damage_json,
+    holdout_json,
+    notes_json,
+    problem_json,
+    rest_json,
+)
 from accelcal_cli.pipeline.facts import FactsObserver
-from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.survey import Observer, fitting, make_method, open_marked, survey
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15
+
+
+FIRST_ROWS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Values:
+    """Raw values of the rows that were read; without rows, all but the last attribute have no meaning.
+
+    Attributes:
+        low_g, mean_g, high_g: of x, y, z [g].
+        first: time of each of the first rows [us, device clock], and its x, y, z [g].
+    """
+
+    low_g: tuple[float, ...] = ()
+    mean_g: tuple[float, ...] = ()
+    high_g: tuple[float, ...] = ()
+    first: tuple[tuple[int, tuple[float, ...]], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +64,7 @@ class Inspection:
     Attributes:
         whole: every sample was read, so that the facts are the recording's own.
         prediction: the judgement on the samples that were read.
+        values: of the samples that were read.
     """
 
     recording: Recording
@@ -46,6 +72,37 @@ class Inspection:
     windows: WindowCounts
     prediction: Judgement
     whole: bool
+    values: Values
+
+
+class ValuesObserver(Observer):
+    """What the raw values are like, for people to see whether they have the right columns and unit."""
+
+    def __init__(self, lsb_per_g: float) -> None:
+        self._lsb_per_g, self._samples = lsb_per_g, 0
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._sums = np.zeros(3, np.int64)
+        self._first: list[tuple[int, tuple[float, ...]]] = []
+
+    def see(self, chunk: Chunk) -> None:
+        """Take a chunk's values in."""
+        if not len(chunk):
+            return
+        number = min(len(chunk), FIRST_ROWS - len(self._first))
+        rows = (chunk.counts[:number] / self._lsb_per_g).tolist()
+        self._first += zip(chunk.clock.times(0, number).tolist(), map(tuple, rows), strict=True)
+        self._low = np.minimum(self._low, chunk.counts.min(axis=0))
+        self._high = np.maximum(self._high, chunk.counts.max(axis=0))
+        self._sums += chunk.counts.sum(axis=0, dtype=np.int64)
+        self._samples += len(chunk)
+
+    def result(self) -> Values:
+        """What was found."""
+        if not self._samples:
+            return Values()
+        parts = (self._low, self._sums / self._samples, self._high)
+        low, mean, high = (tuple((part / self._lsb_per_g).tolist()) for part in parts)
+        return Values(low, mean, high, tuple(self._first))
 
 
 def quick_fitting(settings: Settings) -> Fitting:
@@ -71,7 +128,8 @@ def inspect(
         fitter, method = quick_fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         observer = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
-        survey(pieces, method.segmenter, (observer, method.procedure))
+        values = ValuesObserver(recording.lsb_per_g)
+        survey(pieces, method.segmenter, (observer, values, method.procedure))
     facts = replace(observer.result(), gone_over=method.segmenter.gone_over)
     whole = full or facts.samples == recording.samples
     points = method.procedure.result()
@@ -79,7 +137,7 @@ def inspect(
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
     prediction = damage or advised(method.procedure.judge(fitter), facts, recording)
     facts = facts if whole else _to_its_end(facts, recording)
-    return Inspection(recording, facts, method.segmenter.counts, prediction, whole)
+    return Inspection(recording, facts, method.segmenter.counts, prediction, whole, values.result())
 
 
 def _to_its_end(facts: Facts, recording: Recording) -> Facts:
@@ -136,11 +194,27 @@ def as_json(inspection: Inspection) -> dict[str, Any]:
             "windows": inspection.windows.complete,
             "still_windows": inspection.windows.still + inspection.windows.joined,
         },
+        "values": _values(inspection),
         "prediction": {
             "outcome": str(prediction.outcome),
             "message": prediction.message,
             "holdout": None if prediction.holdout is None else holdout_json(prediction.holdout),
         },
+    }
+
+
+def _values(inspection: Inspection) -> dict[str, Any] | None:
+    """Raw values and what rest measures; None without samples."""
+    values, facts = inspection.values, inspection.facts
+    if not values.first:
+        return None
+    return {
+        "first": [
+            {"time": iso_time(time_us, facts.utc_offset_s), "g": [round(value, 4) for value in row]}
+            for time_us, row in values.first
+        ],
+        **{name: [round(v, 4) for v in getattr(values, name)] for name in ("low_g", "mean_g", "high_g")},
+        "rest": rest_json(facts.rest),
     }
 
 

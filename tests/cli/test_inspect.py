@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.cli.run import assert_one_line, run, run_process
-from tests.recordings import directions, good_csv, still_counts, write_csv, write_raw
+from tests.recordings import LSB_PER_G, directions, good_csv, still_counts, write_csv, write_raw
 
 Capture = pytest.CaptureFixture[str]
 
@@ -28,6 +29,23 @@ def test_json_has_one_object_a_recording(tmp_path: Path, capsys: Capture) -> Non
     assert shown[0]["recording"]["duration_s"] == 1800.0
     assert shown[0]["read"]["whole"] is True
     assert shown[0]["prediction"]["outcome"] == "calibrated"
+
+
+def test_people_see_what_the_values_are_like(tmp_path: Path, capsys: Capture) -> None:
+    counts = still_counts(directions(60))
+    path = write_raw(tmp_path / "a.raw", counts)
+    (values,) = [
+        json.loads(line)["values"] for line in run(capsys, "inspect", "--json", "--full", path).lines
+    ]
+    g = counts / LSB_PER_G
+    assert [row["g"] for row in values["first"]] == np.round(g[:3], 4).tolist()
+    assert values["first"][1]["time"] == "2024-03-04T00:00:00.040000"
+    for name, expected in (("low_g", g.min(axis=0)), ("mean_g", g.mean(axis=0)), ("high_g", g.max(axis=0))):
+        assert values[name] == pytest.approx(expected.tolist(), abs=6e-5)
+    assert values["rest"]["windows"] > 100 and 0.9 < values["rest"]["median_g"] < 1.1
+    shown = run(capsys, "inspect", path).out
+    assert shown.count("2024-03-04T00:00:00.0") == 4 and "  values       x -" in shown
+    assert "  at rest      |a| 0.9" in shown
 
 
 def test_it_writes_nothing(tmp_path: Path, capsys: Capture) -> None:
