@@ -62,11 +62,18 @@ class TerminalObserver:
         """See `StudyObserver`."""
         row = result.entry.row
         assert row is not None
-        self.codes.append(row["exit_code"])
+        known = self._known(result)
+        self.codes.append(exit_codes.OK if known else row["exit_code"])
+        if known:
+            return
         self._failed += row["outcome"] == FAILED
         with self._aside(fresh=not result.up_to_date):
             self._print(item, row)
             self._comment(item, row, result)
+
+    def _known(self, result: TaskResult) -> bool:
+        """Whether an earlier run said so already, and only news are wanted."""
+        return result.up_to_date and self._values["quiet"] and not self._values["all_failures"]
 
     def note(self, text: str) -> None:
         """See `StudyObserver`."""
@@ -120,6 +127,8 @@ class TerminalObserver:
 @click.option("--newer-than", type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S"]), metavar="DATE",
               help="Process only files modified since DATE.")  # fmt: skip
 @click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
+@click.option("--all-failures", is_flag=True,
+              help="With -q, failures and refusals of earlier runs count and are shown too.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
 @click.option("--shard", metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
@@ -142,7 +151,8 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
 
     The outputs mirror the folder structure below the folder given with -d, where study.csv, study.parquet and
     study.json are also written. A second run processes only what is new, changed or unfinished. One line is
-    printed for each recording, as by `calibrate`; with -q only failures and refusals are shown.
+    printed for each recording, as by `calibrate`; with -q only failures and refusals are shown that are new.
+    A run that was interrupted is resumed by the same command.
     """
     study = _study(folders, values)
     if not values["quiet"] and (number := overlooked(study)):

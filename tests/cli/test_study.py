@@ -94,7 +94,7 @@ def test_damaged_files_are_rows_and_stop_nothing(tmp_path: Path, capsys: Capture
     assert sum(line.split("\t")[1] == "failed" for line in ran.lines) == 2
     counts = json.loads((tmp_path / "out/study.json").read_text())
     assert counts["outcomes"] == {"calibrated": 2, "failed": 2, "refused": 1}
-    quiet = study(capsys, folder, "-q")
+    quiet = study(capsys, folder, "-q", "--all-failures")
     assert (quiet.code, quiet.out) == (1, "")
     failed = [str(folder / name) for name in ("empty.csv", "short.raw", "zeros.cwa")]
     assert [name in line for name, line in zip(failed, quiet.err.splitlines(), strict=True)] == [True] * 3

@@ -147,3 +147,18 @@ def test_nothing_to_collect_leaves_the_table_as_it_is(tmp_path: Path, capsys: Ca
     assert (ran.code, (out / "study.csv").read_bytes()) == (2, held)
     assert "none of 2 recordings has a result made with these options; give --collect the options" in ran.err
     assert study(capsys, folder, "--collect", "--report-only").code == 0
+
+
+def test_with_q_only_what_is_new_is_said_and_decides_the_exit_code(tmp_path: Path, capsys: Capture) -> None:
+    folder = study_folder(tmp_path / "in")
+    short = write_raw(folder / "short.raw", still_counts(directions(2)))
+    first = study(capsys, folder, "-q")
+    assert first.code == 1 and str(short) in first.err
+    nothing_new = study(capsys, folder, "-q")
+    assert (nothing_new.code, nothing_new.out, nothing_new.err) == (0, "", "")
+    everything = study(capsys, folder, "-q", "--all-failures")
+    assert (everything.code, everything.err) == (1, first.err)
+    assert study(capsys, folder).code == 1, "without -q all recordings count"
+    other = write_raw(folder / "other.raw", still_counts(directions(3)))
+    news = study(capsys, folder, "-q")
+    assert news.code == 1 and str(other) in news.err and str(short) not in news.err
