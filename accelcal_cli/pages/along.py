@@ -108,7 +108,8 @@ def _column(table: Mapping[str, Any], name: str, length: int) -> Column:
     found = table.get(name)
     if not isinstance(found, list) or len(found) != length:
         raise UnfitError(f"is damaged ({name})")
-    if not all(one is None or _is_number(one) for one in found):
+    known = [one for one in found if one is not None]
+    if not set(map(type, known)) <= {int, float} or not all(-LARGEST < one < LARGEST for one in known):
         raise UnfitError(f"is damaged ({name})")
     return found
 
@@ -178,6 +179,7 @@ def _spans(
         ends = list(accumulate(lengths))
         return None, [(end - length, end) for end, length in zip(ends, lengths, strict=True)]
     full = [one + length + gap for one, length, gap in zip(begun, lengths, rows["gap_s"], strict=True)]
-    ends = [min(pair) for pair in zip(full, [*begun[1:], full[-1]], strict=True)]
+    last = min(full[-1], recording["duration_s"] or full[-1])
+    ends = [min(pair) for pair in zip(full, [*begun[1:], last], strict=True)]
     dated = recording["start_time"] is not None
     return (moments[0] if dated else None), list(zip(begun, ends, strict=True))

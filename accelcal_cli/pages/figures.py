@@ -70,7 +70,7 @@ def length_along_time(data: Along) -> Figure | None:
     body.append(_legend(list(data.off)))
     title = "Length of gravity as the sensor measures it at rest, along time"
     said = [
-        f"{WORDS[when]} the medians by the hour lie between {number(min(known))} and {number(max(known))} mg"
+        f"{WORDS[when]} the median by the hour is {_range(known)} mg"
         for when, table in data.off.items()
         if (known := [one for one in table["p50"] if one is not None])
     ]
@@ -161,7 +161,7 @@ def error_by_hour(data: Along, change: Mapping[str, Any] | None) -> Figure | Non
     said = []
     for when, table in data.errors.items():
         known = [one for one in table["mean"] if one is not None]
-        said.append(f"{WORDS[when]} the mean by the hour is {number(min(known))} to {number(max(known))} mg")
+        said.append(f"{WORDS[when]} the mean by the hour is {_range(known)} mg")
     title = "Error by the hour"
     text = (
         f"{_sentence(said)} Lines are means, areas reach up to the 95th percentile; "
@@ -336,7 +336,7 @@ def sphere(data: Along, report: Mapping[str, Any]) -> Figure | None:
     filled = _filled(data)
     if not filled:
         return None
-    halves = (svg.Hemisphere(1, 190, 200, 150), svg.Hemisphere(-1, 570, 200, 150))
+    halves = (svg.Hemisphere(1, 190, 195, 140), svg.Hemisphere(-1, 570, 195, 140))
     body = [_half(half, filled) for half in halves]
     body += _faces(halves, report["coverage"]["subsets"])
     if (found := report.get("sphere_mg")) is not None:
@@ -404,12 +404,18 @@ def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -
 
 
 def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int) -> str:
+    """The name of a direction beside its place on the rim; below it that nothing is near, if so."""
     x, y = at
     out = 10 if x > half.x + 1 else -10 if x < half.x - 1 else 0
     down = 16 if y > half.y + 1 else -6 if y < half.y - 1 else 4
     anchor = "start" if out > 0 else "end" if out < 0 else "middle"
-    text = name if points else f"{name} empty"
-    return label(x + out, y + down, text, "strong" if points else "bad", anchor)
+    if points:
+        return label(x + out, y + down, name, "strong", anchor)
+    if not out:
+        return label(x, y + down, f"{name} empty", "bad", anchor)
+    return label(x + out, y + down, name, "bad", anchor) + label(
+        x + out, y + down + 14, "empty", "bad", anchor
+    )
 
 
 def _so_many(points: int) -> str:
@@ -441,6 +447,12 @@ def empty_subsets(report: Mapping[str, Any]) -> list[str]:
 def _time_axes(area: svg.Plot, data: Along, y_ticks: list[svg.Tick], y_name: str) -> str:
     name = "time" if data.start is not None else "time from the first sample"
     return area.axes(svg.time_ticks(data.seconds, data.start), y_ticks, name, y_name)
+
+
+def _range(values: Sequence[float]) -> str:
+    """The least and the largest of some values, once if they are the same."""
+    ends = dict.fromkeys(map(number, (min(values), max(values))))
+    return " to ".join(ends)
 
 
 def _legend(held: Iterable[str]) -> str:

@@ -56,6 +56,7 @@ def _environment() -> Environment:
     return Environment(
         loader=FunctionLoader(lambda name: resource(f"templates/{name}")),
         autoescape=True,
+        optimized=False,  # each template is rendered once
         finalize=shown,
         undefined=StrictUndefined,
         trim_blocks=True,

@@ -17,14 +17,14 @@ from markupsafe import Markup
 from accelcal_cli.core.errors import printable
 
 WIDTH = 760
-LEFT, RIGHT = 70, 14
+LEFT, RIGHT = 70, 26
 LEAST_SPAN = 1e-9
 TICKS, TIME_TICKS = 6, 9
 HOUR_S, DAY_S = 3600, 86_400
 TIME_STEPS_S = (
     *(60 * minutes for minutes in (1, 5, 10, 30)),
     *(HOUR_S * hours for hours in (1, 2, 3, 6, 12)),
-    *(DAY_S * days for days in (1, 2, 7, 14, 28, 91, 364)),
+    *(DAY_S * days for days in (1, 2, 4, 7, 14, 28, 91, 364)),
 )
 RINGS = 5
 """Of cells on a hemisphere: ring k of 0, 1, ... has 4 (2 k + 1), so that all cells have the same area."""
@@ -70,7 +70,8 @@ class Scale:
 
     def __call__(self, value: float) -> float:
         """The coordinate of a value."""
-        low, high, value = self.low, self.high, min(max(value, self.low), self.high)
+        low, high = self.low, self.high
+        value = low if value < low else high if value > high else value
         if self.powers:
             low, high, value = log10(low), log10(high), log10(value)
         share = (value - low) / (high - low) if high > low else 0.5
@@ -152,7 +153,7 @@ class Plot:
         parts += [label(left - 6, self.y(at) + 4, text, "soft", "end") for at, text in y_ticks]
         parts += [label(self.x(at), bottom + 17, text, "soft", "middle") for at, text in x_ticks]
         parts.append(label((left + right) / 2, bottom + 34, x_name, "soft", "middle"))
-        parts.append(label(left - 62, top - 9, y_name, "soft"))
+        parts.append(label(left - 62, top - 12, y_name, "soft"))
         return "".join(parts)
 
     def steps(self, spans: Sequence[Pair], values: Sequence[float | None], kind: str) -> str:

@@ -9,7 +9,7 @@ import pytest
 
 from accelcal_cli.output.files import is_page
 from tests.cli.run import assert_one_line, run
-from tests.device_recordings import donor, edit
+from tests.device_recordings import donor, edit, week
 from tests.pages.html import check
 from tests.recordings import directions, good_csv, still_counts, write_raw
 
@@ -81,13 +81,13 @@ def test_reports_of_other_commands_have_pages(tmp_path: Path, capsys: Capture) -
     (tmp_path / "a").mkdir()
     coefficients = donor(tmp_path / "a")
     words = ("--coefficients", coefficients, "-d", tmp_path)
-    assert run(capsys, "apply", tmp_path / "a" / "donor.raw", *words).code == 0
+    assert run(capsys, "apply", week(tmp_path / "other.raw", seed=3), *words).code == 0
     reports = [
-        tmp_path / name for name in ("points.json", "six_faces.calibration.json", "donor.calibration.json")
+        tmp_path / name for name in ("points.json", "six_faces.calibration.json", "other.calibration.json")
     ]
     ran = run(capsys, "report", *reports)
     assert (ran.code, ran.err) == (0, "")
-    assert ran.lines == [str(tmp_path / f"{name}.html") for name in ("points", "six_faces", "donor")]
+    assert ran.lines == [str(tmp_path / f"{name}.html") for name in ("points", "six_faces", "other")]
     said = [check(Path(one).read_text("utf-8")).one("p", kind="headline").text for one in ran.lines]
     assert said[0].startswith("Good: calibrated. Error over the whole sphere")
     assert "direction included" in said[1]
