@@ -27,8 +27,9 @@ LEAST_MG, LARGEST_MG = 0.01, 1e4
 
 WORDS = {"before": "before calibration", "after": "after calibration"}
 NEAR, WINDOWS_OF_CELLS = ("−1 g", "0 g", "+1 g"), (12, 120)
-"""Still windows from which on a cell is darker: of 5 s, a minute and ten."""
+"""Still windows from which on the colour of a cell is stronger: of 5 s, those of a minute and of ten."""
 
+SHADES = "faint: fewer than 12 still windows · stronger: fewer than 120 · full: more"
 LEAST_BAR = 0.12
 """Height of what is there at all on the timeline, as a share of its lane."""
 
@@ -336,20 +337,12 @@ def sphere(data: Along, report: Mapping[str, Any]) -> Figure | None:
     filled = _filled(data)
     if not filled:
         return None
-    halves = (svg.Hemisphere(1, 190, 195, 140), svg.Hemisphere(-1, 570, 195, 140))
+    halves = (svg.Hemisphere(1, 190, 176, 130), svg.Hemisphere(-1, 570, 176, 130))
     body = [_half(half, filled) for half in halves]
     body += _faces(halves, report["coverage"]["subsets"])
     if (found := report.get("sphere_mg")) is not None:
         body.append(_least_certain(halves, found["worst_direction_at"]))
-    body.append(
-        label(
-            WIDTH / 2,
-            396,
-            "light: less than a minute of rest · darker: up to ten minutes · darkest: more",
-            "soft",
-            "middle",
-        )
-    )
+    body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
     missing = empty_subsets(report)
     named = f"Empty subsets: {listed(missing)}." if missing else "None of the nine subsets is empty."
@@ -357,7 +350,7 @@ def sphere(data: Along, report: Mapping[str, Any]) -> Figure | None:
     text = f"It rested in {len(filled)} of {number_of} cells of equal area. {named}"
     if found is not None:
         text += " The cross marks the direction in which the calibration is least certain."
-    return Figure("sphere", title, svg.figure("sphere", title, text, 404, body), text)
+    return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
 
 
 def _filled(data: Along) -> dict[tuple[int, int, int], float]:
@@ -394,7 +387,7 @@ def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -
         parts.append(
             label(
                 half.x,
-                half.y - 178,
+                half.y - 160,
                 f"{sign}z half, {_so_many(points)} near {sign}z",
                 "strong" if points else "bad",
                 "middle",
