@@ -30,8 +30,10 @@ $(READY): $(PLAIN)
 
 demo: $(PLAIN)
 	$(BIN)/accelcal inspect sample_data/recording.bin
-	$(BIN)/accelcal calibrate sample_data/recording.bin --output-dir $(DEMO) --force
+	$(BIN)/accelcal calibrate sample_data/recording.bin --output-dir $(DEMO) --force --html
 	@echo "Written: $(DEMO)/recording.calibrated.parquet and $(DEMO)/recording.calibration.json"
+	@echo "The recording before and after, for a browser:"
+	@echo "$(CURDIR)/$(DEMO)/recording.html"
 
 test: $(READY)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m 'not nightly'

@@ -22,6 +22,7 @@ LAYER = {
     "simulate": 1,
     "output": 1,
     "pipeline": 2,
+    "pages": 2,
     "six_pose": 3,
     "evaluate": 3,
     "studies": 3,
@@ -41,7 +42,6 @@ LONGEST = 600
 SHORTEST = 40
 SHORT = {
     "__main__.py": "`python -m accelcal_cli`",
-    "cli/calibrate.py": "one file a command",
     "cli/evaluate.py": "one file a command",
     "cli/gravity.py": "one file a command",
     "core/text_files.py": "for layouts and lists of poses, which lie in different layers",

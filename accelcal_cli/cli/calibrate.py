@@ -9,8 +9,9 @@ import click
 
 from accelcal_cli.cli.options import FILE, calibrating_options, place_options, request_of
 from accelcal_cli.cli.output import run_jobs
+from accelcal_cli.cli.report import refuse_page, write_page
 from accelcal_cli.pipeline.calibrate import calibrate
-from accelcal_cli.pipeline.jobs import plan
+from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
 from accelcal_cli.pipeline.windows import refuse_impossible
 
 
@@ -22,6 +23,7 @@ from accelcal_cli.pipeline.windows import refuse_impossible
     type=FILE,
     help="Also write every still window, and what became of it, to this .parquet or .csv file.",
 )
+@click.option("--html", is_flag=True, help="Also write a page for people, STEM.html, beside the report.")
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.
 
@@ -33,4 +35,13 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     if values["windows"] is not None:
         refuse_impossible(values["windows"], jobs)
     request = request_of(values).for_jobs(jobs)
-    return run_jobs(jobs, lambda job, bars, source: calibrate(job, request, bars, source), values)
+
+    def work(job: Job, bars: ProgressMaker, source: Path) -> Result:
+        if not values["html"]:
+            return calibrate(job, request, bars, source)
+        refuse_page(job, force=values["force"])
+        result = calibrate(job, request, bars, source)
+        write_page(job.report, job.page)
+        return result
+
+    return run_jobs(jobs, work, values)

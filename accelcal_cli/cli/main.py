@@ -59,6 +59,7 @@ COMMANDS = {
     "inspect": "Show what a recording holds and predict its outcome.",
     "fit": "Fit still-window means from another tool and judge the fit.",
     "quality": "Show a recording's error by the hour, and whether its calibration holds.",
+    "report": "Make a page for people, with figures, of a recording's report.",
     "apply": "Apply known coefficients to recordings of the same device.",
     "verify": "Reproduce a report from its recording, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",

@@ -263,7 +263,8 @@ class Fit:
         parameters: twelve fixed-point integers, in the order of PARAMETER_NAMES; the slopes are
             per `TemperatureScale.span_c` degrees.
         stop: why it stopped.
-        history: parameters after each iteration, where asked for.
+        history: parameters after each iteration, where asked for; with a penalty always, and those at the
+            start before them.
     """
 
     parameters: tuple[int, ...]

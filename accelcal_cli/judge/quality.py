@@ -32,10 +32,15 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Mean and 95th percentile of | |a| - 1 g | [mg], in which windows count alike."""
+    """Mean and 95th percentile of | |a| - 1 g | [mg], in which windows count alike.
+
+    Attributes:
+        off: 5th, 50th and 95th percentile of |a| - 1 g, with its sign.
+    """
 
     mean: float
     p95: float
+    off: tuple[float, float, float]
 
 
 def deviations_mg(means: TimedMeans, calibration: Calibration | None, rest: Gravity) -> Floats:
@@ -71,21 +76,28 @@ def by_block(deviations: Floats, windows: NDArray[np.int64], block: NDArray[np.i
         windows: (n,) how many there are behind each observation; block: (n,) where it belongs.
     """
     held: dict[int, list[tuple[float, int]]] = defaultdict(list)
-    columns = (np.abs(deviations).tolist(), windows.tolist(), block.tolist())
-    for error, number, one in zip(*columns, strict=True):
-        held[one].append((error, number))
-    return {one: _spread(sorted(held[one])) for one in sorted(held)}
+    columns = (deviations.tolist(), windows.tolist(), block.tolist())
+    for deviation, number, one in zip(*columns, strict=True):
+        held[one].append((deviation, number))
+    return {one: _spread(held[one]) for one in sorted(held)}
 
 
-def _spread(ordered: list[tuple[float, int]]) -> Spread:
-    """Of errors and how often each counts; the percentile is the smallest error not below 95 % of all."""
+def _spread(deviations: list[tuple[float, int]]) -> Spread:
+    """Of deviations and how often each counts."""
+    signed, errors = sorted(deviations), sorted((abs(value), number) for value, number in deviations)
+    average = fsum(error * number for error, number in errors) / sum(number for _, number in errors)
+    low, middle, high = (percentile(signed, percent) for percent in (5, 50, 95))
+    return Spread(average, percentile(errors, 95), (low, middle, high))
+
+
+def percentile(ordered: list[tuple[float, int]], percent: int) -> float:
+    """The smallest of sorted values, each with how often it counts, that is not below so many percent."""
     total, seen = sum(number for _, number in ordered), 0
-    average = fsum(error * number for error, number in ordered) / total
-    for error, number in ordered:
+    for value, number in ordered:
         seen += number
-        if 100 * seen >= 95 * total:
-            return Spread(average, error)
-    raise AssertionError("the last error is not below any share of all")
+        if 100 * seen >= percent * total:
+            return value
+    raise AssertionError("the last value is not below any share of all")
 
 
 @dataclass(frozen=True, slots=True)

@@ -83,7 +83,7 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
         raise DivergedError("no point has any weight")
     stack = stacked((points,))
     here, stop = _at(stack, start, penalty), "iterations"
-    seen = set[tuple[int, ...]]()
+    seen, places = set[tuple[int, ...]](), [start]
     while len(seen) < MAX_NEWTON_STEPS and stop == "iterations":
         seen.add(here.parameters)
         step = _newton_step(stack, here, model, penalty)
@@ -92,10 +92,11 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
             stop = "step within rounding"
         else:
             here, stop = there, "a circle within rounding" if there.parameters in seen else stop
+            places.append(here.parameters)
     if min(here.parameters[:3]) < LEAST_SCALE:
         raise DivergedError("an axis collapsed: the points do not determine its scale")
     mean_square = cost(stack, here.state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
-    found = Fit(here.parameters, len(seen), stop, Operations())
+    found = Fit(here.parameters, len(seen), stop, Operations(), tuple(places))
     around = curvature(stack, here.state, here.parameters, model)
     return PenalizedFit(model, found, mean_square, tuple(tuple(row) for row in around))
 

@@ -284,6 +284,19 @@ def written_by_us(path: Path) -> bool:
     return bool(metadata_of(path))
 
 
+PAGE_MARK, PAGE_HEAD = b'<meta name="generator" content="accelcal ', 256
+"""What a page of ours has among its first bytes."""
+
+
+def is_page(path: Path) -> bool:
+    """Whether a file is a page that accelcal made."""
+    try:
+        with open_plain(path, "rb") as file:
+            return PAGE_MARK in file.read(PAGE_HEAD)
+    except (OSError, OutputError):
+        return False
+
+
 def refuse_foreign(path: Path, *, known: bool) -> None:
     """Raise OutputError if a file exists that is not known to be ours."""
     if not known and exists(path):

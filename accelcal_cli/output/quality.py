@@ -34,18 +34,26 @@ UNITS = {
 }
 """What a whole number in a column of `points` counts."""
 
+SIZE, OFF = {"mean": 0, "p95": 1}, {"p5": 2, "p50": 3, "p95": 4}
+"""Inner columns of errors in `rows`: places in `Errors`."""
+
+
+Errors = tuple[float, float, float, float, float]
+
 
 @dataclass(frozen=True, slots=True)
 class BlockErrors:
-    """Error of still windows in a block of time, mean and 95th percentile [mg], before and after calibration.
+    """Errors of still windows in a block of time [mg], before and after calibration.
+
+    Each is mean and 95th percentile of | |a| - 1 g |, then the 5th, 50th and 95th percentile of |a| - 1 g.
 
     Attributes:
         windows: how many there are; after: None without a calibration.
     """
 
     windows: int
-    before: tuple[float, float]
-    after: tuple[float, float] | None
+    before: Errors
+    after: Errors | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +82,8 @@ class QualityInput:
         rows: of b blocks of time; begun_us: when each of them begins, on the device's clock.
         errors: by the number of the block, where it has still windows.
         folds: into how many parts the postures were dealt that were held out in turn; None if they were not.
+        convergence: error of the fitted points [mg], of the ideal sensor and after each step of the fit; None
+            where the fit kept no record of its steps.
     """
 
     data: ReportInput
@@ -82,6 +92,7 @@ class QualityInput:
     errors: Mapping[int, BlockErrors]
     points: PointErrors
     folds: int | None
+    convergence: tuple[float, ...] | None = None
 
 
 def quality_json(made: QualityInput) -> dict[str, Any]:
@@ -103,6 +114,7 @@ def quality_json(made: QualityInput) -> dict[str, Any]:
         "units": UNITS,
         "points": _points(made.points),
         "postures": _postures(judgement.holdout, made.folds),
+        "convergence": None if made.convergence is None else [round(mg, 4) for mg in made.convergence],
     }
 
 
@@ -117,8 +129,10 @@ def rows_json(made: QualityInput) -> dict[str, Any]:
         "still": list(rows.still),
         "moving": list(rows.moving),
         "windows": [0 if one is None else one.windows for one in found],
-        "before_mg": _columns(found, lambda one: one.before),
-        "after_mg": _columns(found, lambda one: one.after) if calibrated else None,
+        "before_mg": _columns(found, lambda one: one.before, SIZE),
+        "after_mg": _columns(found, lambda one: one.after, SIZE) if calibrated else None,
+        "before_off_mg": _columns(found, lambda one: one.before, OFF),
+        "after_off_mg": _columns(found, lambda one: one.after, OFF) if calibrated else None,
         "temperature_c": [None if heat is None else round(heat / 1000, 2) for heat in rows.temperature_mc],
         "gap_s": [_short(us / 1e6) for us in rows.gap_us],
         "filled": list(rows.filled),
@@ -130,13 +144,12 @@ def rows_json(made: QualityInput) -> dict[str, Any]:
 
 
 def _columns(
-    found: Sequence[BlockErrors | None], of: Callable[[BlockErrors], tuple[float, float] | None]
+    found: Sequence[BlockErrors | None], of: Callable[[BlockErrors], Errors | None], names: dict[str, int]
 ) -> dict[str, list[float | None]]:
-    """Mean and 95th percentile of each block; None without still windows."""
-    pairs = [None if one is None else of(one) for one in found]
+    """Some errors of each block, by their places in `Errors`; None without still windows."""
+    held = [None if one is None else of(one) for one in found]
     return {
-        name: [None if pair is None else round(pair[place], 2) for pair in pairs]
-        for place, name in enumerate(("mean", "p95"))
+        name: [None if one is None else round(one[place], 2) for one in held] for name, place in names.items()
     }
 
 

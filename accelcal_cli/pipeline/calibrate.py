@@ -346,6 +346,7 @@ class RecordingRun:
             outputs.remove_ours(self.job.quality)
         else:
             write_text(self.job.quality, dumps_quality(quality_json(quality)))
+        outputs.remove_page(self.job.page)
         report = outputs.with_provenance(reports.build(data), self.request.command)
         if writes_parquet(data):
             outputs.refuse_replaced(self.job.parquet, reports.parquet_metadata(data))

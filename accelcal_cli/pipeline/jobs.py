@@ -28,6 +28,7 @@ PARQUET_SUFFIX = ".calibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
 INTEGERS_SUFFIX = ".integers.json"
 QUALITY_SUFFIX = ".quality.json"
+PAGE_SUFFIX = ".html"
 PARQUET, JSON = ".parquet", ".json"
 DEFAULT_CHUNK_SAMPLES = 1 << 18
 
@@ -63,6 +64,11 @@ class Job:
     def quality(self) -> Path:
         """Where the recording's quality along time goes, if it has blocks of time."""
         return self._beside(QUALITY_SUFFIX)
+
+    @property
+    def page(self) -> Path:
+        """Where the recording's page goes, if it is asked for."""
+        return self._beside(PAGE_SUFFIX)
 
     @property
     def outputs(self) -> tuple[Path, ...]:

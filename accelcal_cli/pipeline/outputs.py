@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
-from accelcal_cli.output.files import exists, metadata_of, refuse_foreign, write_text, written_by_us
+from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, load, load_report, section, upgraded
 from accelcal_cli.output.report_schema import fault, report_schema, schema_of_version
 from accelcal_cli.output.windows import is_window_table
@@ -45,14 +45,7 @@ def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
         OutputError: a folder cannot be made, or a foreign file is in the way.
     """
     for folder in sorted({path.parent for path in (job.parquet, job.report, *windows)}):
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"cannot be made ({error.strerror or error})",
-                path=folder,
-                hint="choose another folder with -d",
-            ) from error
+        make_folder(folder)
     if force:
         return
     refuse_foreign(job.parquet, known=written_by_us(job.parquet))
@@ -61,6 +54,16 @@ def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
         refuse_foreign(path, known=load(path) is not None)
     for path in windows:
         refuse_foreign(path, known=written_by_us(path) or is_window_table(path))
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results; raises OutputError if that is not possible."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be made ({error.strerror or error})", path=folder, hint="choose another folder with -d"
+        ) from error
 
 
 def refuse_foreign_report(path: Path) -> None:
@@ -219,6 +222,7 @@ def withdraw(job: Job) -> None:
             remove(job.parquet)
         remove_ours(job.integers)
         remove_ours(job.quality)
+        remove_page(job.page)
         remove(job.report)
 
 
@@ -239,6 +243,16 @@ def remove_ours(path: Path) -> None:
         OutputError: it cannot be removed.
     """
     if load(path) is not None:
+        remove(path)
+
+
+def remove_page(path: Path) -> None:
+    """Remove a page of ours whose report no longer holds; leave foreign files.
+
+    Raises:
+        OutputError: it cannot be removed.
+    """
+    if is_page(path):
         remove(path)
 
 

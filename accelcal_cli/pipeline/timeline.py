@@ -15,10 +15,12 @@ from accelcal_cli.core.points import Calibration, PointSet, TimedMeans, Windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import TimeRows
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.errors import deviations_mg as deviations_of_points
+from accelcal_cli.judge.errors import mean, per_posture
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.quality import by_block, deviations_mg, point_deviations_mg
+from accelcal_cli.judge.quality import Spread, by_block, deviations_mg, point_deviations_mg
 from accelcal_cli.judge.verdict import temperatures_c
-from accelcal_cli.output.quality import BlockErrors, PointErrors, QualityInput
+from accelcal_cli.output.quality import BlockErrors, Errors, PointErrors, QualityInput
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.facts import GAP_PERIODS
 from accelcal_cli.pipeline.survey import Method, Observer, TimedCellProcedure
@@ -204,6 +206,7 @@ def along_time(
         errors=_block_errors(procedure.means(), rows.block_samples, judged.calibration, settings),
         points=_point_errors(raw, posture, procedure, data),
         folds=settings.folds if judged.trials and judged.holdout is not None else None,
+        convergence=_convergence(procedure.result(), data),
     )
 
 
@@ -219,11 +222,28 @@ def _block_errors(
     if calibration is not None:
         after = by_block(deviations_mg(means, calibration, rest), means.windows, block)
     return {
-        one: BlockErrors(
-            number[one], (raw.mean, raw.p95), (after[one].mean, after[one].p95) if one in after else None
-        )
+        one: BlockErrors(number[one], _errors(raw), _errors(after[one]) if one in after else None)
         for one, raw in before.items()
     }
+
+
+def _errors(spread: Spread) -> Errors:
+    return (spread.mean, spread.p95, *spread.off)
+
+
+def _convergence(points: PointSet, data: ReportInput) -> tuple[float, ...] | None:
+    """Mean error of the postures after each step of the fit [mg], as in the report's `fit`.
+
+    Args:
+        points: as they were fitted: put right where the sensor changed.
+    """
+    fit, settings = data.judgement.fit, data.settings.method
+    if fit is None or not fit.history or fit.history[-1] != fit.parameters:
+        return None
+    assert isinstance(settings, Settings)
+    label = postures(points, settings.posture_degrees)
+    each = (per_posture(deviations_of_points(points, one), points.weights, label) for one in fit.history)
+    return tuple(mean(list(one.values())) for one in each)
 
 
 def _point_errors(

@@ -106,6 +106,11 @@ def test_errors_are_those_of_the_windows(day: Path) -> None:
             assert rows[name]["mean"][row] == pytest.approx(all_windows.mean(), abs=0.006)
             p95 = np.percentile(all_windows, 95, method="inverted_cdf")
             assert rows[name]["p95"][row] == pytest.approx(p95, abs=0.006)
+            signed = 1000 * (np.repeat(np.linalg.norm(vectors[mine], axis=1), number[mine]) - 1)
+            for percent in (5, 50, 95):
+                held = rows[name.replace("_mg", "_off_mg")][f"p{percent}"][row]
+                exact = np.percentile(signed, percent, method="inverted_cdf")
+                assert held == pytest.approx(exact, abs=0.006)
     assert rows["windows"] == np.bincount(hour).tolist()
 
 
@@ -138,6 +143,16 @@ def test_the_points_are_those_of_the_windows(tmp_path: Path, capsys: Capture) ->
     assert found["rows"]["temperature_c"] == pytest.approx([held["temperature_c"].mean()], abs=0.2)
 
 
+@pytest.mark.parametrize("name", ["day", "jumps"])
+def test_the_fit_converges_from_the_raw_error_to_that_of_the_report(day: Path, name: str) -> None:
+    """Also where the sensor changed: the points are those that were fitted, after they were put right."""
+    steps = document(day / f"{name}.quality.json")["convergence"]
+    fit = json.loads((day / f"{name}.calibration.json").read_text())["fit"]
+    assert steps[-1] == fit["after_mg"]
+    assert name == "jumps" or steps[0] == fit["before_mg"]  # of points that were put right it is another
+    assert len(steps) > 2 and steps[1] < steps[0]
+
+
 def test_of_a_sensor_that_changed_the_errors_are_those_after_it_was_put_right(day: Path) -> None:
     found = document(day / "jumps.quality.json")
     assert max(found["rows"]["after_mg"]["mean"]) < 1.5 < np.mean(found["rows"]["before_mg"]["mean"])
@@ -165,6 +180,7 @@ def test_a_refused_recording_has_errors_before_only(tmp_path: Path, capsys: Capt
     assert run(capsys, "calibrate", path).code == 4
     found = document(tmp_path / "few.quality.json")
     assert (found["outcome"], found["model"], found["rows"]["after_mg"]) == ("refused", None, None)
+    assert found["convergence"] is None and found["rows"]["after_off_mg"] is None
     assert found["points"]["after"] is None and len(found["points"]["before"]) == 3
     assert found["rows"]["before_mg"]["mean"][0] > 10
     write_raw(tmp_path / "none.raw", np.zeros((0, 3), np.int16))
@@ -268,7 +284,10 @@ def _largest(one: QualityInput) -> QualityInput:
     )
     errors = PointErrors(points, 40 * random.standard_normal(number), 2 * random.standard_normal(number),
                          random.randint(0, 250, number), random.uniform(20, 38, number))  # fmt: skip
-    blocks = {hour: BlockErrors(720, (43.57, 77.86), (10.04, 20.11)) for hour in range(hours)}
+    blocks = {
+        hour: BlockErrors(720, (43.57, 77.86, -77.86, 43.57, 77.86), (10.04, 20.11, -20.11, 10.04, 20.11))
+        for hour in range(hours)
+    }
     begun = [1_700_000_000_000_000 + hour * 3_600_000_000 for hour in range(hours)]
     data = replace(one.data, facts=facts)
     return replace(

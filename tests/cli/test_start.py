@@ -110,6 +110,15 @@ def test_a_report_alone_is_written_without_pyarrow(tmp_path: Path) -> None:
     assert "pyarrow" in both
 
 
+def test_only_a_page_needs_what_makes_pages(tmp_path: Path) -> None:
+    made = make_flash.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
+    without, with_page = lists(
+        commands(calibrating(made.path, "--report-only"), calibrating(made.path, "--report-only", "--html"))
+    )
+    assert not {"jinja2", "markupsafe", "accelcal_cli.pages"} & without
+    assert {"jinja2", "accelcal_cli.pages.recording"} <= with_page
+
+
 def test_what_workers_are_forked_from_has_all_that_a_recording_needs(tmp_path: Path) -> None:
     made = make_flash.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
     ready = "import accelcal_cli.studies.preload, accelcal_cli.cli.calibrate, accelcal_cli.cli.main"

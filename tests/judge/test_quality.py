@@ -43,6 +43,8 @@ def test_errors_of_a_block_count_windows_alike() -> None:
     assert found[0].mean == float(Fraction(3 + 18 + 2, 20)) and found[0].p95 == 2.0  # 19 of 20 are no larger
     assert found[2].mean == pytest.approx((4 * 30 + 9) / 31) and found[2].p95 == 4.0
     assert sorted(found) == [0, 2]
+    assert found[0].off == (-3.0, 1.0, 1.0)  # 1 of 20 is no larger than -3, and 19 of 20 no larger than 1
+    assert found[2].off == (-4.0, -4.0, -4.0)
 
 
 def test_deviations_are_those_of_the_definition() -> None:

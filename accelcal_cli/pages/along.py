@@ -1,0 +1,185 @@
+"""`STEM.quality.json` as figures need it: checked column by column, with the times of its rows.
+
+The file may be that of another result, or written by somebody else: what does not fit is not drawn, and the
+page says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import accumulate, pairwise
+from math import isfinite
+from typing import Any
+
+from accelcal_cli.collect.cells import MAX_BLOCKS, MAX_POINTS
+
+Value = float | None
+Column = list[Value]
+
+COUNTS = ("samples", "still", "moving", "windows", "filled", "clipped", "recovered", "lost_bytes", "gap_s")
+SIZE, OFF = ("mean", "p95"), ("p5", "p50", "p95")
+POINTS = ("x", "y", "z", "windows", "posture", "before")
+LARGEST = 1e15
+"""Beyond all numbers that the file can hold."""
+
+LEAST_HZ = 1e-6
+MOST_STEPS = 1000
+"""Of a fit."""
+
+
+class UnfitError(Exception):
+    """The file is not what the page needs; the text says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Along:
+    """A recording along its time, and its points.
+
+    Attributes:
+        start: time of the first sample; None where the file has no times or they do not ascend.
+        spans: seconds from the first sample at which each of b rows begins and ends.
+        rows: columns of numbers by name, (b,).
+        errors: mean and p95 of | |a| - 1 g | by `before` and `after`; off: p5, p50 and p95 of |a| - 1 g.
+        worn: (b,) None where it is not known.
+        points: columns of the p points by name, `before` and `after` in mg, `temperature` in degrees C.
+        convergence: mean error after each step of the fit [mg].
+        seconds: from the first sample to the end.
+    """
+
+    start: datetime | None
+    spans: list[tuple[float, float]]
+    rows: dict[str, list[float]]
+    errors: dict[str, dict[str, Column]]
+    off: dict[str, dict[str, Column]]
+    temperature: Column
+    worn: list[bool | None]
+    times: list[str]
+    points: dict[str, list[float]]
+    convergence: list[float]
+    seconds: float
+
+
+def along(quality: Mapping[str, Any], report: Mapping[str, Any]) -> Along:
+    """What the quality file of a report says; raises UnfitError if it is not of this result, or damaged."""
+    if "sha256" not in quality:
+        raise UnfitError("is damaged")
+    made = (quality.get("sha256"), quality.get("outcome"), quality.get("model"))
+    calibration = report["calibration"]
+    model = None if calibration is None else calibration["model"]
+    if made != (report["recording"]["sha256"], report["outcome"], model):
+        raise UnfitError("is of another result")
+    rows, points = _object(quality, "rows"), _object(quality, "points")
+    times = rows.get("start")
+    if not isinstance(times, list) or not all(isinstance(one, str) for one in times):
+        raise UnfitError("is damaged (rows.start)")
+    if len(times) > MAX_BLOCKS:
+        raise UnfitError("is damaged (too many rows)")
+    length = len(times)
+    counts = {name: _numbers(rows, name, length) for name in COUNTS}
+    when = ("before",) if rows.get("after_mg") is None else ("before", "after")
+    start, spans = _spans(times, counts, _rate(quality), report["recording"])
+    known = [name for name in when if isinstance(rows.get(f"{name}_off_mg"), dict)]
+    return Along(
+        start=start,
+        spans=spans,
+        rows=counts,
+        errors={name: _table(rows, f"{name}_mg", SIZE, length) for name in when},
+        off={name: _table(rows, f"{name}_off_mg", OFF, length) for name in known},
+        temperature=_column(rows, "temperature_c", length),
+        worn=_worn(rows, length),
+        times=times,
+        points=_points(points),
+        convergence=_steps(quality),
+        seconds=max((end for _, end in spans), default=0.0),
+    )
+
+
+def _object(held: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    found = held.get(name)
+    if not isinstance(found, dict):
+        raise UnfitError(f"is damaged ({name})")
+    return found
+
+
+def _column(table: Mapping[str, Any], name: str, length: int) -> Column:
+    """A column of numbers and nulls."""
+    found = table.get(name)
+    if not isinstance(found, list) or len(found) != length:
+        raise UnfitError(f"is damaged ({name})")
+    known = [one for one in found if one is not None]
+    if not set(map(type, known)) <= {int, float} or not all(-LARGEST < one < LARGEST for one in known):
+        raise UnfitError(f"is damaged ({name})")
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    return type(value) in (int, float) and isfinite(value) and abs(value) < LARGEST
+
+
+def _numbers(table: Mapping[str, Any], name: str, length: int) -> list[float]:
+    """A column without nulls."""
+    found = [one for one in _column(table, name, length) if one is not None]
+    if len(found) != length:
+        raise UnfitError(f"is damaged ({name})")
+    return found
+
+
+def _table(rows: Mapping[str, Any], name: str, names: Sequence[str], length: int) -> dict[str, Column]:
+    inner = _object(rows, name)
+    return {one: _column(inner, one, length) for one in names}
+
+
+def _worn(rows: Mapping[str, Any], length: int) -> list[bool | None]:
+    found = rows.get("worn")
+    if not isinstance(found, list) or len(found) != length:
+        raise UnfitError("is damaged (worn)")
+    return [one if isinstance(one, bool) else None for one in found]
+
+
+def _rate(quality: Mapping[str, Any]) -> float:
+    rate = _object(quality, "row").get("rate_hz")
+    if not _is_number(rate) or not float(rate or 0) > LEAST_HZ:
+        raise UnfitError("is damaged (row.rate_hz)")
+    return float(rate or 0)
+
+
+def _points(table: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Columns of the points, in g, mg and degrees C."""
+    length = len(table["x"]) if isinstance(table.get("x"), list) else 0
+    if length > MAX_POINTS:
+        raise UnfitError("is damaged (too many points)")
+    found = {name: _numbers(table, name, length) for name in POINTS}
+    for name, unit in (("after", 100), ("temperature", 10)):
+        if table.get(name) is not None:
+            found[name] = [value / unit for value in _numbers(table, name, length)]
+    found["before"] = [value / 100 for value in found["before"]]
+    return found
+
+
+def _steps(quality: Mapping[str, Any]) -> list[float]:
+    found = quality.get("convergence")
+    if not isinstance(found, list) or len(found) > MOST_STEPS:
+        return []
+    return _numbers(quality, "convergence", len(found))
+
+
+def _spans(
+    times: Sequence[str], rows: Mapping[str, list[float]], rate_hz: float, recording: Mapping[str, Any]
+) -> tuple[datetime | None, list[tuple[float, float]]]:
+    """When the rows begin and end, by their times where these ascend, else by their samples."""
+    lengths = [samples / rate_hz for samples in rows["samples"]]
+    try:
+        moments = [datetime.fromisoformat(one) for one in times]
+        begun = [(one - moments[0]).total_seconds() for one in moments]
+    except (ValueError, TypeError):
+        moments, begun = [], []
+    if not begun or any(later <= one for one, later in pairwise(begun)):
+        ends = list(accumulate(lengths))
+        return None, [(end - length, end) for end, length in zip(ends, lengths, strict=True)]
+    full = [one + length + gap for one, length, gap in zip(begun, lengths, rows["gap_s"], strict=True)]
+    last = min(full[-1], recording["duration_s"] or full[-1])
+    ends = [min(pair) for pair in zip(full, [*begun[1:], last], strict=True)]
+    dated = recording["start_time"] is not None
+    return (moments[0] if dated else None), list(zip(begun, ends, strict=True))

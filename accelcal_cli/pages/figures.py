@@ -1,0 +1,463 @@
+"""The figures of one recording's page: what each shows, its picture, and the same as a sentence.
+
+All numbers are those of the report and of `STEM.quality.json`; errors are | |a| - 1 g | in mg.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import accumulate
+from math import ceil, floor, hypot, log10
+from typing import Any
+
+from markupsafe import Markup
+
+from accelcal_cli.core.errors import counted, listed
+from accelcal_cli.pages import svg
+from accelcal_cli.pages.along import Along
+from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, number, path
+
+BARS = 40
+LEAST_MG, LARGEST_MG = 0.01, 1e4
+"""Errors beyond are drawn at the edge of a scale of powers of ten."""
+
+WORDS = {"before": "before calibration", "after": "after calibration"}
+NEAR, WINDOWS_OF_CELLS = ("−1 g", "0 g", "+1 g"), (12, 120)
+"""Still windows from which on the colour of a cell is stronger: of 5 s, those of a minute and of ten."""
+
+SHADES = "faint: fewer than 12 still windows · stronger: fewer than 120 · full: more"
+LEAST_BAR = 0.12
+"""Height of what is there at all on the timeline, as a share of its lane."""
+
+LANES = (
+    ("filled", "Filled", "lane"),
+    ("clipped", "Clipped", "lane-bad"),
+    ("recovered", "Recovered", "lane-bad"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """A figure: its heading, the picture, and what it says in a sentence.
+
+    Attributes:
+        name: of its ids.
+    """
+
+    name: str
+    title: str
+    picture: Markup
+    text: str
+
+
+def length_along_time(data: Along) -> Figure | None:
+    """|a| of still windows along time, before and after (F Fig. 1)."""
+    values = [
+        one for table in data.off.values() for column in table.values() for one in column if one is not None
+    ]
+    if not values:
+        return None
+    low, high = min(0.0, *values), max(0.0, *values)
+    room = 0.06 * max(high - low, 0.1)
+    area = svg.plot((0, data.seconds), (low - room, high + room), 22, 250)
+    body = [_time_axes(area, data, svg.ticks(low - room, high + room), "|a| − 1 g [mg]")]
+    for when, table in data.off.items():
+        body.append(area.band(data.spans, table["p5"], table["p95"], f"{when}-band"))
+        body.append(area.steps(data.spans, table["p50"], when))
+    body.append(_legend(list(data.off)))
+    title = "Length of gravity as the sensor measures it at rest, along time"
+    said = [
+        f"{WORDS[when]} the median by the hour is {_range(known)} mg"
+        for when, table in data.off.items()
+        if (known := [one for one in table["p50"] if one is not None])
+    ]
+    text = (
+        f"At rest |a| should be 1 g: 0 on this scale. {_sentence(said)} "
+        "Lines are medians, areas hold 90 % of the still windows."
+    )
+    return Figure("length", title, svg.figure("length", title, text, 290, body), text)
+
+
+def histogram(data: Along) -> Figure | None:
+    """|a| − 1 g of the points before and after, in which still windows count alike."""
+    weights, held = data.points["windows"], [one for one in WORDS if one in data.points]
+    if not sum(weights):
+        return None
+    spread = {when: _percentiles(data.points[when], weights, (0.5, 99.5)) for when in held}
+    low, high = min(one for one, _ in spread.values()), max(one for _, one in spread.values())
+    step = max(svg.round_step(high - low, BARS), LEAST_MG)
+    first, last = floor(low / step), max(ceil(high / step), floor(low / step) + 1)
+    body, shares = [], {when: _shares(data.points[when], weights, step, (first, last)) for when in held}
+    for row, when in enumerate(held):
+        top = 22 + 150 * row
+        largest = max(shares[when])
+        area = svg.plot((first * step, last * step), (0, 100 * largest), top, top + 96)
+        axis = svg.ticks(first * step, last * step)
+        body.append(area.axes(axis, svg.ticks(0, 100 * largest), "", f"{WORDS[when]}: % of still windows"))
+        body.append(_bars(area, [100 * share for share in shares[when]], first * step, step, f"{when}-bar"))
+    height = 22 + 150 * len(held)
+    body.append(label((LEFT + WIDTH) / 2, height - 14, "|a| − 1 g [mg]", "soft", "middle"))
+    inner = {when: _percentiles(data.points[when], weights, (5, 95)) for when in held}
+    said = [f"{WORDS[one]} from {number(low)} to {number(high)} mg" for one, (low, high) in inner.items()]
+    title = "How far still windows are from 1 g"
+    scales = "; both rows have the same scale of mg" if len(held) > 1 else ""
+    text = f"90 % of the still windows lie {listed(said)}. The outermost bars hold what lies beyond{scales}."
+    return Figure("histogram", title, svg.figure("histogram", title, text, height, body), text)
+
+
+def _shares(
+    values: Sequence[float], weights: Sequence[float], step: float, ends: tuple[int, int]
+) -> list[float]:
+    """The share of the weight in each bar; what lies beyond is in the outermost."""
+    first, last = ends
+    sums = [0.0] * (last - first)
+    for value, weight in zip(values, weights, strict=True):
+        sums[min(max(floor(value / step) - first, 0), len(sums) - 1)] += weight
+    return [one / sum(weights) for one in sums]
+
+
+def _bars(area: svg.Plot, heights: Sequence[float], start: float, step: float, kind: str) -> str:
+    way = ""
+    for place, height in enumerate(heights):
+        if height:
+            left, right = (svg.coordinate(area.x(start + step * (place + one))) for one in (0, 1))
+            low, high = (svg.coordinate(area.y(one)) for one in (0, height))
+            way += f"M{left} {low}V{high}H{right}V{low}z"
+    return path(way, kind)
+
+
+def _percentiles(
+    values: Sequence[float], weights: Sequence[float], percents: tuple[float, float]
+) -> tuple[float, float]:
+    """The smallest values that are not below so many percent of the weight."""
+    ordered = sorted(zip(values, weights, strict=True))
+    below, total = list(accumulate(weight for _, weight in ordered)), sum(weights)
+    low, high = (
+        ordered[min(bisect_left(below, percent * total / 100), len(ordered) - 1)][0] for percent in percents
+    )
+    return low, high
+
+
+def error_by_hour(data: Along, change: Mapping[str, Any] | None) -> Figure | None:
+    """Mean error of each row with the band up to its 95th percentile, and where the sensor changed."""
+    columns = [column for table in data.errors.values() for column in table.values()]
+    values = [min(max(one, LEAST_MG), LARGEST_MG) for column in columns for one in column if one is not None]
+    if not values:
+        return None
+    low, high = floor(log10(min(values))), ceil(log10(max(values)))
+    ends = (10.0**low, 10.0 ** max(high, low + 1))
+    area = svg.plot((0, data.seconds), ends, 22, 250, powers=True)
+    body = [_time_axes(area, data, svg.power_ticks(*ends), "error [mg]")]
+    for when, table in data.errors.items():
+        body.append(area.band(data.spans, table["mean"], table["p95"], f"{when}-band"))
+        body.append(area.steps(data.spans, table["mean"], when))
+    body.append(_legend(list(data.errors)))
+    at, told = _changed(data, change)
+    if at is not None:
+        body.append(area.upright(at, "the sensor changed"))
+    said = []
+    for when, table in data.errors.items():
+        known = [one for one in table["mean"] if one is not None]
+        said.append(f"{WORDS[when]} the mean by the hour is {_range(known)} mg")
+    title = "Error by the hour"
+    text = (
+        f"{_sentence(said)} Lines are means, areas reach up to the 95th percentile; "
+        f"each step up the scale is ten times as much.{told}"
+    )
+    return Figure("error", title, svg.figure("error", title, text, 290, body), text)
+
+
+def _changed(data: Along, change: Mapping[str, Any] | None) -> tuple[float | None, str]:
+    """When the sensor changed, as seconds from the start, and a sentence."""
+    at = None if change is None else change["at"]
+    if at is None:
+        return None, ""
+    shown = at.partition(".")[0].replace("T", " ")
+    try:
+        seconds = (datetime.fromisoformat(at) - datetime.fromisoformat(data.times[0])).total_seconds()
+    except (ValueError, TypeError):
+        return None, f" The sensor changed at {shown}."
+    return (seconds if 0 <= seconds <= data.seconds else None), f" The sensor changed at {shown}."
+
+
+def residual_by_temperature(data: Along) -> Figure | None:
+    """|a| − 1 g of each point after calibration (or before, if there is none) against its temperature."""
+    heat = data.points.get("temperature")
+    if not heat:
+        return None
+    when = "after" if "after" in data.points else "before"
+    values = data.points[when]
+    low, high = (
+        _percentiles(values, data.points["windows"], (0.5, 99.5))
+        if sum(data.points["windows"])
+        else (0.0, 0.0)
+    )
+    reach = max(abs(low), abs(high), 0.05) * 1.1
+    cool, warm = min(heat) - 0.2, max(heat) + 0.2
+    area = svg.plot((cool, warm), (-reach, reach), 22, 230)
+    axes = area.axes(svg.ticks(cool, warm), svg.ticks(-reach, reach), "temperature [°C]", "|a| − 1 g [mg]")
+    body = [axes, area.dots(zip(heat, values, strict=True))]
+    title = f"What is left at each temperature, {WORDS[when]}"
+    per_c = _slope(heat, values, data.points["windows"])
+    text = (
+        f"Each of {counted(len(heat), 'dot')} is a point of the fit, "
+        f"at {number(min(heat))} to {number(max(heat))} °C. "
+        f"On average the error changes by {number(per_c, 2)} mg per °C. "
+        "Dots at the upper and lower edge may lie beyond."
+    )
+    return Figure("temperature", title, svg.figure("temperature", title, text, 270, body), text)
+
+
+def _slope(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> float:
+    """Of the straight line through weighted places."""
+    total = sum(weights) or 1.0
+    middle = [
+        sum(weight * one for weight, one in zip(weights, values, strict=True)) / total for values in (x, y)
+    ]
+    across = sum(weight * (one - middle[0]) ** 2 for weight, one in zip(weights, x, strict=True))
+    both = zip(weights, x, y, strict=True)
+    return sum(w * (a - middle[0]) * (b - middle[1]) for w, a, b in both) / across if across else 0.0
+
+
+def timeline(data: Along, recording: Mapping[str, Any]) -> Figure | None:
+    """Wear, stillness, gaps, and samples that are filled, clipped or damaged, along time."""
+    if not data.spans:
+        return None
+    samples, rows = data.rows["samples"], data.rows
+    still = [a / (a + b) if a + b else 0.0 for a, b in zip(rows["still"], rows["moving"], strict=True)]
+    lanes = [("Still", still, "lane")]
+    lanes += [
+        (word, [a / max(1, b) for a, b in zip(rows[name], samples, strict=True)], kind)
+        for name, word, kind in LANES
+    ]
+    lanes.append(("Lost bytes", [float(one > 0) for one in rows["lost_bytes"]], "lane-bad"))
+    body = [_worn_lane(data), label(0, 33, "Worn")]
+    body += [_lane(data, 42 + 26 * row, *lane) for row, lane in enumerate(lanes)]
+    bottom = 42 + 26 * len(lanes)
+    body += [label(0, bottom + 15, "Gaps"), _gap_lane(data, recording, bottom)]
+    area = svg.plot((0, data.seconds), (0, 1), 16, bottom + 24)
+    body.append(_time_axes(area, data, [], ""))
+    title = "What the recording is made of, along time"
+    text = _told_of_rows(data, recording)
+    return Figure("timeline", title, svg.figure("timeline", title, text, bottom + 66, body), text)
+
+
+def _worn_lane(data: Along) -> str:
+    kinds = {True: "lane", False: "lane-off", None: "lane-unknown"}
+    ways: dict[str, str] = dict.fromkeys(kinds.values(), "")
+    for span, worn in zip(data.spans, data.worn, strict=True):
+        ways[kinds[worn]] += _box(data, span, 20, 16)
+    return "".join(path(way, kind) for kind, way in ways.items())
+
+
+def _lane(data: Along, top: float, word: str, shares: Sequence[float], kind: str) -> str:
+    """A row of the timeline: bars as high as the share."""
+    ways = [
+        _box(data, span, top + 18 * (1 - height), 18 * height)
+        for span, share in zip(data.spans, shares, strict=True)
+        if share > 0
+        for height in [max(LEAST_BAR, min(1.0, share))]
+    ]
+    track = path(_box(data, (0, data.seconds), top, 18), "lane-off")
+    return label(0, top + 14, word) + track + path("".join(ways), kind)
+
+
+def _box(data: Along, span: tuple[float, float], top: float, height: float) -> str:
+    x = svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT)
+    left, right = x(span[0]), x(span[1])
+    wide = max(right - left, 1.0)
+    left = min(left, WIDTH - RIGHT - wide)
+    across = svg.coordinate(wide)
+    return f"M{svg.coordinate(left)} {svg.coordinate(top)}h{across}v{svg.coordinate(height)}h-{across}z"
+
+
+def _gap_lane(data: Along, recording: Mapping[str, Any], top: float) -> str:
+    """Gaps where they are; those that the report does not list are not shown."""
+    ways, track = [], path(_box(data, (0, data.seconds), top + 2, 16), "lane-off")
+    for gap in recording["gaps"]:
+        try:
+            begun = datetime.fromisoformat(gap["start_time"]) - datetime.fromisoformat(data.times[0])
+        except (ValueError, TypeError):
+            continue
+        seconds = begun.total_seconds()
+        if 0 <= seconds <= data.seconds and gap["seconds"] > 0:
+            ways.append(_box(data, (seconds, seconds + gap["seconds"]), top + 2, 16))
+    return track + path("".join(dict.fromkeys(ways)), "lane-bad")
+
+
+def _told_of_rows(data: Along, recording: Mapping[str, Any]) -> str:
+    """The timeline as a sentence."""
+    worn = Counter(data.worn)
+    known = worn[True] + worn[False]
+    rows = data.rows
+    still, moving = sum(rows["still"]), sum(rows["moving"])
+    share = (
+        f"{number(100 * still / (still + moving))} % of the windows were still"
+        if still + moving
+        else "there is no window"
+    )
+    said = [f"worn in {worn[True]:.0f} of {counted(known, 'row')} in which that can be told", share]
+    gaps = len(recording["gaps"]) + recording["gaps_omitted"]
+    said.append(f"{counted(gaps, 'gap')} of {number(sum(rows['gap_s']))} s in all" if gaps else "no gaps")
+    for name, word, _ in LANES:
+        if total := sum(rows[name]):
+            said.append(f"{counted(int(total), 'sample')} {word.lower()}")
+    if lost := sum(rows["lost_bytes"]):
+        said.append(f"{counted(int(lost), 'byte')} lost to damage")
+    return f"{_sentence(said)} Bars are as high as the share of the row."
+
+
+def convergence(data: Along) -> Figure | None:
+    """Error of the fitted points after each step of the fit (F Fig. 9)."""
+    values = [min(max(one, LEAST_MG / 100), LARGEST_MG) for one in data.convergence]
+    if len(values) < 2:
+        return None
+    ends = (
+        10.0 ** floor(log10(min(values))),
+        10.0 ** max(ceil(log10(max(values))), floor(log10(min(values))) + 1),
+    )
+    area = svg.plot((0, len(values) - 1), ends, 22, 200, powers=True)
+    whole = [(at, text) for at, text in svg.ticks(0, len(values) - 1) if float(at).is_integer()]
+    axes = area.axes(whole, svg.power_ticks(*ends), "steps of the fit", "error [mg]")
+    places = list(enumerate(values))
+    body = [axes, area.line(places, "after"), area.dots(places)]
+    steps = listed([number(one) for one in data.convergence[:20]])
+    more = "" if len(values) <= 20 else " and so on"
+    title = "How the fit converged"
+    text = f"Mean error of the fitted postures, from the raw data on and after each step: {steps}{more} mg."
+    return Figure("convergence", title, svg.figure("convergence", title, text, 240, body), text)
+
+
+def sphere(data: Along, report: Mapping[str, Any]) -> Figure | None:
+    """Both halves of the sphere of directions, with the cells in which the sensor rested (F Figs. 4, 5)."""
+    filled = _filled(data)
+    if not filled:
+        return None
+    halves = (svg.Hemisphere(1, 190, 176, 130), svg.Hemisphere(-1, 570, 176, 130))
+    body = [_half(half, filled) for half in halves]
+    body += _faces(halves, report["coverage"]["subsets"])
+    if (found := report.get("sphere_mg")) is not None:
+        body.append(_least_certain(halves, found["worst_direction_at"]))
+    body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
+    number_of = 2 * len(svg.all_cells())
+    missing = empty_subsets(report)
+    named = f"Empty subsets: {listed(missing)}." if missing else "None of the nine subsets is empty."
+    title = "Directions in which the sensor rested"
+    text = f"It rested in {len(filled)} of {number_of} cells of equal area. {named}"
+    if found is not None:
+        text += " The cross marks the direction in which the calibration is least certain."
+    return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
+
+
+def _filled(data: Along) -> dict[tuple[int, int, int], float]:
+    """Still windows in each cell of the sphere."""
+    found: Counter[tuple[int, int, int]] = Counter()
+    columns = (data.points[name] for name in ("x", "y", "z", "windows"))
+    for x, y, z, windows in zip(*columns, strict=True):
+        if length := hypot(x, y, z):
+            found[svg.cell_of((x / length, y / length, z / length))] += int(windows)
+    return dict(found)
+
+
+def _half(half: svg.Hemisphere, filled: Mapping[tuple[int, int, int], float]) -> str:
+    ways = [""] * (len(WINDOWS_OF_CELLS) + 2)
+    for ring, sector in svg.all_cells():
+        windows = filled.get((half.side, ring, sector), 0)
+        kind = 0 if not windows else 1 + sum(windows >= one for one in WINDOWS_OF_CELLS)
+        ways[kind] += half.cell(ring, sector)
+    return "".join(path(way, f"cell{kind}") for kind, way in enumerate(ways))
+
+
+def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -> list[str]:
+    """The directions of the axes, with the number of points near each; those without any stand out."""
+    parts = []
+    for half in halves:
+        sign = "+" if half.side > 0 else "−"
+        for axis, turn in (("x", (1, 0)), ("y", (0, 1))):
+            for level, way in ((2, 1), (0, -1)):
+                x, y, _ = (way * turn[0], way * turn[1], 0)
+                at = half.place((x, y, 0))
+                number_of = subsets[level]["xyz".index(axis)]
+                parts.append(_face(at, half, f"{'+' if way > 0 else '−'}{axis}", number_of))
+        points = subsets[2 if half.side > 0 else 0][2]
+        parts.append(
+            label(
+                half.x,
+                half.y - 160,
+                f"{sign}z half, {_so_many(points)} near {sign}z",
+                "strong" if points else "bad",
+                "middle",
+            )
+        )
+    return parts
+
+
+def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int) -> str:
+    """The name of a direction beside its place on the rim; below it that nothing is near, if so."""
+    x, y = at
+    out = 10 if x > half.x + 1 else -10 if x < half.x - 1 else 0
+    down = 16 if y > half.y + 1 else -6 if y < half.y - 1 else 4
+    anchor = "start" if out > 0 else "end" if out < 0 else "middle"
+    if points:
+        return label(x + out, y + down, name, "strong", anchor)
+    if not out:
+        return label(x, y + down, f"{name} empty", "bad", anchor)
+    return label(x + out, y + down, name, "bad", anchor) + label(
+        x + out, y + down + 14, "empty", "bad", anchor
+    )
+
+
+def _so_many(points: int) -> str:
+    return counted(points, "point") if points else "no point"
+
+
+def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float]) -> str:
+    """A cross at a direction."""
+    length = hypot(*direction)
+    if not length:
+        return ""
+    unit = [one / length for one in direction]
+    x, y = halves[0 if unit[2] >= 0 else 1].place(unit)
+    corner = f"{svg.coordinate(x - 6)} {svg.coordinate(y - 6)}"
+    return path(f"M{corner}l12 12m-12 0l12-12", "mark")
+
+
+def empty_subsets(report: Mapping[str, Any]) -> list[str]:
+    """Names of the nine subsets of F without a point, such as `xn (x near −1 g)`."""
+    subsets = report["coverage"]["subsets"]
+    return [
+        f"{axis}{level} ({axis} near {NEAR[row]})"
+        for place, axis in enumerate("xyz")
+        for row, level in enumerate("n0p")
+        if not subsets[row][place]
+    ]
+
+
+def _time_axes(area: svg.Plot, data: Along, y_ticks: list[svg.Tick], y_name: str) -> str:
+    name = "time" if data.start is not None else "time from the first sample"
+    return area.axes(svg.time_ticks(data.seconds, data.start), y_ticks, name, y_name)
+
+
+def _range(values: Sequence[float]) -> str:
+    """The least and the largest of some values, once if they are the same."""
+    ends = dict.fromkeys(map(number, (min(values), max(values))))
+    return " to ".join(ends)
+
+
+def _legend(held: Iterable[str]) -> str:
+    """Which line is which, above the area."""
+    parts = []
+    for place, when in enumerate(held):
+        x = 420 + 170 * place
+        parts.append(path(f"M{x} 10h28", when) + label(x + 34, 14, WORDS[when]))
+    return "".join(parts)
+
+
+def _sentence(parts: Sequence[str]) -> str:
+    """Parts as a sentence that begins with a capital."""
+    text = "; ".join(parts)
+    return f"{text[:1].upper()}{text[1:]}." if text else ""
