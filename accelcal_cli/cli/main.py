@@ -45,6 +45,7 @@ COMMANDS = {
     "calibrate": "Calibrate recordings; write Parquet and a report for each.",
     "study": "Calibrate a folder of recordings, in parallel; resume an interrupted run.",
     "devices": "Show how a study's devices drift, and which to service.",
+    "report": "Make pages to look at: of reports, or of a whole study.",
     "six-pose": "Calibrate a sensor from a session on its six faces.",
     "inspect": "Show what a recording holds and predict its outcome.",
     "fit": "Fit still-window means from another tool and judge the fit.",

@@ -1,0 +1,61 @@
+"""From a template to a page: escaped, self-contained, and with a policy that lets nothing in from outside.
+
+Whatever a file says of itself reaches a page through `finalize` and autoescape alone: control characters and
+marks that turn the direction of text are shown, not obeyed, and nothing is taken for HTML.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from accelcal_cli import __version__
+from accelcal_cli.core.errors import printable
+
+
+def resource(name: str) -> str:
+    """The text of a file of this package."""
+    return files("accelcal_cli.pages").joinpath(name).read_text("utf-8")
+
+
+def rendered(template: str, *, style: str | None = None, script: str | None = None, **values: Any) -> str:
+    """A page, with its style and its script inside, allowed by their hashes alone.
+
+    Args:
+        style, script: names of files of this package; the style is added to that of all pages.
+    """
+    css = resource("base.css") + (resource(style) if style else "")
+    code = resource(script) if script else ""
+    policy = ["default-src 'none'", "img-src data:", "base-uri 'none'", "form-action 'none'"]
+    policy += [f"style-src {_hash(css)}", *([f"script-src {_hash(code)}"] if code else [])]
+    page = _environment().get_template(template)
+    return page.render(
+        policy="; ".join(policy), style=Markup(css), script=Markup(code), version=__version__, **values
+    )
+
+
+def shown(value: Any) -> Any:
+    """A text without control characters and marks of direction; Markup, which is made here, as it is."""
+    return printable(value) if isinstance(value, str) and not isinstance(value, Markup) else value
+
+
+def _hash(text: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+
+
+@cache
+def _environment() -> Environment:
+    return Environment(
+        loader=FunctionLoader(lambda name: resource(f"templates/{name}")),
+        autoescape=True,
+        finalize=shown,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
