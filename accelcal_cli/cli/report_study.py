@@ -1,6 +1,6 @@
-"""The pages of a study's folder: `study.html`, and one for each recording, made again only where they changed.
+"""The pages of a study's folder: `study.html`, and one for each recording, made again where they changed.
 
-A page holds the hash of all that it was made of (report, quality, and what makes pages). One that holds the hash
+A page holds the hash of all that it was made of: report, quality, and what makes pages. One that has the hash
 of what is there now is left alone, so that a nightly study writes only what is new.
 """
 
@@ -26,7 +26,8 @@ from accelcal_cli.devices.review import DeviceReview, review
 from accelcal_cli.devices.table import Kind
 from accelcal_cli.devices.trends import Rules
 from accelcal_cli.output.files import parsed, refuse_foreign, write_text
-from accelcal_cli.output.report_reading import read_document
+from accelcal_cli.output.report_reading import check_sections, read_document
+from accelcal_cli.output.report_schema import report_schema
 from accelcal_cli.pages import recording, study
 from accelcal_cli.pages.study_figures import Drift
 from accelcal_cli.pipeline.jobs import QUALITY_SUFFIX, REPORT_SUFFIX
@@ -160,7 +161,7 @@ def page_of(report: Path, out: Path) -> Path:
 
 
 def _make(out: Path, report: Path, made: PagesMade, *, force: bool) -> str | None:
-    """Make a recording's page if it changed; returns its path under the study's folder, None if it has none."""
+    """Make a recording's page if it changed; returns its path below OUT, None if it has none."""
     page = page_of(report, out)
     quality = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + QUALITY_SUFFIX)
     try:
@@ -168,13 +169,19 @@ def _make(out: Path, report: Path, made: PagesMade, *, force: bool) -> str | Non
         if _stamp_of(page) == made_of:
             made.kept += 1
         else:
-            text = recording.page(read_document(report).report, _said(quality) or None)
-            _write(page, stamped(text, made_of), force=force)
+            _write(page, stamped(_recording_page(report, quality), made_of), force=force)
             made.made += 1
     except UnreadableError as error:
         made.faults.append(str(error))
         return None
     return page.relative_to(out).as_posix()
+
+
+def _recording_page(report: Path, quality: Path) -> str:
+    """The page of one recording; raises UnreadableError if its report is none, or is damaged."""
+    document = read_document(report)
+    check_sections(document, tuple(report_schema()["properties"]))
+    return recording.page(document.report, _said(quality) or None)
 
 
 def _made_of(report: Path, quality: Path) -> str:
@@ -225,9 +232,9 @@ def _write(page: Path, text: str, *, force: bool) -> None:
 def _device(one: DeviceReview) -> study.DeviceLine:
     key = one.key
     return study.DeviceLine(
-        printable(key.serial),
+        key.serial,
         str(one.verdict),
-        tuple(printable(reason.text) for reason in one.reasons),
+        tuple(reason.text.replace(" +- ", " ± ") for reason in one.reasons),
         one.recordings,
         one.counted(table.Usage.USED, table.Usage.UNDATED),
         one.refused,

@@ -18,6 +18,10 @@
   const texts = {
     text: (column, row) => column.values[row],
     choice: (column, row) => column.names[column.values[row]],
+    mg: (column, row) => {
+      const value = column.values[row];
+      return value === null ? "" : value.toFixed(value >= 10 ? 1 : value >= 1 ? 2 : 3);
+    },
     number: (column, row) => column.values[row] === null ? "" : String(column.values[row]),
     minutes: (column, row) => column.values[row] === null ? ""
       : new Date(column.values[row] * 60000).toISOString().replace("T", " ").slice(0, -8),
@@ -26,6 +30,7 @@
       return value === 0 ? "" : column.names[value[0]].map((part, at) => at ? value[at] + part : part).join("");
     },
   };
+  const numeric = (column) => column.kind === "number" || column.kind === "mg";
   const shown = (column, row) => texts[column.kind](column, row);
 
   // What a column is sorted by: a number for each row, NaN for what is not known.
@@ -86,7 +91,7 @@
     head(column) {
       const button = element("button", { type: "button" }, column.label);
       const head = element("th", { scope: "col" }, button);
-      if (column.kind === "number") head.className = "number";
+      if (numeric(column)) head.className = "number";
       button.addEventListener("click", () => this.sort(column, head));
       return head;
     }
@@ -148,7 +153,7 @@
     line(row, at) {
       const cells = this.columns.map((column, index) => {
         const text = shown(column, row);
-        const cell = element("td", column.kind === "number" ? { class: "number" } : {});
+        const cell = element("td", numeric(column) ? { class: "number" } : {});
         const link = index === 0 ? address(this.table, row) : null;
         if (link) cell.append(element("a", { href: link }, element("bdi", {}, text)));
         else if (column.kind === "text" || column.key === "device") cell.append(element("bdi", {}, text));
@@ -240,13 +245,16 @@
 
   // The dot nearest to the pointer, or that the arrow keys have come to, is a link to its recording.
   function dots(svg) {
-    const scale = data.recordings.scatter;
-    const before = column(data.recordings, scale.x).values, after = column(data.recordings, scale.y).values;
-    const share = (mg) => (Math.min(Math.max(Math.log10(Math.max(mg, 1e-9)), scale.low), scale.high) - scale.low) / (scale.high - scale.low);
+    const axes = data.recordings.scatter;
+    const columns = ["before", "after"].map((key) => column(data.recordings, key));
+    const [before, after] = columns.map((one) => one.values);
+    const place = (mg, [low, high, begin, end]) => {
+      const power = Math.min(Math.max(Math.log10(Math.max(mg, 1e-9)), low), high);
+      return begin + ((power - low) / (high - low)) * (end - begin);
+    };
     const found = [];
     after.forEach((mg, row) => {
-      if (mg === null) return;
-      found.push({ row, x: scale.left + share(before[row]) * (scale.right - scale.left), y: scale.bottom - share(mg) * (scale.bottom - scale.top) });
+      if (mg !== null) found.push({ row, x: place(before[row], axes.before), y: place(mg, axes.after) });
     });
     found.sort((one, other) => after[other.row] - after[one.row]);
     const made = (name, settings) => {
@@ -261,7 +269,7 @@
       at = to;
       const { row, x, y } = found[at];
       const name = column(data.recordings, "path").values[row];
-      const text = `${name}: ${before[row]} mg before, ${after[row]} mg after`;
+      const text = `${name}: ${shown(columns[0], row)} mg before, ${shown(columns[1], row)} mg after`;
       circle.setAttribute("cx", x);
       circle.setAttribute("cy", y);
       link.setAttribute("href", address(data.recordings, row) ?? "#recordings");

@@ -11,7 +11,7 @@ import json
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from math import isfinite
 from statistics import median
@@ -61,6 +61,8 @@ LIMIT_MG = 10.0
 """What the 95 % interval of a good result stays below, where the study's settings do not say."""
 HOUR_S = 3600
 NUMBER = re.compile(r"\d+(?:\.\d+)?")
+CHANGES = "the sensor changes"
+"""How the clause of a message begins that tells of a change (`judge.change.told`)."""
 CLAUSE = "; "
 """Messages say what was found first, and then what to do."""
 
@@ -153,6 +155,7 @@ def page(study: StudyContent) -> str:
 
     The same content gives the same text.
     """
+    devices = [_printable(line) for line in study.devices]
     entries = [_Entry(row, address) for row, address in zip(study.rows, study.pages, strict=True)]
     limit_mg = _limit_mg(study.said)
     for entry in entries:
@@ -167,16 +170,16 @@ def page(study: StudyContent) -> str:
         notes=_notes(study),
         outcomes=_outcomes(entries),
         first=_look_first(groups),
-        service=[line for line in study.devices if line.verdict == "service"][:FIRST],
+        service=[line for line in devices if line.verdict == "service"][:FIRST],
         groups=_listed(groups),
         problems=sum(len(found) for _, found in groups),
         scatter=scatter,
         dots=scatter.dots([entry.outcome for entry in entries]),
         marked=_marked(scatter, entries, groups),
-        devices=study.devices,
-        troubled=[line for line in study.devices if line.verdict in ("service", "watch")],
-        verdicts=Counter(line.verdict for line in study.devices),
-        drifts=figures.drifts([(line.name, line.offset) for line in study.devices], study.drift_limit_mg),
+        devices=devices,
+        troubled=[line for line in devices if line.verdict in ("service", "watch")],
+        verdicts=Counter(line.verdict for line in devices),
+        drifts=figures.drifts([(line.name, line.offset) for line in devices], study.drift_limit_mg),
         drift_limit=f"{study.drift_limit_mg:g}",
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
@@ -184,10 +187,14 @@ def page(study: StudyContent) -> str:
         data=_json(
             {
                 "recordings": _recordings_table(entries, scatter),
-                "devices": _devices_table(study.devices),
+                "devices": _devices_table(devices),
             }
         ),
     )
+
+
+def _printable(line: DeviceLine) -> DeviceLine:
+    return replace(line, name=printable(line.name), reasons=tuple(map(printable, line.reasons)))
 
 
 class _Entry:
@@ -215,6 +222,8 @@ class _Entry:
             return f"{size:.1f} mg over the whole sphere, but perhaps {most:.1f} mg (95 %)"
         if self.problem is not None and self.problem.key == "damaged":
             return f"{self.row['lost_percent']:.2g} % of the file is lost; {self.message}"
+        if self.problem is not None and self.problem.key == "changed":
+            return self.message[max(0, self.message.find(CHANGES)) :]
         return self.message
 
 
@@ -290,10 +299,10 @@ def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
     usable = sum(entry.outcome not in TROUBLE for entry in entries)
     pairs = [pair for entry in entries if (pair := _errors(entry.row)) is not None]
     found = {
-        "Recordings": f"{len(entries)}",
-        "Can be used": f"{usable} ({100 * usable / len(entries):.1f} %)" if entries else "0",
-        "With a problem": f"{sum(entry.problem is not None for entry in entries)}",
-        "Devices": f"{len({entry.row['device_serial'] for entry in entries} - {None, ''})}",
+        "Recordings": f"{len(entries):,}",
+        "Can be used": f"{usable:,} ({100 * usable / len(entries):.1f} %)" if entries else "0",
+        "With a problem": f"{sum(entry.problem is not None for entry in entries):,}",
+        "Devices": f"{len({entry.row['device_serial'] for entry in entries} - {None, ''}):,}",
     }
     if pairs:
         before, after = (median(errors) for errors in zip(*pairs, strict=True))
@@ -377,13 +386,13 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
             _column("path", "recording", "text", 19, [entry.path for entry in entries]),
             _choice("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in MEANINGS]),
             _choice("problem", 9, problems, ["", *(kind.short for kind in KINDS)]),
-            _number("before", "before, mg", 7.5, (pair[0] for pair in pairs)),
-            _number("after", "after, mg", 7, (pair[1] for pair in pairs)),
+            _number("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
+            _number("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
             _choice("device", 9, [entry.device for entry in entries]),
             _column("start", "start", "minutes", 10, [_minutes(row["start_time"]) for row in rows]),
             _number("hours", "hours", 5.5, hours),
             _choice("model", 5.5, [row["model"] or "" for row in rows]),
-            _number("change", "change, mg", 8, changes),
+            _number("change", "change, mg", 8, changes, kind="mg"),
             _number("lost", "lost, %", 6, (row["lost_percent"] or None for row in rows)),
             _messages("message", "what was found", 70, [e.found if e.problem else "" for e in entries]),
         ],
@@ -412,9 +421,11 @@ def _choice(key: str, width: float, values: Sequence[str], order: Sequence[str] 
     return _column(key, key, "choice", width, [place[one] for one in values]) | {"names": names}
 
 
-def _number(key: str, label: str, width: float, values: Iterable[float | None]) -> dict[str, Any]:
+def _number(
+    key: str, label: str, width: float, values: Iterable[float | None], kind: str = "number"
+) -> dict[str, Any]:
     """A column of numbers to four significant digits."""
-    return _column(key, label, "number", width, [_short(value) for value in values])
+    return _column(key, label, kind, width, [_short(value) for value in values])
 
 
 def _short(value: float | None) -> float | int | None:
@@ -459,7 +470,7 @@ def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
             _number("refused", "refused", 6, (line.refused for line in devices)),
             _column("first", "first", "text", 8, [(line.first or "")[:10] for line in devices]),
             _column("last", "last", "text", 8, [(line.last or "")[:10] for line in devices]),
-            _number("held", "held out, mg", 8.5, (line.held_out_mg for line in devices)),
+            _number("held", "held out, mg", 8.5, (line.held_out_mg for line in devices), kind="mg"),
             *_drift("offset", "offset, mg a month", [line.offset for line in devices]),
             *_drift("percent", "scale, % a month", [line.percent for line in devices]),
             _column("why", "why", "text", 60, ["; ".join(line.reasons) for line in devices]),

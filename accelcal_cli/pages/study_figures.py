@@ -1,19 +1,25 @@
 """The figures of a study's page as paths for inline SVG: errors before and after, drifts of devices, bars.
 
-Coordinates are in the units of the figure's view box, rounded to a tenth: the same numbers give the same text.
+Coordinates are in the units of the figure's view box, rounded: the same numbers give the same text.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from math import ceil, floor, log10
+from dataclasses import dataclass
+from math import floor, log10
 from typing import Any
 
 WIDTH, HEIGHT = 640, 400
-LEFT, RIGHT, TOP, BOTTOM = 56, 12, 12, 44
+LEFT, RIGHT, TOP, BOTTOM = 56, 20, 12, 44
 LEAST_MG, LARGEST_MG = 0.01, 10_000.0
 """Errors beyond are drawn at the edge."""
+STEPS_MG = tuple(float(f"{step}e{power}") for power in range(-2, 6) for step in (1, 2, 5))
+MOST_TICKS = 10
+MANY = 1000
+"""Dots of which more are drawn small."""
+GRID = 2
+"""Dots are five units wide."""
 LARGEST_DRIFTS = 30
 ROW = 18
 NAMES = 150
@@ -44,44 +50,64 @@ Place = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class Scatter:
-    """Errors before (to the right) and after (upwards), both on the same logarithmic scale.
+class LogAxis:
+    """A logarithmic axis from one of 1, 2 or 5 times a power of ten to another.
 
     Attributes:
-        low, high: powers of ten at the ends of both axes.
+        low_mg, high_mg: what it shows; begin, end: where these lie in the figure.
+    """
+
+    low_mg: float
+    high_mg: float
+    begin: int
+    end: int
+
+    @classmethod
+    def of(cls, values_mg: Sequence[float], begin: int, end: int) -> LogAxis:
+        """The axis that holds all of these errors."""
+        held = [min(max(value, LEAST_MG), LARGEST_MG) for value in values_mg] or [1.0]
+        low = max(step for step in STEPS_MG if step <= min(held))
+        return cls(low, min(step for step in STEPS_MG if step > max(held)), begin, end)
+
+    def at(self, mg: float) -> float:
+        """Where an error lies; beyond the ends at the end."""
+        held = min(max(mg, self.low_mg), self.high_mg)
+        share = log10(held / self.low_mg) / log10(self.high_mg / self.low_mg)
+        return round(self.begin + share * (self.end - self.begin), 1)
+
+    @property
+    def ticks(self) -> list[Tick]:
+        """At 1, 2 and 5 times the powers of ten, or at these alone if there are many."""
+        inside = [step for step in STEPS_MG if self.low_mg <= step <= self.high_mg]
+        few = inside if len(inside) <= MOST_TICKS else [step for step in inside if log10(step).is_integer()]
+        return [Tick(self.at(step), f"{step:g}") for step in few]
+
+    def scale(self) -> list[float]:
+        """What a script needs to find the place of an error."""
+        return [log10(self.low_mg), log10(self.high_mg), self.begin, self.end]
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Errors before (to the right) and after (upwards).
+
+    Attributes:
         places: (x, y) of each recording; None where an error is not known.
     """
 
-    low: int
-    high: int
-    places: tuple[Place | None, ...] = field(default=())
+    x: LogAxis
+    y: LogAxis
+    places: tuple[Place | None, ...]
     width: int = WIDTH
     height: int = HEIGHT
-    left: int = LEFT
-    top: int = TOP
-    right: int = WIDTH - RIGHT
-    bottom: int = HEIGHT - BOTTOM
 
     @classmethod
     def of(cls, pairs: Sequence[tuple[float, float] | None]) -> Scatter:
         """The scatter of errors before and after [mg]."""
-        known = [min(max(value, LEAST_MG), LARGEST_MG) for pair in pairs if pair for value in pair]
-        low = floor(log10(min(known, default=0.1)))
-        high = max(ceil(log10(max(known, default=100.0))), low + 1)
-        empty = cls(low, high)
-        return cls(low, high, tuple(pair and (empty.x(pair[0]), empty.y(pair[1])) for pair in pairs))
-
-    def _share(self, mg: float) -> float:
-        held = min(max(mg, 10.0**self.low), 10.0**self.high)
-        return (log10(held) - self.low) / (self.high - self.low)
-
-    def x(self, before_mg: float) -> float:
-        """Where an error before the calibration lies."""
-        return round(self.left + self._share(before_mg) * (self.right - self.left), 1)
-
-    def y(self, after_mg: float) -> float:
-        """Where an error after it lies."""
-        return round(self.bottom - self._share(after_mg) * (self.bottom - self.top), 1)
+        known = [pair for pair in pairs if pair]
+        x = LogAxis.of([before for before, _ in known], LEFT, WIDTH - RIGHT)
+        y = LogAxis.of([after for _, after in known], HEIGHT - BOTTOM, TOP)
+        return cls(x, y, tuple(pair and (x.at(pair[0]), y.at(pair[1])) for pair in pairs))
 
     @property
     def known(self) -> int:
@@ -89,30 +115,35 @@ class Scatter:
         return sum(place is not None for place in self.places)
 
     @property
-    def ticks(self) -> list[tuple[Tick, Tick]]:
-        """For each power of ten its place to the right and upwards."""
-        powers = [10.0**power for power in range(self.low, self.high + 1)]
-        return [(Tick(self.x(mg), f"{mg:g}"), Tick(self.y(mg), f"{mg:g}")) for mg in powers]
+    def dense(self) -> bool:
+        """Whether dots must be small to be told apart."""
+        return self.known > MANY
+
+    @property
+    def diagonal(self) -> str:
+        """Path of the line on which an error stays the same; empty if it is out of sight."""
+        low, high = max(self.x.low_mg, self.y.low_mg), min(self.x.high_mg, self.y.high_mg)
+        if low >= high:
+            return ""
+        return f"M{self.x.at(low)} {self.y.at(low)}L{self.x.at(high)} {self.y.at(high)}"
 
     def dots(self, outcomes: Sequence[str]) -> list[tuple[str, str, int]]:
         """For each outcome a path of dots (lines of no length with round ends), and how many they are.
 
-        Dots at the same place to a whole unit are drawn once.
+        Dots at the same place, to GRID units, are drawn once.
         """
         drawn: list[tuple[str, str, int]] = []
+        pairs = list(zip(self.places, outcomes, strict=True))
         for outcome in sorted(set(outcomes)):
-            own = [
-                place for place, one in zip(self.places, outcomes, strict=True) if place and one == outcome
-            ]
-            dots = sorted({(round(x), round(y)) for x, y in own})
+            own = [place for place, one in pairs if place and one == outcome]
+            dots = sorted({(GRID * round(x / GRID), GRID * round(y / GRID)) for x, y in own})
             if dots:
                 drawn.append((outcome, "".join(f"M{x} {y}h0" for x, y in dots), len(own)))
         return drawn
 
     def scale(self) -> dict[str, Any]:
-        """What a script needs to find the recording of a dot."""
-        box = {name: getattr(self, name) for name in ("left", "right", "top", "bottom", "low", "high")}
-        return {"x": "before", "y": "after", **box}
+        """What a script needs to find the recording of a dot: the columns, and the axes' logarithms and ends."""
+        return {"before": self.x.scale(), "after": self.y.scale()}
 
 
 @dataclass(frozen=True, slots=True)
