@@ -49,6 +49,7 @@ SHORT = {
     "core/text_files.py": "for layouts and lists of poses, which lie in different layers",
     "optimize/float32.py": "one file an optimizer",
     "optimize/float64.py": "one file an optimizer",
+    "pages/recording.py": "a stand-in for the page of one recording",
     "studies/preload.py": "imported for its imports, by the server that worker processes are forked from",
 }
 """Files of fewer lines than SHORTEST, and why each stands alone; `__init__.py` needs no reason."""

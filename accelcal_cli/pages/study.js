@@ -73,6 +73,7 @@
       const head = element("thead", {}, element("tr", { "aria-rowindex": 1 }, ...this.heads));
       this.grid = element("table", { "aria-labelledby": this.box.getAttribute("aria-labelledby") }, this.widths(), head, this.body);
       this.box.append(this.grid);
+      this.box.classList.toggle("short", this.count < 12);
       this.box.hidden = false;
       this.box.addEventListener("scroll", () => this.draw());
       this.box.addEventListener("keydown", (event) => this.step(event));

@@ -64,10 +64,11 @@ class LogAxis:
 
     @classmethod
     def of(cls, values_mg: Sequence[float], begin: int, end: int) -> LogAxis:
-        """The axis that holds all of these errors."""
+        """The axis that holds all of these errors, and spans a power of ten at least."""
         held = [min(max(value, LEAST_MG), LARGEST_MG) for value in values_mg] or [1.0]
         low = max(step for step in STEPS_MG if step <= min(held))
-        return cls(low, min(step for step in STEPS_MG if step > max(held)), begin, end)
+        high = min(step for step in STEPS_MG if step > max(held) and step >= 10 * low)
+        return cls(low, high, begin, end)
 
     def at(self, mg: float) -> float:
         """Where an error lies; beyond the ends at the end."""
@@ -142,7 +143,7 @@ class Scatter:
         return drawn
 
     def scale(self) -> dict[str, Any]:
-        """What a script needs to find the recording of a dot: the columns, and the axes' logarithms and ends."""
+        """What a script needs to find the recording of a dot."""
         return {"before": self.x.scale(), "after": self.y.scale()}
 
 

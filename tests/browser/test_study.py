@@ -260,7 +260,7 @@ def test_a_step_on_the_fourth_day_is_seen_and_said(stepped: Path, opened: Opens)
 
 
 def test_ten_thousand_recordings_load_and_sort_fast(many: Path, opened: Opens) -> None:
-    """Half a second until it is painted, and a tenth; where others keep the machine busy, of its own time alone."""
+    """Half a second until it is painted, and a tenth; on a busy machine, of its own time alone."""
     assert many.stat().st_size <= 2_500_000
     loads, own = zip(*[load_ms(many, opened) for _ in range(5)], strict=True)
     window = opened(many)

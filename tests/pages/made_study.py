@@ -25,6 +25,8 @@ DRIFTING = 40
 
 FAILED, REFUSED, CHANGED, DAMAGED, UNCERTAIN = 50, 20, 33, 47, 61
 """Of so many recordings one is so; what comes first here counts."""
+VARIED = ("recording", "calibration", "change", "file_health")
+"""Sections of a report that are written into."""
 
 
 @cache
@@ -47,21 +49,22 @@ def item(name: str) -> Item:
 
 def report_of(number: int, random: np.random.RandomState) -> tuple[int, dict[str, Any]]:
     """Exit code and report of one recording."""
-    report = copy.deepcopy(base_report())
+    base = base_report()
+    report = base | {name: copy.deepcopy(base[name]) for name in VARIED}
     device, month = divmod(number, A_DEVICE)
     recording = report["recording"]
     recording["device"] = {"model": "AX3", "serial": f"{60_000 + device}", "firmware": "47"}
-    recording["start_time"] = (
-        BEGIN + timedelta(days=30 * month, minutes=number % 600)
-    ).isoformat() + ".000000"
+    begin = BEGIN + timedelta(days=30 * month, minutes=number % 600)
+    begin = BEGIN + timedelta(days=30 * month, minutes=number % 600)
+    recording["start_time"] = begin.isoformat(timespec="microseconds")
     recording["sha256"] = f"{number:064x}"
     recording["duration_s"] = 604_800.0 + number
     for axis in range(3):
         drift = 0.003 * month if axis == 0 and device % DRIFTING == 0 else 0.0
         report["calibration"]["offset_g"][axis] += 1e-4 * random.randn() + drift
     after, before = float(np.exp(0.4 * random.randn() - 1)), float(np.exp(0.3 * random.randn() + 3.5))
-    report["sphere_mg"] = {"mean": after, "ci95": [0.5 * after, 2 * after], "worst_direction": 1.5 * after,
-                           "worst_direction_at": [0, 0, 1], "before": before}  # fmt: skip
+    report["sphere_mg"] = base["sphere_mg"] | {"mean": after, "ci95": [0.5 * after, 2 * after]}
+    report["sphere_mg"] |= {"worst_direction": 1.5 * after, "before": before}
     report["message"] = f"model 9: {before:.1f} mg before, {after:.2f} mg after on postures it did not see"
     return _troubled(number, report)
 
@@ -84,8 +87,8 @@ def _troubled(number: int, report: dict[str, Any]) -> tuple[int, dict[str, Any]]
             "unchecked": None,
         }
         report["message"] += (
-            f"; the sensor changes while it records: its offsets jump at 2025-01-10T14:00:00, by up to {size}.0 mg, "
-            "and the calibration follows"
+            "; the sensor changes while it records: its offsets jump at 2025-01-10T14:00:00, by up to "
+            f"{size}.0 mg, and the calibration follows"
         )
     if number % DAMAGED == 3:
         report["file_health"]["lost_percent"] = 0.1 + number % 17
@@ -105,9 +108,9 @@ def rows(count: int, seed: int = 1) -> Iterator[dict[str, Any]]:
             continue
         code, report = report_of(number, random)
         stem = name.removesuffix(".cwa")
-        outputs = {"parquet": f"{stem}.calibrated.parquet", "report": f"{stem}.calibration.json"}
+        parquet = f"{stem}.calibrated.parquet" if code == 0 else None
         yield summary.of_report(
-            item(name), code, report, outputs if code == 0 else outputs | {"parquet": None}
+            item(name), code, report, {"parquet": parquet, "report": f"{stem}.calibration.json"}
         )
 
 

@@ -7,6 +7,7 @@ import hashlib
 import json
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
+from itertools import pairwise
 from typing import Any
 
 EMPTY = {"meta", "input", "br", "hr", "col", "link", "img"}
@@ -116,7 +117,7 @@ def policy_of(root: Element) -> dict[str, str]:
 
 def check_page(root: Element) -> None:
     """What holds for every page: complete in itself, labelled, headings in order, ids unique."""
-    everything = [root, *root.within(*{one for one in _names(root)})]
+    everything = [root, *root.within(*_names(root))]
     ids = [one.attributes["id"] for one in everything if one.attributes.get("id")]
     assert len(ids) == len(set(ids))
     for one in everything:
@@ -131,7 +132,7 @@ def check_page(root: Element) -> None:
     assert not root.within("link", "iframe", "object", "embed", "base", "form")
     levels = [int(one.name[1]) for one in root.within("h1", "h2", "h3", "h4")]
     assert levels[0] == 1 and levels.count(1) == 1
-    assert all(after <= before + 1 for before, after in zip(levels, levels[1:], strict=False))
+    assert all(after <= before + 1 for before, after in pairwise(levels))
     for svg in root.within("svg"):
         named = svg.attributes.get("aria-labelledby") or svg.attributes.get("aria-label")
         assert svg.attributes.get("aria-hidden") == "true" or (svg.attributes.get("role") and named)

@@ -1,9 +1,8 @@
-"""The page of a study: what it says, what it is made of, and that nothing in it is taken for anything else."""
+"""The page of a study: what it says, what it is made of, and that hostile names stay names."""
 
 from __future__ import annotations
 
 import json
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -106,8 +105,8 @@ def test_the_table_holds_every_row(varied: str) -> None:
 
 
 def test_starts_are_minutes_by_the_clock_of_the_recording() -> None:
-    rows = [row("a", start_time="1970-01-02T00:01:30.000000"), row("b", start_time="1970-01-01T01:00:00+05:00"),
-            row("c", start_time="no time"), row("d")]  # fmt: skip
+    starts = ("1970-01-02T00:01:30.000000", "1970-01-01T01:00:00+05:00", "no time", None)
+    rows = [row("a", start_time=start) for start in starts]
     table = data_of(elements(page(content(*rows))))["recordings"]
     assert cell_texts(table, "start") == [1441, 60, None, None]
 
@@ -149,8 +148,8 @@ def test_each_recording_is_listed_under_its_weightiest_problem_the_worst_first()
         [("bent", "-", "fine")],
     ]  # fmt: skip
     problems = cell_texts(data_of(root)["recordings"], "problem")
-    assert problems == ["", "sensor changed", "sensor changed", "file damaged", "", "uncertain", "not described",
-                        "refused", "failed"]  # fmt: skip
+    assert problems[:4] == ["", "sensor changed", "sensor changed", "file damaged"]
+    assert problems[4:] == ["", "uncertain", "not described", "refused", "failed"]
 
 
 def test_the_limit_of_the_settings_decides_what_is_uncertain() -> None:
@@ -287,7 +286,7 @@ def test_only_pages_that_changed_are_made_again(tmp_path: Path) -> None:
     assert (again.changed, again.made, again.kept) == (False, 0, 5)
     assert stamps(out) == before
     report = out / "site03" / "S00003_wrist_week3.calibration.json"
-    report.write_text(report.read_text().replace("fit", "refit", 1) + "\n")
+    report.write_text(report.read_text() + "\n")
     third = make_pages(out)
     assert (third.changed, third.made, third.kept) == (False, 1, 4)
     after = stamps(out)
@@ -370,7 +369,7 @@ def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, caps
 def test_ten_thousand_recordings_take_two_and_a_half_megabytes(tmp_path: Path) -> None:
     out = made_study.study(tmp_path, list(made_study.rows(10_000)))
     make_pages(out)
-    assert os.path.getsize(out / "study.html") < 2_500_000
+    assert (out / "study.html").stat().st_size < 2_500_000
 
 
 def test_five_hundred_recordings_take_no_more_than_their_share(varied: str) -> None:
