@@ -74,8 +74,8 @@ def _troubled(number: int, report: dict[str, Any]) -> tuple[int, dict[str, Any]]
         postures = 2 + number % 5
         report |= {"outcome": "refused", "calibration": None, "sphere_mg": None, "holdout": None}
         report["message"] = (
-            f"stillness in only {postures} postures, at least 6 are needed; record longer, with more turns of "
-            "the wrist"
+            f"stillness in only {postures} postures, at least 6 are needed; record longer, with more turns "
+            "of the wrist"
         )
         return 4, report
     if number % CHANGED == 2:
