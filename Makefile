@@ -10,7 +10,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz lint docs bench bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz lint docs browser browser-ready bench bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -50,6 +50,16 @@ lint: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+# the pages in a real Chromium; screenshots are in build/browser/screenshots
+BROWSER := build/browser
+browser: browser-ready
+	ACCELCAL_CHROMIUM="$$(cat $(BROWSER)/chromium)" ACCELCAL_SCREENSHOTS=$(CURDIR)/$(BROWSER)/screenshots \
+	  ACCELCAL_AXE=$(CURDIR)/$(BROWSER)/node_modules/axe-core/axe.min.js \
+	  $(BIN)/python -m pytest -n 0 tests/browser
+
+browser-ready: $(READY)
+	sh tools/set_up_browser.sh $(BROWSER) $(BIN)/python
 
 # pages of the Python API, from its docstrings, in build/api
 docs: $(PLAIN)

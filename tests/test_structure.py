@@ -21,8 +21,8 @@ LAYER = {
     "judge": 1,
     "simulate": 1,
     "output": 1,
-    "pipeline": 2,
     "pages": 2,
+    "pipeline": 2,
     "six_pose": 3,
     "evaluate": 3,
     "studies": 3,
@@ -44,9 +44,11 @@ SHORT = {
     "__main__.py": "`python -m accelcal_cli`",
     "cli/evaluate.py": "one file a command",
     "cli/gravity.py": "one file a command",
+    "cli/report.py": "one file a command",
     "core/text_files.py": "for layouts and lists of poses, which lie in different layers",
     "optimize/float32.py": "one file an optimizer",
     "optimize/float64.py": "one file an optimizer",
+    "pages/recording.py": "a stand-in for the page of one recording",
     "studies/preload.py": "imported for its imports, by the server that worker processes are forked from",
 }
 """Files of fewer lines than SHORTEST, and why each stands alone; `__init__.py` needs no reason."""

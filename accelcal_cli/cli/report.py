@@ -37,10 +37,25 @@ def command(reports: tuple[Path, ...], output_dir: Path | None, force: bool, qui
     """Make a page of each REPORT (STEM.calibration.json), with figures from STEM.quality.json beside it.
 
     A page is one HTML file that needs nothing else: it can be read in any browser, printed and mailed.
-    Prints the path of each page, a line each.
+    Prints the path of each page, a line each. REPORT may also be the folder that `study` wrote into: then
+    its study.html, and a page of each recording, are made where they changed.
     """
     refuse_dash(output_dir)
+    if len(reports) == 1 and reports[0].is_dir():
+        return _study(reports[0], output_dir, force=force, quiet=quiet)
     return exit_codes.of_all([_one(*place, force, quiet) for place in _places(reports, output_dir)])
+
+
+def _study(out: Path, output_dir: Path | None, *, force: bool, quiet: bool) -> int:
+    """The pages of a study, in its own folder."""
+    from accelcal_cli.cli import report_study  # it needs jinja2 and pandas
+
+    if output_dir is not None:
+        raise UsageError("the pages of a study lie in its own folder", path=out, hint="omit -d")
+    made = report_study.make_pages(out, force=force)
+    if not quiet:
+        exit_codes.say(report_study.summary(made))
+    return report_study.told(made)
 
 
 def _one(report: Path, page: Path, force: bool, quiet: bool) -> int:
@@ -64,7 +79,7 @@ def _places(reports: tuple[Path, ...], folder: Path | None) -> Places:
     owners: dict[Path, Path] = {}
     for report in reports:
         if report.is_dir():
-            raise UsageError("is a folder", path=report, hint="name reports, such as OUT/*.calibration.json")
+            raise UsageError("is a folder", path=report, hint="give it alone, or name reports")
         page = _beside(report, PAGE_SUFFIX)
         page = page if folder is None else folder / page.name
         if real(page) in owners:

@@ -129,6 +129,9 @@ class TerminalObserver:
 @click.option("--retry-failed", is_flag=True, help="Retry recordings that failed, even if unchanged.")
 @click.option("--all-failures", is_flag=True,
               help="With -q, failures and refusals of earlier runs count and are shown too.")  # fmt: skip
+@click.option(
+    "--html", is_flag=True, help="Make pages of the study and of its recordings, where they changed."
+)
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
 @click.option("--shard", metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
@@ -171,7 +174,19 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     with contextlib.ExitStack() as stack:
         observer = TerminalObserver(values, stack)
         summary = run(study, observer)
-    return _exit_code(study, summary, observer, values)
+    code = _exit_code(study, summary, observer, values)
+    of_pages = _pages(study, values) if values["html"] else exit_codes.OK
+    return code or of_pages
+
+
+def _pages(study: Study, values: dict[str, Any]) -> int:
+    """Make the pages that changed; returns the exit code."""
+    from accelcal_cli.cli import report_study
+
+    made = report_study.make_pages(study.out, force=study.request.force)
+    if not values["quiet"]:
+        exit_codes.say(report_study.summary(made))
+    return report_study.told(made)
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
@@ -183,6 +198,8 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         request = replace(request, settings=replace(request.recording_settings, prior=DEFAULT.prior))
     if values["shard"] and values["collect"]:
         raise UsageError("--shard processes one part, --collect merges all parts", hint="give one of them")
+    if values["shard"] and values["html"]:
+        raise UsageError("--html is for the whole study", hint="give it to --collect, not to --shard")
     if values["pool"] and request.settings.profile != DEFAULT.profile:
         raise UsageError(
             f"recordings calibrated with profile {request.settings.profile} cannot be pooled",

@@ -119,6 +119,13 @@ def test_only_a_page_needs_what_makes_pages(tmp_path: Path) -> None:
     assert {"jinja2", "accelcal_cli.pages.recording"} <= with_page
 
 
+def test_templates_are_loaded_for_pages_alone(of_each_format: dict[str, frozenset[str]]) -> None:
+    study = imported("import accelcal_cli.cli.study, accelcal_cli.cli.report")
+    for found in (study, of_each_format["flash"]):
+        assert not found & {"jinja2", "markupsafe", "accelcal_cli.pages.rendering"}
+    assert "jinja2" in imported("import accelcal_cli.cli.report_study")
+
+
 def test_what_workers_are_forked_from_has_all_that_a_recording_needs(tmp_path: Path) -> None:
     made = make_flash.make(tmp_path, still_counts(directions(12)), RATE_HZ, LSB_PER_G)
     ready = "import accelcal_cli.studies.preload, accelcal_cli.cli.calibrate, accelcal_cli.cli.main"

@@ -1,0 +1,496 @@
+"""The page of a study: what became of its recordings, and which of them and of its devices to look at first.
+
+Everything that it shows is in the study's table and in the review of its devices. All texts are taken for
+hostile: names are made printable here, the template escapes what it is given, and the data for the script are
+JSON that cannot end their element.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from math import isfinite
+from statistics import median
+from typing import Any
+from urllib.parse import quote
+
+from markupsafe import Markup
+
+from accelcal_cli.core.errors import counted, printable
+from accelcal_cli.pages import study_figures as figures
+from accelcal_cli.pages.rendering import rendered
+
+WANTED = (
+    "path", "outcome", "message", "model", "borrowed_from", "before_mg", "after_mg", "sphere_mg",
+    "sphere_high_mg", "sphere_before_mg", "change", "change_at", "change_mg", "misfits", "device_model",
+    "device_serial", "start_time", "duration_s", "lost_percent", "report",
+)  # fmt: skip
+"""Columns of the study's table that the page shows."""
+
+MEANINGS = {
+    "calibrated": "use them",
+    "reduced_model": "use them; a simpler model was fitted",
+    "already_good": "use them as they are: the raw data were good",
+    "borrowed": "use them; the coefficients are those of another recording of the device",
+    "refused": "not calibrated",
+    "failed": "could not be read or processed",
+}
+"""Each outcome in a few words, the best first."""
+TROUBLE = ("refused", "failed")
+"""Outcomes that are shown reason by reason."""
+REASONS = 8
+"""Reasons of an outcome that have a line of their own."""
+FIRST = 3
+"""Recordings of each kind of problem to look at first."""
+LISTED = 1000
+"""Recordings in the list of problems: some thirty printed pages."""
+DAMAGED_FROM_PERCENT = 0.1
+"""Share of a recording's bytes from which damage is a problem, as for `accelcal devices`."""
+SIZES = {
+    "changed": "change_mg",
+    "uncertain": "sphere_high_mg",
+    "damaged": "lost_percent",
+    "misfit": "sphere_mg",
+}
+"""Column that says how bad a problem is."""
+LIMIT_MG = 10.0
+"""What the 95 % interval of a good result stays below, where the study's settings do not say."""
+HOUR_S = 3600
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+CHANGES = "the sensor changes"
+"""How the clause of a message begins that tells of a change (`judge.change.told`)."""
+CLAUSE = "; "
+"""Messages say what was found first, and then what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceLine:
+    """A device of the study, as `accelcal devices` judges it.
+
+    Attributes:
+        verdict: `service`, `watch`, `unknown` or `good`.
+        reasons: why, the weightiest first.
+        first, last: dates of its first and last recording.
+        offset, percent: the fastest drift of an offset [mg a month] and of scale or misalignment [% a month],
+            each with its standard error and whether it is certain; None if there are too few recordings.
+    """
+
+    name: str
+    verdict: str
+    reasons: tuple[str, ...]
+    recordings: int
+    used: int
+    refused: int
+    first: str | None
+    last: str | None
+    held_out_mg: float | None
+    offset: figures.Drift | None
+    percent: figures.Drift | None
+
+
+@dataclass(frozen=True, slots=True)
+class StudyContent:
+    """All that the page of a study is made of.
+
+    Attributes:
+        rows: the study's table, a dictionary of at least WANTED for each recording.
+        pages: path of each recording's page, relative to this one; None where there is none.
+        said: the content of `study.json`; empty if there is none.
+        devices: those to service first.
+        nameless: recordings without a serial number.
+        drift_limit_mg: drift of an offset in a month that is a reason for service.
+        csv: name of the table beside the page.
+    """
+
+    rows: Sequence[dict[str, Any]]
+    pages: Sequence[str | None]
+    said: dict[str, Any]
+    devices: Sequence[DeviceLine]
+    nameless: int
+    drift_limit_mg: float
+    csv: str = "study.csv"
+
+
+@dataclass(frozen=True, slots=True)
+class ProblemKind:
+    """A kind of problem, with what to do.
+
+    Attributes:
+        short: its name in the table of all recordings.
+    """
+
+    key: str
+    short: str
+    title: str
+    advice: str
+
+
+KINDS = (
+    ProblemKind("failed", "failed", "Could not be processed",
+                "The message says what is wrong with the file. "
+                "If it is damaged, copy it again from the device."),
+    ProblemKind("changed", "sensor changed", "The sensor changed while it recorded",
+                "The recording's page shows since when, and whether the calibration follows. "
+                "Have the device checked if it happens again."),
+    ProblemKind("refused", "refused", "Refused: no calibration could be trusted",
+                "The message says what is missing. Record longer, or use the coefficients of another "
+                "recording of the device (accelcal study --borrow)."),
+    ProblemKind("uncertain", "uncertain", "Calibrated, but uncertain",
+                "The true error may be beyond the limit in directions that were not measured. "
+                "A longer recording with more turns of the wrist helps."),
+    ProblemKind("damaged", "file damaged", "Parts of the file are lost",
+                "Copy the file again from the device; if the damage stays, have the device checked."),
+    ProblemKind("misfit", "not described", "The sensor does something that its parameters do not describe",
+                "The error is larger than it could be. The recording's page names what was found."),
+)  # fmt: skip
+"""The weightiest first: a recording is listed under the first that it has."""
+
+
+def page(study: StudyContent) -> str:
+    """The whole page as HTML.
+
+    The same content gives the same text.
+    """
+    devices = [_printable(line) for line in study.devices]
+    entries = [_Entry(row, address) for row, address in zip(study.rows, study.pages, strict=True)]
+    limit_mg = _limit_mg(study.said)
+    for entry in entries:
+        entry.problem = _problem(entry.row, limit_mg)
+    scatter = figures.Scatter.of([_errors(entry.row) for entry in entries])
+    groups = _groups(entries)
+    return rendered(
+        "study.html",
+        style="study.css",
+        script="study.js",
+        headline=_headline(entries),
+        notes=_notes(study),
+        outcomes=_outcomes(entries),
+        first=_look_first(groups),
+        service=[line for line in devices if line.verdict == "service"][:FIRST],
+        groups=_listed(groups),
+        problems=sum(len(found) for _, found in groups),
+        scatter=scatter,
+        dots=scatter.dots([entry.outcome for entry in entries]),
+        marked=_marked(scatter, entries, groups),
+        devices=devices,
+        troubled=[line for line in devices if line.verdict in ("service", "watch")],
+        verdicts=Counter(line.verdict for line in devices),
+        drifts=figures.drifts([(line.name, line.offset) for line in devices], study.drift_limit_mg),
+        drift_limit=f"{study.drift_limit_mg:g}",
+        nameless=counted(study.nameless, "recording") if study.nameless else None,
+        csv=study.csv,
+        recordings=len(entries),
+        data=_json(
+            {
+                "recordings": _recordings_table(entries, scatter),
+                "devices": _devices_table(devices),
+            }
+        ),
+    )
+
+
+def _printable(line: DeviceLine) -> DeviceLine:
+    return replace(line, name=printable(line.name), reasons=tuple(map(printable, line.reasons)))
+
+
+class _Entry:
+    """A recording: its row with printable texts, its page, and its problem."""
+
+    def __init__(self, row: dict[str, Any], address: str | None) -> None:
+        self.row = {name: _text(row.get(name)) for name in WANTED}
+        self.href = None if address is None else _url(address)
+        self.address = address
+        self.problem: ProblemKind | None = None
+        self.path: str = self.row["path"] or "?"
+        self.outcome: str = self.row["outcome"] or "failed"
+        self.message = _without_name(self.row["message"] or "", self.path)
+
+    @property
+    def device(self) -> str:
+        """Serial number, or what else is known of it."""
+        return self.row["device_serial"] or self.row["device_model"] or "-"
+
+    @property
+    def found(self) -> str:
+        """One sentence about its problem."""
+        if self.problem is not None and self.problem.key == "uncertain":
+            size, most = self.row["sphere_mg"] or 0.0, self.row["sphere_high_mg"]
+            return f"{size:.1f} mg over the whole sphere, but perhaps {most:.1f} mg (95 %)"
+        if self.problem is not None and self.problem.key == "damaged":
+            return f"{self.row['lost_percent']:.2g} % of the file is lost; {self.message}"
+        if self.problem is not None and self.problem.key == "changed":
+            return self.message[max(0, self.message.find(CHANGES)) :]
+        return self.message
+
+
+def _url(path: str) -> str:
+    """A relative path as the address of a link; `./` before it, so that no name is taken for a scheme."""
+    return f"./{quote(path.encode('utf-8', 'surrogateescape'))}"
+
+
+def _text(value: Any) -> Any:
+    """Texts as they can be shown; numbers that are none as None."""
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value
+
+
+def _without_name(message: str, path: str) -> str:
+    """A message without the name of the recording before it, which stands beside it anyway."""
+    start, _, rest = message.partition(": ")
+    return rest if rest and path.rpartition("/")[2] in start else message
+
+
+def _limit_mg(said: dict[str, Any]) -> float:
+    settings = said.get("settings")
+    limit = settings.get("max_error_mg") if isinstance(settings, dict) else None
+    return float(limit) if isinstance(limit, int | float) else LIMIT_MG
+
+
+def _problem(row: dict[str, Any], limit_mg: float) -> ProblemKind | None:
+    """The weightiest problem of a recording."""
+    has = {
+        "failed": row["outcome"] == "failed",
+        "changed": row["change"] not in (None, "none"),
+        "refused": row["outcome"] == "refused",
+        "uncertain": (row["sphere_high_mg"] or 0.0) > limit_mg,
+        "damaged": (row["lost_percent"] or 0.0) >= DAMAGED_FROM_PERCENT,
+        "misfit": row["misfits"] not in (None, "none"),
+    }
+    return next((kind for kind in KINDS if has[kind.key]), None)
+
+
+Group = tuple[ProblemKind, list[_Entry]]
+
+
+def _groups(entries: Sequence[_Entry]) -> list[Group]:
+    """The recordings with each kind of problem, the worst first."""
+    groups = [(kind, [entry for entry in entries if entry.problem is kind]) for kind in KINDS]
+    return [(kind, sorted(found, key=_worst_first)) for kind, found in groups if found]
+
+
+def _worst_first(entry: _Entry) -> tuple[float, str]:
+    assert entry.problem is not None
+    size = entry.row.get(SIZES.get(entry.problem.key, ""))
+    return -(size or 0.0), entry.path
+
+
+def _look_first(groups: Sequence[Group]) -> list[tuple[ProblemKind, int, list[_Entry]]]:
+    return [(kind, len(found), found[:FIRST]) for kind, found in groups]
+
+
+def _listed(groups: Sequence[Group]) -> list[tuple[ProblemKind, list[_Entry], int]]:
+    """Of each kind those that are listed, LISTED in all, and how many there are."""
+    left, listed = LISTED, []
+    for kind, found in groups:
+        listed.append((kind, found[:left], len(found)))
+        left -= len(listed[-1][1])
+    return listed
+
+
+def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
+    """The study in a few figures."""
+    usable = sum(entry.outcome not in TROUBLE for entry in entries)
+    pairs = [pair for entry in entries if (pair := _errors(entry.row)) is not None]
+    found = {
+        "Recordings": f"{len(entries):,}",
+        "Can be used": f"{usable:,} ({100 * usable / len(entries):.1f} %)" if entries else "0",
+        "With a problem": f"{sum(entry.problem is not None for entry in entries):,}",
+        "Devices": f"{len({entry.row['device_serial'] for entry in entries} - {None, ''}):,}",
+    }
+    if pairs:
+        before, after = (median(errors) for errors in zip(*pairs, strict=True))
+        found["Median error"] = f"{_mg(before)} mg before, {_mg(after)} mg after"
+    return found
+
+
+def _mg(value: float) -> str:
+    return f"{value:.1f}" if value >= 1 else f"{value:.2f}"
+
+
+def _errors(row: dict[str, Any]) -> tuple[float, float] | None:
+    """Error before and after [mg]: expected over the sphere, or where not known, on held-out postures."""
+    for before, after in (("sphere_before_mg", "sphere_mg"), ("before_mg", "after_mg")):
+        if row[before] is not None and row[after] is not None:
+            return row[before], row[after]
+    return None
+
+
+def _notes(study: StudyContent) -> list[str]:
+    """What the study says of itself that someone who uses it must know."""
+    waiting, mixed = study.said.get("waiting"), study.said.get("mixed_times")
+    pools = study.said.get("pools") or {}
+    notes = (
+        [f"{counted(waiting, 'recording')} waiting: not started yet."]
+        if isinstance(waiting, int) and waiting
+        else []
+    )
+    notes += [f"{printable(mixed)}."] if isinstance(mixed, str) else []
+    notes += [f"{counted(len(pools), 'pool')} of recordings of one device."] if pools else []
+    return notes
+
+
+def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:
+    """A line for each outcome, and one for each reason of those that are trouble."""
+    total, numbers = len(entries), Counter(entry.outcome for entry in entries)
+    lines: list[dict[str, Any]] = []
+    for outcome in sorted(numbers, key=lambda one: list(MEANINGS).index(one) if one in MEANINGS else 99):
+        number = numbers[outcome]
+        own = [entry for entry in entries if entry.outcome == outcome]
+        lines.append(
+            {"outcome": outcome, "name": outcome.replace("_", " "), "meaning": MEANINGS.get(outcome, ""),
+             "number": number, "share": figures.bar(number, total), "percent": f"{100 * number / total:.1f}",
+             "reasons": _reasons(own, total) if outcome in TROUBLE else []}
+        )  # fmt: skip
+    return lines
+
+
+def _reasons(entries: Sequence[_Entry], total: int) -> list[dict[str, Any]]:
+    """The reasons of an outcome, the most frequent first; numbers in them left out."""
+    clauses = [NUMBER.sub("…", entry.message.split(CLAUSE)[0]) for entry in entries]
+    found = Counter(clause or "no reason is known" for clause in clauses)
+    often = sorted(found.items(), key=lambda one: (-one[1], one[0]))
+    lines, others = often[:REASONS], sum(number for _, number in often[REASONS:])
+    if others:
+        lines.append((counted(len(often) - REASONS, "other reason"), others))
+    return [{"text": text, "number": number, "share": figures.bar(number, total)} for text, number in lines]
+
+
+def _marked(
+    scatter: figures.Scatter, entries: Sequence[_Entry], groups: Sequence[Group]
+) -> list[tuple[_Entry, float, float]]:
+    """Those to look at first that are in the scatter, with their places: links that need no script."""
+    order = [id(entry) for _, found in groups for entry in found[:FIRST]]
+    places = {id(entry): place for entry, place in zip(entries, scatter.places, strict=True)}
+    known = {id(entry): entry for entry in entries}
+    return [(known[one], *place) for one in order if (place := places[one]) is not None]
+
+
+def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> dict[str, Any]:
+    """The table of all recordings, column by column, as the script reads it."""
+    rows = [entry.row for entry in entries]
+    pairs = [_errors(row) or (None, None) for row in rows]
+    hours = [None if row["duration_s"] is None else row["duration_s"] / HOUR_S for row in rows]
+    changes = [row["change_mg"] if row["change"] not in (None, "none") else None for row in rows]
+    outcomes = [entry.outcome.replace("_", " ") for entry in entries]
+    problems = [entry.problem.short if entry.problem else "" for entry in entries]
+    return {
+        "what": "recording",
+        "columns": [
+            _column("path", "recording", "text", 19, [entry.path for entry in entries]),
+            _choice("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in MEANINGS]),
+            _choice("problem", 9, problems, ["", *(kind.short for kind in KINDS)]),
+            _number("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
+            _number("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
+            _choice("device", 9, [entry.device for entry in entries]),
+            _column("start", "start", "minutes", 10, [_minutes(row["start_time"]) for row in rows]),
+            _number("hours", "hours", 5.5, hours),
+            _choice("model", 5.5, [row["model"] or "" for row in rows]),
+            _number("change", "change, mg", 8, changes, kind="mg"),
+            _number("lost", "lost, %", 6, (row["lost_percent"] or None for row in rows)),
+            _messages("message", "what was found", 70, [e.found if e.problem else "" for e in entries]),
+        ],
+        "pages": [_page_of(entry) for entry in entries],
+        "scatter": scatter.scale(),
+    }
+
+
+def _page_of(entry: _Entry) -> int | str:
+    """1 where the page is named as the recording is, so that its name need not be repeated; 0 for none."""
+    if entry.address is None:
+        return 0
+    return 1 if entry.address == re.sub(r"\.[^./]+$", "", entry.path) + ".html" else entry.href or 0
+
+
+def _column(key: str, label: str, kind: str, width: float, values: Sequence[Any]) -> dict[str, Any]:
+    """A column of so many rem."""
+    return {"key": key, "label": label, "kind": kind, "width": width, "values": values}
+
+
+def _choice(key: str, width: float, values: Sequence[str], order: Sequence[str] = ()) -> dict[str, Any]:
+    """A column of few different texts: their list, and the place of each value in it."""
+    there = set(values)
+    names = [*(name for name in order if name in there), *sorted(there - set(order))]
+    place = {name: index for index, name in enumerate(names)}
+    return _column(key, key, "choice", width, [place[one] for one in values]) | {"names": names}
+
+
+def _number(
+    key: str, label: str, width: float, values: Iterable[float | None], kind: str = "number"
+) -> dict[str, Any]:
+    """A column of numbers to four significant digits."""
+    return _column(key, label, kind, width, [_short(value) for value in values])
+
+
+def _short(value: float | None) -> float | int | None:
+    if value is None:
+        return None
+    short = float(f"{value:.4g}")
+    return int(short) if short.is_integer() else short
+
+
+def _minutes(start: str | None) -> int | None:
+    """Minutes since 1970 of a start, by the clock that it was written down by; None if there is none."""
+    try:
+        moment = datetime.fromisoformat((start or "")[:16])
+    except ValueError:
+        return None
+    return int((moment.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds() // 60)
+
+
+def _messages(key: str, label: str, width: float, messages: Sequence[str]) -> dict[str, Any]:
+    """A column of messages: the texts without their numbers once, and the numbers of each.
+
+    Thousands of messages differ in their numbers alone. A value is [which text, its numbers ...]; 0 for none.
+    """
+    texts: dict[str, int] = {}
+    values: list[Any] = []
+    for message in messages:
+        place = texts.setdefault(NUMBER.sub("\0", message), len(texts)) if message else 0
+        values.append([place, *NUMBER.findall(message)] if message else 0)
+    return _column(key, label, "message", width, values) | {"names": [text.split("\0") for text in texts]}
+
+
+def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
+    """The table of all devices."""
+    verdicts = [line.verdict for line in devices]
+    return {
+        "what": "device",
+        "columns": [
+            _column("device", "device", "text", 12, [line.name for line in devices]),
+            _choice("verdict", 6, verdicts, ("service", "watch", "unknown", "good")),
+            _number("recordings", "recordings", 7.5, (line.recordings for line in devices)),
+            _number("used", "used", 5, (line.used for line in devices)),
+            _number("refused", "refused", 6, (line.refused for line in devices)),
+            _column("first", "first", "text", 8, [(line.first or "")[:10] for line in devices]),
+            _column("last", "last", "text", 8, [(line.last or "")[:10] for line in devices]),
+            _number("held", "held out, mg", 8.5, (line.held_out_mg for line in devices), kind="mg"),
+            *_drift("offset", "offset, mg a month", [line.offset for line in devices]),
+            *_drift("percent", "scale, % a month", [line.percent for line in devices]),
+            _column("why", "why", "text", 60, ["; ".join(line.reasons) for line in devices]),
+        ],
+        "pages": [],
+    }
+
+
+def _drift(key: str, label: str, drifts: Sequence[figures.Drift | None]) -> list[dict[str, Any]]:
+    """Two columns: the drift and its standard error."""
+    pairs = [(None, None) if drift is None else (drift.per_month, drift.error) for drift in drifts]
+    return [
+        _number(key, label, 11, (pair[0] for pair in pairs)),
+        _number(f"{key}_error", "±", 6, (pair[1] for pair in pairs)),
+    ]
+
+
+def _json(value: Any) -> Markup:
+    """JSON that can stand in a script element: nothing in it ends the element or a line of script."""
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for char in "<>&\u2028\u2029":
+        text = text.replace(char, f"\\u{ord(char):04x}")
+    return Markup(text)

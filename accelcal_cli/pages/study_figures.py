@@ -1,0 +1,224 @@
+"""The figures of a study's page as paths for inline SVG: errors before and after, drifts of devices, bars.
+
+Coordinates are in the units of the figure's view box, rounded: the same numbers give the same text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import floor, log10
+from typing import Any
+
+WIDTH, HEIGHT = 640, 400
+LEFT, RIGHT, TOP, BOTTOM = 56, 20, 12, 44
+LEAST_MG, LARGEST_MG = 0.01, 10_000.0
+"""Errors beyond are drawn at the edge."""
+STEPS_MG = tuple(float(f"{step}e{power}") for power in range(-2, 6) for step in (1, 2, 5))
+MOST_TICKS = 10
+MANY = 1000
+"""Dots of which more are drawn small."""
+GRID = 2
+"""Dots are five units wide."""
+LARGEST_DRIFTS = 30
+ROW = 18
+NAMES = 150
+"""Width of the names in the figure of drifts."""
+BAR = 1000
+"""Width of a bar that stands for all."""
+LONGEST_NAME = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Drift:
+    """Change in a month with its standard error, and whether it is certain."""
+
+    per_month: float
+    error: float
+    certain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """A line of the grid: where, and what it says."""
+
+    at: float
+    label: str
+
+
+Place = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LogAxis:
+    """A logarithmic axis from one of 1, 2 or 5 times a power of ten to another.
+
+    Attributes:
+        low_mg, high_mg: what it shows; begin, end: where these lie in the figure.
+    """
+
+    low_mg: float
+    high_mg: float
+    begin: int
+    end: int
+
+    @classmethod
+    def of(cls, values_mg: Sequence[float], begin: int, end: int) -> LogAxis:
+        """The axis that holds all of these errors, and spans a power of ten at least."""
+        held = [min(max(value, LEAST_MG), LARGEST_MG) for value in values_mg] or [1.0]
+        low = max(step for step in STEPS_MG if step <= min(held))
+        high = min(step for step in STEPS_MG if step > max(held) and step >= 10 * low)
+        return cls(low, high, begin, end)
+
+    def at(self, mg: float) -> float:
+        """Where an error lies; beyond the ends at the end."""
+        held = min(max(mg, self.low_mg), self.high_mg)
+        share = log10(held / self.low_mg) / log10(self.high_mg / self.low_mg)
+        return round(self.begin + share * (self.end - self.begin), 1)
+
+    @property
+    def ticks(self) -> list[Tick]:
+        """At 1, 2 and 5 times the powers of ten, or at these alone if there are many."""
+        inside = [step for step in STEPS_MG if self.low_mg <= step <= self.high_mg]
+        few = inside if len(inside) <= MOST_TICKS else [step for step in inside if log10(step).is_integer()]
+        return [Tick(self.at(step), f"{step:g}") for step in few]
+
+    def scale(self) -> list[float]:
+        """What a script needs to find the place of an error."""
+        return [log10(self.low_mg), log10(self.high_mg), self.begin, self.end]
+
+
+@dataclass(frozen=True, slots=True)
+class Scatter:
+    """Errors before (to the right) and after (upwards).
+
+    Attributes:
+        places: (x, y) of each recording; None where an error is not known.
+    """
+
+    x: LogAxis
+    y: LogAxis
+    places: tuple[Place | None, ...]
+    width: int = WIDTH
+    height: int = HEIGHT
+
+    @classmethod
+    def of(cls, pairs: Sequence[tuple[float, float] | None]) -> Scatter:
+        """The scatter of errors before and after [mg]."""
+        known = [pair for pair in pairs if pair]
+        x = LogAxis.of([before for before, _ in known], LEFT, WIDTH - RIGHT)
+        y = LogAxis.of([after for _, after in known], HEIGHT - BOTTOM, TOP)
+        return cls(x, y, tuple(pair and (x.at(pair[0]), y.at(pair[1])) for pair in pairs))
+
+    @property
+    def known(self) -> int:
+        """Recordings that are drawn."""
+        return sum(place is not None for place in self.places)
+
+    @property
+    def dense(self) -> bool:
+        """Whether dots must be small to be told apart."""
+        return self.known > MANY
+
+    @property
+    def diagonal(self) -> str:
+        """Path of the line on which an error stays the same; empty if it is out of sight."""
+        low, high = max(self.x.low_mg, self.y.low_mg), min(self.x.high_mg, self.y.high_mg)
+        if low >= high:
+            return ""
+        return f"M{self.x.at(low)} {self.y.at(low)}L{self.x.at(high)} {self.y.at(high)}"
+
+    def dots(self, outcomes: Sequence[str]) -> list[tuple[str, str, int]]:
+        """For each outcome a path of dots (lines of no length with round ends), and how many they are.
+
+        Dots at the same place, to GRID units, are drawn once.
+        """
+        drawn: list[tuple[str, str, int]] = []
+        pairs = list(zip(self.places, outcomes, strict=True))
+        for outcome in sorted(set(outcomes)):
+            own = [place for place, one in pairs if place and one == outcome]
+            dots = sorted({(GRID * round(x / GRID), GRID * round(y / GRID)) for x, y in own})
+            if dots:
+                drawn.append((outcome, "".join(f"M{x} {y}h0" for x, y in dots), len(own)))
+        return drawn
+
+    def scale(self) -> dict[str, Any]:
+        """What a script needs to find the recording of a dot."""
+        return {"before": self.x.scale(), "after": self.y.scale()}
+
+
+@dataclass(frozen=True, slots=True)
+class DriftRow:
+    """One device in the figure of drifts: its name, the ends of its 95 % interval, and its place."""
+
+    name: str
+    text: str
+    low: float
+    high: float
+    x: float
+    y: float
+    certain: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DriftFigure:
+    """The fastest drifts of offsets, a row for each device, with 0 and the limit on both sides."""
+
+    rows: list[DriftRow]
+    ticks: list[Tick]
+    limits: tuple[float, float]
+    zero: float
+    width: int
+    height: int
+    omitted: int
+
+    @property
+    def bottom(self) -> int:
+        """Where the rows end."""
+        return self.height - BOTTOM
+
+
+def drifts(devices: Sequence[tuple[str, Drift | None]], limit: float) -> DriftFigure | None:
+    """The figure of the fastest drifts [mg a month]; None if no device has one.
+
+    Args:
+        limit: beyond which a drift is a reason for service [mg a month].
+    """
+    known = [(name, drift) for name, drift in devices if drift is not None]
+    if not known:
+        return None
+    fastest = sorted(known, key=lambda one: -abs(one[1].per_month))[:LARGEST_DRIFTS]
+    widest = max(1.25 * limit, *(abs(drift.per_month) for _, drift in fastest)) * 1.1
+
+    def x(value: float) -> float:
+        held = min(max(value, -widest), widest)
+        return round(NAMES + (held + widest) / (2 * widest) * (WIDTH - NAMES - RIGHT), 1)
+
+    rows = [
+        DriftRow(
+            name if len(name) <= LONGEST_NAME else f"{name[: LONGEST_NAME - 1]}…",
+            f"{name}: {drift.per_month:+.3g} ± {drift.error:.2g} mg a month",
+            x(drift.per_month - 2 * drift.error),
+            x(drift.per_month + 2 * drift.error),
+            x(drift.per_month),
+            TOP + ROW * (index + 0.5),
+            drift.certain,
+        )
+        for index, (name, drift) in enumerate(fastest)
+    ]
+    step = _step(widest)
+    count = floor(widest / step)
+    ticks = [Tick(x(step * number), f"{step * number:g}") for number in range(-count, count + 1)]
+    height = TOP + ROW * len(rows) + BOTTOM
+    return DriftFigure(rows, ticks, (x(-limit), x(limit)), x(0.0), WIDTH, height, len(known) - len(rows))
+
+
+def _step(widest: float) -> float:
+    """1, 2 or 5 times a power of ten, of which two to five go into the width."""
+    power = 10.0 ** floor(log10(widest / 2))
+    return next(factor * power for factor in (5, 2, 1) if widest >= 2 * factor * power)
+
+
+def bar(number: int, total: int) -> int:
+    """Width of a bar, of BAR for all; what is there at all can be seen."""
+    return 0 if not number else max(4, round(BAR * number / total))
