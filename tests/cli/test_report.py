@@ -100,7 +100,7 @@ def test_what_is_no_report_is_told(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "report", other, good)
     assert (ran.code, ran.lines) == (1, [str(tmp_path / "donor.html")])
     assert_one_line(ran, "other.json", "is not a report of accelcal")
-    ran = run(capsys, "report", tmp_path)
+    ran = run(capsys, "report", tmp_path, good)
     assert ran.code == 2
     assert_one_line(ran, "is a folder")
     ran = run(capsys, "report", good, good)
