@@ -256,14 +256,10 @@ def _worn_lane(data: Along) -> str:
 
 def _lane(data: Along, top: float, word: str, shares: Sequence[float], kind: str) -> str:
     """A row of the timeline: bars as high as the share."""
-    ways = [
-        _box(data, span, top + 18 * (1 - height), 18 * height)
-        for span, share in zip(data.spans, shares, strict=True)
-        if share > 0
-        for height in [max(LEAST_BAR, min(1.0, share))]
-    ]
+    heights = [max(LEAST_BAR, min(1.0, share)) if share > 0 else None for share in shares]
+    area = svg.Plot(svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT), svg.Scale(0, 1, top + 18, top))
     track = path(_box(data, (0, data.seconds), top, 18), "lane-off")
-    return label(0, top + 14, word) + track + path("".join(ways), kind)
+    return label(0, top + 14, word) + track + area.bars(data.spans, heights, kind)
 
 
 def _box(data: Along, span: tuple[float, float], top: float, height: float) -> str:

@@ -182,6 +182,18 @@ class Plot:
                 way += f"M{coordinate(self.x(begin))} {y0}V{y1}H{coordinate(self.x(end))}V{y0}z"
         return path(way, kind)
 
+    def bars(self, spans: Sequence[Pair], values: Sequence[float | None], kind: str) -> str:
+        """The area between the axis and a line of steps; those that touch are one."""
+        way, ground, open_at = "", coordinate(self.y(self.y.low)), None
+        for (begin, end), value in zip(spans, values, strict=True):
+            x0, x1 = coordinate(self.x(begin)), coordinate(self.x(end))
+            if open_at is not None and (value is None or open_at != x0):
+                way, open_at = f"{way}V{ground}z", None
+            if value is not None:
+                way += "" if open_at == x0 else f"M{x0} {ground}"
+                way, open_at = f"{way}V{coordinate(self.y(value))}H{x1}", x1
+        return path(way if open_at is None else f"{way}V{ground}z", kind)
+
     def line(self, pairs: Iterable[Pair], kind: str) -> str:
         """A line from value to value."""
         places = [f"{coordinate(self.x(x))} {coordinate(self.y(y))}" for x, y in pairs]
