@@ -1,8 +1,8 @@
 """What the points of a calibration give without misalignment, for tools whose formula has none.
 
 Such a tool cannot be given a calibration whose K is cut down to its diagonal: scales and offsets have to make
-up for what is left out. The simpler model is therefore fitted to the same points, with the same prior, and held
-out on the same postures, so that what it costs is known.
+up for what is left out. The simpler model is therefore fitted to the same points, with the same prior, and
+held out on the same postures, so that what it costs is known.
 """
 
 from __future__ import annotations
