@@ -14,6 +14,7 @@ import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,10 +25,11 @@ import pyarrow.csv
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import OutputError, UsageError, printable
+from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
 from accelcal_cli.output.files import output_error, replacing
+from accelcal_cli.output.parquet import SOURCE_ROWS
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 
 STANDARD_GRAVITY = 9.80665
@@ -65,7 +67,7 @@ class Written:
     @property
     def seconds(self) -> float:
         """From the first row to one period after the last."""
-        return (self.last_us - self.first_us) / MICROSECONDS + 1 / self.about.rate_hz if self.rows else 0.0
+        return (self.last_us - self.first_us) / MICROSECONDS + 1 / self.about.rate_hz
 
 
 Table = Callable[[Rows, Written], dict[str, pa.Array]]
@@ -79,11 +81,13 @@ class Wanted:
     Attributes:
         resample_hz: a fixed rate; None: the samples as they are.
         measured_only: leave out rows that the device filled in, and those of damaged blocks.
+        batch_rows: rows in memory at a time; what is written does not depend on it.
     """
 
     output: Path
     resample_hz: float | None = None
     measured_only: bool = False
+    batch_rows: int = SOURCE_ROWS
 
 
 def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
@@ -104,19 +108,22 @@ def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker =
 
     Raises:
         UnreadableError: it cannot be read, or is not one of ours.
-        UsageError: the rate asked for is too far from its own.
+        UsageError: the rate asked for is too far from its own, or no row is left.
         OutputError: an output cannot be written.
     """
     with calibrated_rows(path, measured_only=wanted.measured_only) as source:
-        about, portions = source.about, source.portions()
-        shown = progress("reading", source.rows)
-        portions = _shown(portions, shown)
+        about, shown = source.about, progress("reading", source.rows)
+        portions = _shown(source.portions(wanted.batch_rows), shown)
         if wanted.resample_hz is not None:
             if not LEAST_RATIO <= wanted.resample_hz / about.rate_hz <= LARGEST_RATIO:
                 text = f"has {about.rate_hz:g} Hz, too far from {wanted.resample_hz:g}"
                 raise UsageError(text, path=path, hint="choose another rate with --resample")
             portions = resampled(portions, about.rate_hz, wanted.resample_hz)
             about = replace(about, rate_hz=wanted.resample_hz)
+        first = next(portions, None)
+        if first is None:
+            raise UsageError("no row would be left", path=path, hint="omit --measured-only")
+        portions = chain([first], portions)
         with ExitStack() as stack:
             places = [stack.enter_context(replacing(place)) for place in outputs_of(form, wanted.output)]
             written = Written(about)
@@ -124,8 +131,6 @@ def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker =
                 FORMS[form](places, wanted.output, portions, written)
             except OSError as error:
                 raise output_error(error, wanted.output) from error
-            if not written.rows:
-                raise OutputError("would be empty: no row is left", path=wanted.output)
     return written
 
 
@@ -255,7 +260,7 @@ def _with_words(batch: pa.RecordBatch) -> pa.RecordBatch:
 
 
 def npz(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
-    """Arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], `temperature` where there is one.
+    """Arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], `temperature` if there is one.
 
     Not compressed. While it is written, the disk holds them twice.
     """

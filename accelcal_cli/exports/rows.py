@@ -16,7 +16,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.zones import UTC
 from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import SOURCE_ROWS, ParquetSource, described, stored_schema
+from accelcal_cli.output.parquet import ParquetSource, described, stored_schema
 from accelcal_cli.output.report import section
 
 NAMES = ("time", "x", "y", "z")
@@ -81,7 +81,7 @@ class CalibratedRows:
         self._source, self.about, self.measured_only = source, about, measured_only
         self.rows = source.rows
 
-    def portions(self, number: int = SOURCE_ROWS) -> Iterator[Rows]:
+    def portions(self, number: int) -> Iterator[Rows]:
         """All rows, at most so many at a time; none of the portions is empty.
 
         Raises:
