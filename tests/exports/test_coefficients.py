@@ -140,7 +140,7 @@ def test_ggir_needs_a_number_for_the_temperature_also_without_slopes() -> None:
 def test_several_recordings_are_rows_and_the_same_name_twice_is_refused() -> None:
     text = ggir([made(), made(path="C:\\data\\b.cwa")])
     assert [row[0] for row in csv.reader(io.StringIO(text))] == ["filename", "a b.cwa", "b.cwa"]
-    with pytest.raises(UsageError, match="recordings of the same name, a b.cwa; GGIR knows them by name"):
+    with pytest.raises(UsageError, match=r"recordings of the same name, a b\.cwa; GGIR knows them by name"):
         ggir([made(), made(path="/other/a b.cwa")])
 
 

@@ -1,4 +1,4 @@
-"""Calibrated data in the forms of other tools, read back by others' readers and compared with the Parquet file."""
+"""Calibrated data in the forms of other tools, read back and compared with the Parquet file."""
 
 from __future__ import annotations
 
@@ -185,7 +185,7 @@ def test_the_size_of_batches_makes_no_difference(tmp_path: Path, form: str) -> N
 def test_a_rate_that_is_out_of_reach_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
     path = source(tmp_path)
     before = sorted(tmp_path.iterdir())
-    with pytest.raises(UsageError, match="has 25 Hz, too far from 0.2"):
+    with pytest.raises(UsageError, match=r"has 25 Hz, too far from 0\.2"):
         written("csv", path, "a.csv", resample_hz=0.2)
     assert sorted(tmp_path.iterdir()) == before
 

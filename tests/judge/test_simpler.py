@@ -27,7 +27,7 @@ LADDER_ONLY = replace(DEFAULT, prior="none")
 
 
 def least_squares(held: PointSet, start: np.ndarray) -> np.ndarray:
-    """Scales and offsets that minimise the sum of (|a|^2 - 1)^2 of points of equal weight, by Gauss-Newton."""
+    """Scales and offsets that minimise the sum of (|a|^2 - 1)^2 of equal points, by Gauss-Newton."""
     p = start.copy()
     v = held.xyz_g()
     for _ in range(30):
