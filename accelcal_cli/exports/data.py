@@ -152,7 +152,7 @@ def csv(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written
 
 
 def _iso(rows: Rows, written: Written) -> dict[str, pa.Array]:
-    times = pc.strftime(_stamps(rows.time_us, "us"), format="%Y-%m-%dT%H:%M:%S")
+    times = pc.utf8_replace_slice(_clock_text(rows.time_us, "us"), 10, 11, "T")
     if written.about.utc:
         times = pc.binary_join_element_wise(times, "Z", "")
     return {"time": times, **_axes(rows.xyz), **_celsius(rows)}
@@ -165,8 +165,7 @@ def mhealth(places: Sequence[Path], _output: Path, portions: Iterator[Rows], wri
 
 def _local(rows: Rows, written: Written) -> dict[str, pa.Array]:
     ahead_us = written.about.clock_ahead_s * MICROSECONDS if written.about.utc else 0
-    stamps = _stamps((rows.time_us + ahead_us + 500) // 1000, "ms")
-    times = pc.strftime(stamps, format="%Y-%m-%d %H:%M:%S")
+    times = _clock_text((rows.time_us + ahead_us + 500) // 1000, "ms")
     return {"HEADER_TIME_STAMP": times, **_axes(rows.xyz)}
 
 
@@ -215,8 +214,9 @@ def _sidecar(output: Path, written: Written, channels: int) -> dict[str, Any]:
     }
 
 
-def _stamps(values: NDArray[np.int64], unit: str) -> pa.Array:
-    return pa.array(values).cast(pa.timestamp(unit))
+def _clock_text(values: NDArray[np.int64], unit: str) -> pa.Array:
+    """Times since 1970 as `2024-03-04 00:00:00.040`, with all digits of the unit; faster than strftime."""
+    return pa.array(values).cast(pa.timestamp(unit)).cast(pa.string())
 
 
 def _axes(xyz: NDArray[np.float32]) -> dict[str, pa.Array]:
