@@ -25,6 +25,7 @@ LAYER = {
     "pipeline": 2,
     "six_pose": 3,
     "evaluate": 3,
+    "exports": 3,
     "studies": 3,
     "verify": 4,
     "api": 4,

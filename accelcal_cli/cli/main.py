@@ -61,6 +61,7 @@ COMMANDS = {
     "fit": "Fit still-window means from another tool and judge the fit.",
     "quality": "Show a recording's error by the hour, and whether its calibration holds.",
     "apply": "Apply known coefficients to recordings of the same device.",
+    "export": "Hand coefficients or calibrated data on to other tools.",
     "verify": "Reproduce a report from its recording, bit for bit.",
     "gravity": "Show local gravity at a latitude and altitude.",
     "evaluate": "Compare methods and stillness rules, test claims, repeat the papers' tables.",

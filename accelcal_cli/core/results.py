@@ -209,6 +209,24 @@ class FitErrors:
 
 
 @dataclass(frozen=True, slots=True)
+class WithoutMisalignment:
+    """The same points fitted without misalignment, for tools whose formula has none.
+
+    Cutting a calibration down to the diagonal of its K is no substitute: scales and offsets have then to make
+    up for what is left out.
+
+    Attributes:
+        calibration: of model 6, or 6T where slopes were fitted.
+        holdout: its error on what the calibration itself was held out on; None where there is too little.
+        sphere: its error over all directions; None where nothing is known of the whole sphere.
+    """
+
+    calibration: Calibration
+    holdout: Holdout | None
+    sphere: SphereError | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Judgement:
     """The verdict on a recording, with all that supports it; calibration is None if refused.
 
@@ -219,6 +237,7 @@ class Judgement:
         change: how the sensor changed meanwhile; None where nobody looked.
         misfits: what was looked for that the parameters do not describe; None where nobody looked.
         unlike: the points speak against a prior that was learnt from other recordings.
+        without_misalignment: beside a calibration that has misalignment; None where that cannot be fitted.
     """
 
     outcome: Outcome
@@ -237,6 +256,7 @@ class Judgement:
     change: Change | None = None
     misfits: tuple[Misfit, ...] | None = None
     unlike: bool = False
+    without_misalignment: WithoutMisalignment | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,11 +24,18 @@ from accelcal_cli.core.points import (
     PenalizedFitter,
     PointSet,
     Saturated,
-    in_standard_g,
 )
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
-from accelcal_cli.core.results import Coverage, Facts, FitErrors, Holdout, Judgement, Outcome, Trial
+from accelcal_cli.core.results import (
+    Coverage,
+    Facts,
+    FitErrors,
+    Holdout,
+    Judgement,
+    Outcome,
+    Trial,
+)
 from accelcal_cli.core.settings import PAPER, Settings
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, mean, per_posture, uncertainty
@@ -37,9 +44,10 @@ from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against
 from accelcal_cli.judge.rest import picture
+from accelcal_cli.judge.simpler import SIMPLER, calibration_of_fit, with_simpler, with_simpler_of_paper
 from accelcal_cli.judge.sphere import sphere_errors
 
-FULL_MODELS = ("9", "9T")
+FULL_MODELS = tuple(SIMPLER)
 DIVERGES = "the fit diverges: the points do not determine the parameters"
 FEWEST_CONTROL_POINTS = 2
 """Of profile `paper` where any distance will do; else all 18 are needed."""
@@ -108,7 +116,8 @@ def _judged(
     verdict = Judgement(outcome, message, coverage, trials, holdout=chosen.holdout)
     if outcome is Outcome.REFUSED or chosen.fit is None:
         return verdict
-    return _complete(verdict, chosen.model, chosen.fit, points, label, settings.gravity)
+    completed = _complete(verdict, chosen.model, chosen.fit, points, label, settings.gravity)
+    return with_simpler(completed, sample, how)
 
 
 def _most_probable(
@@ -138,7 +147,7 @@ def _most_probable(
         coverage,
         (*trials, Trial(name, holdout, None, fitted, settings.prior)),
         holdout=holdout,
-        candidate=_calibration(name, fitted, points, settings.gravity),
+        candidate=calibration_of_fit(name, fitted, points, settings.gravity),
         sphere=sphere,
         sphere_before=before,
         misfits=misfits,
@@ -156,7 +165,8 @@ def _most_probable(
     completed = _complete(verdict, name, fitted, points, label, settings.gravity)
     errors = _in_standard_g(known.standard_errors(), settings.gravity)
     worst = replace(completed.coverage, worst_direction_mg=known.worst_direction_mg())
-    return replace(completed, standard_errors=errors, coverage=worst, penalty=known.penalty)
+    completed = replace(completed, standard_errors=errors, coverage=worst, penalty=known.penalty)
+    return with_simpler(completed, sample, how, truth)
 
 
 def _is_unlike(
@@ -242,7 +252,8 @@ def judge_paper(
     if verdict.outcome is Outcome.REFUSED:
         return verdict
     label = np.arange(len(fit_points), dtype=np.int64)
-    return _complete(verdict, name, fitted, fit_points, label, settings.gravity)
+    completed = _complete(verdict, name, fitted, fit_points, label, settings.gravity)
+    return with_simpler_of_paper(completed, fit_points, control_points, how)
 
 
 def _verdict_of_paper(trial: Trial, coverage: Coverage, settings: Settings) -> Judgement:
@@ -285,7 +296,7 @@ def _complete(
     )
     completed = replace(
         verdict,
-        calibration=_calibration(model, fit, points, gravity),
+        calibration=calibration_of_fit(model, fit, points, gravity),
         fit=fit,
         fit_errors=FitErrors(len(points), len(set(label.tolist())), before, after),
     )
@@ -294,12 +305,6 @@ def _complete(
         return completed
     errors = _in_standard_g(precision.standard_errors, gravity)
     return replace(completed, coverage=_with(verdict.coverage, precision), standard_errors=errors)
-
-
-def _calibration(model: str, fit: Fit, points: PointSet, gravity: Gravity) -> Calibration:
-    """What a fit to points makes of raw values, in standard g."""
-    scale = points.temperature if MODELS[model].has_temperature else None
-    return Calibration(model, in_standard_g(fit.parameters, gravity.local_g()), scale, gravity)
 
 
 def _in_standard_g(errors: tuple[float, ...], gravity: Gravity) -> tuple[float, ...]:
@@ -410,8 +415,17 @@ def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:
         holdout = replace(holdout, before=raw.holdout.before)
     if errors is not None and raw.fit_errors is not None:
         errors = replace(errors, before_mg=raw.fit_errors.before_mg)
-    before = raw.sphere_before or followed.sphere_before
-    return replace(followed, message=message, holdout=holdout, fit_errors=errors, sphere_before=before)
+    before, simpler = raw.sphere_before or followed.sphere_before, followed.without_misalignment
+    if simpler is not None and simpler.holdout is not None and raw.holdout is not None:
+        simpler = replace(simpler, holdout=replace(simpler.holdout, before=raw.holdout.before))
+    return replace(
+        followed,
+        message=message,
+        holdout=holdout,
+        fit_errors=errors,
+        sphere_before=before,
+        without_misalignment=simpler,
+    )
 
 
 def held_out(

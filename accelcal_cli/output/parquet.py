@@ -280,8 +280,11 @@ def _opened(path: Path, threads: int) -> pa.NativeFile:
 class ParquetSource:
     """Reads a calibrated recording back, in portions of any number of rows."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, columns: Sequence[str] | None = None) -> None:
         """Open a file.
+
+        Args:
+            columns: names of those that are wanted, in this order; None: all. They are there.
 
         Raises:
             UnreadableError: it is no Parquet file, or cannot be read.
@@ -293,10 +296,11 @@ class ParquetSource:
             except (OSError, pa.ArrowException) as error:
                 raise self._unreadable(error) from error
             self._open = stack.pop_all()
-        self.names: list[str] = self._file.schema_arrow.names
+        schema = self._file.schema_arrow
+        self.names: list[str] = schema.names if columns is None else list(columns)
         self.rows: int = self._file.metadata.num_rows
-        self._batches = self._file.iter_batches(SOURCE_ROWS)
-        self._rest = [_values(pa.array([], field.type)) for field in self._file.schema_arrow]
+        self._batches = self._file.iter_batches(SOURCE_ROWS, columns=self.names)
+        self._rest = [_values(pa.array([], schema.field(name).type)) for name in self.names]
 
     def other_column(self, schema: pa.Schema) -> str | None:
         """The first column that is not as in a schema, in name or type; None if all are."""
@@ -325,7 +329,7 @@ class ParquetSource:
             batch = next(self._batches, None)
         except (OSError, pa.ArrowException) as error:
             raise self._unreadable(error) from error
-        return None if batch is None else [_values(column) for column in batch.columns]
+        return None if batch is None else [_values(batch.column(name)) for name in self.names]
 
     def _unreadable(self, error: Exception) -> UnreadableError:
         return UnreadableError(f"cannot be read as Parquet ({error})", path=self.path)

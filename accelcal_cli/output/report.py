@@ -16,10 +16,9 @@ from typing import Any
 from accelcal_cli import __version__
 from accelcal_cli.core import results
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.course import Course
 from accelcal_cli.core.daylight import ZoneChange
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.fixed import FRACTION_BITS, to_float
+from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.operations import predicted_seconds
 from accelcal_cli.core.points import (
     FIRST_NAMES,
@@ -36,10 +35,10 @@ from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.zones import zone_of_times
+from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import parsed
 from accelcal_cli.output.report_schema import fault, report_schema
 
-EQUATION = "a = K (v + o + s (T - Tref))"
 DAY_S = 86_400
 SCHEMA_VERSION = 2
 SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg", "sphere_before_mg")
@@ -63,56 +62,6 @@ def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str,
     }
 
 
-def coefficients_json(calibration: Calibration) -> dict[str, Any]:
-    """What is needed to apply a calibration."""
-    return {
-        "model": calibration.model,
-        "gain": calibration.gain().tolist(),
-        "offset_g": calibration.offset_g().tolist(),
-        "parameters": {name: to_float(value) for name, value in _integers(calibration, 9).items()},
-        "temperature": _temperature(calibration),
-        "course": _course(calibration.course),
-        "equation": EQUATION,
-        "fixed_point": _fixed_point(calibration),
-        "gravity": {
-            "local_g": float(calibration.gravity.local_g()),
-            "latitude": calibration.gravity.latitude,
-            "altitude": calibration.gravity.altitude_m,
-        },
-    }
-
-
-def _course(course: Course | None) -> dict[str, Any] | None:
-    """What takes the place of v, knot by knot."""
-    if course is None:
-        return None
-    knots = zip(course.samples, course.stretch, course.shift, strict=True)
-    return {
-        "between": "lines" if course.lines else "jumps",
-        "knots": [
-            {
-                "sample": sample,
-                "stretch": [to_float(value) for value in stretch],
-                "shift_g": [to_float(value) for value in shift],
-                "fixed_point": {"stretch": list(stretch), "shift": list(shift)},
-            }
-            for sample, stretch, shift in knots
-        ],
-    }
-
-
-def _integers(calibration: Calibration, number: int) -> dict[str, int]:
-    """Parameters by name; those above K's diagonal only where there are any."""
-    named = dict(zip(PARAMETER_NAMES[:number], calibration.parameters, strict=False))
-    return named | dict(zip(UPPER_NAMES, calibration.upper, strict=True)) if any(calibration.upper) else named
-
-
-def _temperature(calibration: Calibration) -> dict[str, Any] | None:
-    if calibration.temperature is None:
-        return None
-    return {"slope_g_per_c": calibration.slope_g_per_c().tolist(), "reference_c": calibration.reference_c()}
-
-
 def _standard_errors(calibration: Calibration, errors: tuple[float, ...] | None) -> dict[str, float] | None:
     if errors is None:
         return None
@@ -122,16 +71,6 @@ def _standard_errors(calibration: Calibration, errors: tuple[float, ...] | None)
     named = dict(zip(PARAMETER_NAMES[:number], scaled, strict=False))
     named |= dict(zip(UPPER_NAMES, scaled[12:], strict=False))
     return {name: significant(value) for name, value in named.items()}
-
-
-def _fixed_point(calibration: Calibration) -> dict[str, Any]:
-    scale = calibration.temperature
-    return {
-        "fraction_bits": FRACTION_BITS,
-        "parameters": _integers(calibration, 12),
-        "temperature_reference_mc": None if scale is None else scale.reference_mc,
-        "temperature_span_c": None if scale is None else scale.span_c,
-    }
 
 
 def _effort(fit: Fit, arithmetic: Arithmetic) -> dict[str, Any]:
@@ -202,9 +141,22 @@ def trial_json(trial: results.Trial) -> dict[str, Any]:
     }
 
 
-def sphere_json(verdict: Judgement) -> dict[str, Any] | None:
+def without_misalignment_json(verdict: Judgement) -> dict[str, Any] | None:
+    """The `without_misalignment` object; None where the calibration has none, or it could not be left out."""
+    simpler = verdict.without_misalignment
+    if simpler is None:
+        return None
+    return {
+        "calibration": coefficients_json(simpler.calibration),
+        "sphere_mg": sphere_json(simpler.sphere, verdict.sphere_before),
+        "holdout": None if simpler.holdout is None else holdout_json(simpler.holdout),
+    }
+
+
+def sphere_json(
+    sphere: results.SphereError | None, before: results.SphereError | None
+) -> dict[str, Any] | None:
     """The `sphere_mg` object; None where nothing is known of the whole sphere."""
-    sphere, before = verdict.sphere, verdict.sphere_before
     if sphere is None or before is None:
         return None
     return {
@@ -437,7 +389,8 @@ def document(
         "outcome": str(verdict.outcome),
         "message": verdict.message,
         "calibration": calibration_json(verdict, data.optimizer),
-        "sphere_mg": sphere_json(verdict),
+        "without_misalignment": without_misalignment_json(verdict),
+        "sphere_mg": sphere_json(verdict.sphere, verdict.sphere_before),
         "change": change,
         "misfits": misfits_json(verdict.misfits),
         "holdout": None if verdict.holdout is None else holdout_json(verdict.holdout),

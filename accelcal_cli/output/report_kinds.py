@@ -20,7 +20,7 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.report_reading import Document
 
 FORMAT = "pool"
-TAKEN = ("calibration", "sphere_mg", "holdout", "fit", "coverage", "models_tried")
+TAKEN = ("calibration", "without_misalignment", "sphere_mg", "holdout", "fit", "coverage", "models_tried")
 """Sections that a member's report has from its pool."""
 
 

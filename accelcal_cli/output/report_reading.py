@@ -20,8 +20,9 @@ from accelcal_cli.core.prior import LearntPrior, Prior, Source
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import LEARNT_PRIORS
+from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import parsed
-from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, coefficients_json, upgraded
+from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, upgraded
 from accelcal_cli.output.report_schema import fault, schema_of_version
 
 NAME_ONE = "name a report, STEM.calibration.json"
@@ -40,7 +41,9 @@ FULL_GAIN = "12"
 USED = ("calibration", "recording", "coefficients", "outcome", "message")
 """Sections that applying a report's coefficients to any recording needs."""
 
-COPIED = ("sphere_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried")
+COPIED = (
+    "without_misalignment", "sphere_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried",
+)  # fmt: skip
 """Sections that hold for the recording itself, whatever it is applied by."""
 
 
@@ -216,6 +219,29 @@ def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
     if wrong:
         raise damaged(document, wrong)
     return Coefficients(document, calibration, _origin(report), by_content)
+
+
+def without_misalignment(found: Coefficients) -> points.Calibration | None:
+    """What a report's points gave without misalignment; None where its report has nothing of the kind.
+
+    Raises:
+        UnreadableError: that section cannot be.
+    """
+    document = found.document
+    if document.report.get("without_misalignment") is None:
+        return None
+    check_sections(document, ("without_misalignment",))
+    section = document.report["without_misalignment"]["calibration"]
+    try:
+        calibration = calibration_of(section)
+    except ValueError as error:
+        raise damaged(document, f"without_misalignment: {error}") from error
+    wrong = contradiction(section, calibration) or implausible(calibration)
+    if calibration.model not in ("6", "6T"):
+        wrong = f"calibration.model is {calibration.model!r}"
+    if wrong:
+        raise damaged(document, f"without_misalignment: {wrong}")
+    return calibration
 
 
 def _origin(report: Mapping[str, Any]) -> Origin:

@@ -41,6 +41,7 @@ LATER = {
     "holdout.improvement_factor": "0.2.0",
     "settings.prior": "0.2.0",
     "sphere_mg": "0.2.0",
+    "without_misalignment": "0.2.0",
     "change": "0.2.0",
     "misfits": "0.2.0",
     "settings.recalibrate": "0.2.0",

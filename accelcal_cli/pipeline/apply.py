@@ -17,11 +17,17 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.core.results import Holdout, Judgement, Outcome
+from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
 from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
-from accelcal_cli.output.report import coefficients_json
-from accelcal_cli.output.report_reading import COPIED, Coefficients, check_sections, read_coefficients
+from accelcal_cli.output.coefficients import coefficients_json
+from accelcal_cli.output.report_reading import (
+    COPIED,
+    Coefficients,
+    check_sections,
+    read_coefficients,
+    without_misalignment,
+)
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.calibrate import (
     FirstPass,
@@ -126,7 +132,12 @@ class GivenCoefficients(Judge):
         method = REREAD if self.relation is Relation.REREAD else UNSEEN
         holdout = held_out(found.points, calibration, settings.gravity, settings.posture_degrees, method)
         text = sentence(self.donor, calibration, found.recording, holdout, settings.max_error_mg)
-        return Judgement(Outcome.BORROWED, text, found.coverage, (), calibration, holdout=holdout)
+        verdict = Judgement(Outcome.BORROWED, text, found.coverage, (), calibration, holdout=holdout)
+        if (simpler := without_misalignment(self.donor)) is None:
+            return verdict
+        used = at_reference(simpler, settings)
+        held = held_out(found.points, used, settings.gravity, settings.posture_degrees, method)
+        return replace(verdict, without_misalignment=WithoutMisalignment(used, held))
 
     def _donor_sections(self) -> dict[str, Any]:
         """Sections of the donor's report that hold here too."""
@@ -253,7 +264,11 @@ def settings_for(donor: Coefficients, relation: Relation, wanted: Settings) -> S
 
 def applied(donor: Coefficients, settings: Settings) -> Calibration:
     """The calibration to apply: the donor's, at its reference temperature where none is to be used."""
-    calibration = donor.calibration
+    return at_reference(donor.calibration, settings)
+
+
+def at_reference(calibration: Calibration, settings: Settings) -> Calibration:
+    """A calibration without its slopes where no temperature is to be used."""
     if calibration.temperature is None or settings.temperature:
         return calibration
     still = (*calibration.parameters[:9], 0, 0, 0)

@@ -296,6 +296,9 @@ class TimedCellProcedure(CellProcedure):
         followed = replace(
             better, calibration=replace(better.calibration, course=change.course), change=change
         )
+        if (simpler := better.without_misalignment) is not None:
+            along = replace(simpler, calibration=replace(simpler.calibration, course=change.course))
+            followed = replace(followed, without_misalignment=along)
         return with_errors_before(followed, verdict)
 
     def _along(self, change: Change, how: Fitting) -> Judgement:

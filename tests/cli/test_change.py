@@ -125,6 +125,22 @@ def test_its_own_coefficients_give_the_same_values_again(
     assert tables[0].equals(tables[1])
 
 
+def test_what_is_fitted_without_misalignment_follows_too_but_no_other_tool_can(
+    jumped: Path, capsys: Capture
+) -> None:
+    path = jumped / "jumps.calibration.json"
+    report = json.loads(path.read_text())
+    simpler = report["without_misalignment"]
+    assert simpler["calibration"]["course"] == report["calibration"]["course"] is not None
+    assert simpler["holdout"]["before_mg"] == report["holdout"]["before_mg"]
+    assert simpler["holdout"]["after_mg"]["mean"] > report["holdout"]["after_mg"]["mean"]
+    ran = run(capsys, "export", path, "--to", "ggir")
+    assert ran.code == 2
+    assert_one_line(ran, "follows a sensor that changed while it recorded", "--recalibrate never")
+    shown = json.loads(run(capsys, "export", path, "--to", "json").out)
+    assert shown["without_misalignment"] == simpler
+
+
 def test_another_recording_does_not_get_them(jumped: Path, tmp_path: Path, capsys: Capture) -> None:
     other, report = long_raw(tmp_path / "other.raw"), jumped / "jumps.calibration.json"
     ran = run(capsys, "apply", "--coefficients", report, other, "-d", tmp_path / "out", "--any-device")

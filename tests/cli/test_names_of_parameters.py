@@ -46,6 +46,7 @@ def first_names(calibration: dict[str, Any]) -> None:
 CAME_LATER = (
     "recording.time_zone", "settings.min_distance_g", "settings.input.force_timezone",
     "coverage.distinct_orientations", "file_health.rest", "holdout.improvement_factor",
+    "without_misalignment",
 )  # fmt: skip
 """What reports of accelcal 0.1.0, the last of schema version 1, did not have."""
 

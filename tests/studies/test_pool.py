@@ -66,7 +66,9 @@ def test_a_pool_is_what_one_long_recording_would_be(base: Path) -> None:
     """Windows end where poses do, so that the long recording has the very windows of its four parts."""
     assert run_in(base, "calibrate", base / "whole.raw", "-d", base / "alone", "--prior", "none").code == 0
     whole, made = report(base / "alone", "whole"), pool_of(base / "out")
-    for name in ("outcome", "message", "calibration", "holdout", "coverage", "models_tried"):
+    for name in (
+        "outcome", "message", "calibration", "without_misalignment", "holdout", "coverage", "models_tried",
+    ):  # fmt: skip
         assert made[name] == whole[name]
     assert made["calibration"]["model"] == "9T"
     assert {**made["fit"], "windows": 0} == {**whole["fit"], "windows": 0}
@@ -85,7 +87,10 @@ def test_each_recording_gets_its_coefficients_and_says_what_they_do_to_its_own_w
         found = report(out, name)
         assert report(base / "plain", name)["outcome"] == "refused"
         assert found["outcome"] == "calibrated"
-        for section in ("calibration", "holdout", "fit", "coverage", "models_tried"):
+        assert made["without_misalignment"]["calibration"]["model"] == "6T"
+        for section in (
+            "calibration", "without_misalignment", "holdout", "fit", "coverage", "models_tried",
+        ):  # fmt: skip
             assert found[section] == made[section]
         assert found["pool"]["recordings"] == made["pool"]["recordings"]
         assert (out / name).parent.joinpath(found["pool"]["path"]).resolve().parent == out

@@ -1,0 +1,106 @@
+"""`accelcal export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import options
+from accelcal_cli.cli.exit_codes import say, show
+from accelcal_cli.cli.output import progress_bars
+from accelcal_cli.core.errors import OutputError, UsageError, counted
+from accelcal_cli.output.files import exists, write_text
+from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
+
+COEFFICIENTS = ("ggir", "biobank", "omconvert", "json")
+DATA = ("csv", "npz", "mhealth", "bids")
+
+
+@click.command("export")
+@click.argument("files", nargs=-1, required=True, type=options.FILE)
+@click.option("--to", "form", required=True, type=click.Choice([*COEFFICIENTS, *DATA]),
+              help="The tool, or the form.")  # fmt: skip
+@click.option("-o", "--output", type=options.FILE, help="The new file; coefficients are printed without it.")
+@click.option("--resample", "resample_hz", type=options.Positive(100_000), metavar="HZ",
+              help="Data at this rate, within stretches without a gap.")  # fmt: skip
+@click.option(
+    "--measured-only",
+    is_flag=True,
+    help="Leave out rows that the device filled in while it slept, and those of damaged blocks.",
+)
+@click.option("--force", is_flag=True, help="Replace files that are there.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
+def command(files: tuple[Path, ...], **values: Any) -> None:
+    """Hand results on to other tools.
+
+    Of reports (STEM.calibration.json) the coefficients, to ggir, biobank or omconvert, or as json. These
+    tools know no misalignment: they are given what the same points gave without it, and stderr says what
+    that costs. Of one STEM.calibrated.parquet the data, with all that was calibrated, as csv, npz, mhealth
+    or bids.
+    """
+    if values["form"] in COEFFICIENTS:
+        _coefficients(files, values)
+    else:
+        _data(files, values)
+
+
+def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> None:
+    form, output = values["form"], values["output"]
+    for name in ("resample_hz", "measured_only"):
+        if values[name]:
+            option = f"--{name.removesuffix('_hz').replace('_', '-')}"
+            raise UsageError(f"{option} is for data (--to {', '.join(DATA)})", hint="omit it")
+    if output is not None:
+        _refuse((output,), files, force=values["force"])
+    text = _text(form, files, quiet=values["quiet"])
+    if output is None:
+        show(text.rstrip("\n"))
+    else:
+        write_text(output, text)
+
+
+def _text(form: str, files: tuple[Path, ...], *, quiet: bool) -> str:
+    from accelcal_cli.exports import coefficients
+
+    if form == "json":
+        return "".join(coefficients.as_json(path) + "\n" for path in files)
+    handed = [coefficients.handed(path) for path in files]
+    for one in handed:
+        told = coefficients.cost(one)
+        if told is not None and not quiet:
+            say(f"{one.path}: {told}")
+    if form == "ggir":
+        return coefficients.ggir(handed)
+    return "".join(coefficients.LINES[form](one) + "\n" for one in handed)
+
+
+def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
+    from accelcal_cli.exports.data import Wanted, export_data, outputs_of
+
+    form, output = values["form"], values["output"]
+    if len(files) > 1:
+        raise UsageError("data are exported from one file at a time", hint="name one calibrated Parquet file")
+    if output is None:
+        raise UsageError(f"--to {form} writes a file, which needs a name", hint="give one with -o")
+    _refuse(outputs_of(form, output), files, force=values["force"])
+    wanted = Wanted(output, values["resample_hz"], values["measured_only"])
+    with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:
+        written = export_data(form, files[0], wanted, bars)
+    if not values["quiet"]:
+        about = written.about
+        zone = "UTC" if about.utc and form != "mhealth" else "of the device's clock"
+        limits = "" if about.range_g is None else f", range -{about.range_g:g} to {about.range_g:g} g"
+        gaps = counted(written.stretches - 1, "gap")
+        rows = f"{counted(written.rows, 'row')} at {about.rate_hz:g} Hz with {gaps}"
+        say(f"{output}: {rows}, times {zone}{limits}")
+
+
+def _refuse(outputs: tuple[Path, ...], inputs: tuple[Path, ...], *, force: bool) -> None:
+    """Raise UsageError for an output that is an input, OutputError for one that is there already."""
+    for path in outputs:
+        refuse_nameless(path)
+        refuse_overwriting((path,), inputs)
+        if exists(path) and not force:
+            raise OutputError("is there already", path=path, hint="use --force to replace it")

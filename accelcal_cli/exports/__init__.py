@@ -1,0 +1,1 @@
+"""Results in the forms of other tools: coefficients for their formulas, samples for their readers."""

@@ -1,0 +1,259 @@
+"""Coefficients for tools that know scales, offsets and slopes, but no misalignment.
+
+Each form is one small function with the tool's formula and where it stands. What is handed on is never a
+calibration cut down: where that has misalignment, it is what the same points gave without (judge/simpler.py).
+"""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+from accelcal_cli import __version__
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.points import Calibration
+from accelcal_cli.output.coefficients import coefficients_json
+from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.report import section
+from accelcal_cli.output.report_reading import (
+    FULL_GAIN,
+    check_sections,
+    read_coefficients,
+    without_misalignment,
+)
+
+ALIGNED = ("0", "3", "6", "3T", "6T")
+"""Models without misalignment: these are handed on as they are."""
+
+NO_RECORDING = {"pool": "a pool of recordings", "points": "a table of points"}
+"""What reports may be of, by `recording.format`, for which other tools have no file."""
+
+GGIR_COLUMNS = (
+    "filename", "scale.x", "scale.y", "scale.z", "offset.x", "offset.y", "offset.z",
+    "temperature.offset.x", "temperature.offset.y", "temperature.offset.z", "meantempcal",
+    "cal.error.start", "cal.error.end", "n.10sec.windows", "n.hours.considered", "QCmessage",
+    "use.temperature",
+)  # fmt: skip
+GGIR_MESSAGE = "recalibration done, no problems detected"
+"""What GGIR itself says where all is well (g.calibrate.R)."""
+
+KINDS_OF_ERROR = (("held out", "holdout", "after_mg"), ("over the whole sphere", "sphere_mg"))
+"""What they are called, and where they are in a report."""
+
+Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class PerAxis:
+    """a = scale (v + offset + slope (T - reference)), axis by axis; x, y, z of each.
+
+    Attributes:
+        offset_g: in standard g.
+        slope_g_per_c: of the offset; zeros without temperature.
+    """
+
+    scale: Three
+    offset_g: Three
+    slope_g_per_c: Three
+    reference_c: float
+
+    def warmth(self) -> Three:
+        """What one degree adds to a [g]: scale times slope."""
+        x, y, z = (k * s for k, s in zip(self.scale, self.slope_g_per_c, strict=True))
+        return x, y, z
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """What one report hands on.
+
+    Attributes:
+        report: what it says; path: where it lies.
+        whole: its calibration.
+        simple: the calibration without misalignment; errors: the section of the report that has its errors.
+    """
+
+    path: Path
+    report: dict[str, Any]
+    whole: Calibration
+    simple: Calibration
+    errors: dict[str, Any]
+
+    @property
+    def recording(self) -> str:
+        """The recording's path, as its report has it."""
+        return str(self.report["recording"]["path"])
+
+    @property
+    def file_name(self) -> str:
+        """The recording's name with its suffix."""
+        kind = PureWindowsPath if "\\" in self.recording else PurePosixPath
+        return kind(self.recording).name
+
+    def axes(self) -> PerAxis:
+        """The simple calibration, axis by axis."""
+        found, gain = self.simple, self.simple.gain()
+        columns = ([gain[axis, axis] for axis in range(3)], found.offset_g(), found.slope_g_per_c())
+        scale, offset, slope = ((float(x), float(y), float(z)) for x, y, z in columns)
+        return PerAxis(scale, offset, slope, found.reference_c())
+
+
+def handed(path: Path) -> Handed:
+    """What a report has for tools without misalignment.
+
+    Raises:
+        UnreadableError: it is no report, is damaged, or its recording was refused.
+        UsageError: it has nothing that such a tool can use.
+    """
+    found = read_coefficients(path)
+    document, whole = found.document, found.calibration
+    check_sections(document, ("recording", "fit", "holdout", "sphere_mg"))
+    report = document.report
+    if report["recording"]["format"] in NO_RECORDING:
+        text = f"is of {NO_RECORDING[report['recording']['format']]}, of which no other tool has a file"
+        raise UsageError(text, path=path, hint="name reports of recordings, or use --to json")
+    if whole.course is not None:
+        raise UsageError(
+            "follows a sensor that changed while it recorded, which no other tool can",
+            path=path,
+            hint="hand on the calibrated data (--to csv), or calibrate with --recalibrate never",
+        )
+    if whole.model in ALIGNED:
+        return Handed(path, report, whole, whole, report)
+    simple = without_misalignment(found)
+    if simple is None:
+        text, hint = _why_none(report, whole)
+        raise UsageError(text, path=path, hint=hint)
+    return Handed(path, report, whole, simple, report["without_misalignment"])
+
+
+def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
+    """Why a calibration with misalignment has nothing beside it, and what to do."""
+    data = "hand on the calibrated data (--to csv), or use --to json"
+    if whole.model == FULL_GAIN:
+        return "was calibrated on known orientations, with no fit beside it without misalignment", data
+    if "without_misalignment" not in report:
+        version = f"{report['accelcal_version']}, which did not fit without misalignment"
+        again = "calibrate its recording again with --force"
+        borrowed = "coefficients" in report or "pool" in report
+        hint = f"{again}, after that of its coefficients" if borrowed else again
+        return f"was written by a version ({version})", hint
+    return "has no fit without misalignment", data
+
+
+def ggir(all_handed: Sequence[Handed]) -> str:
+    """The CSV file for GGIR's `backup.cal.coef`, a row for each recording.
+
+    a = (v + offset) scale + (T - meantempcal) temperature.offset (GGIR 3.3-7, R/g.getmeta.R), T in degrees C.
+    x, y, z are taken by the order of the columns, and `meantempcal` has to be a number: without the column
+    the term with T is left out in silence, and an empty cell makes all values NA (R/g.part1.R). Errors are
+    those of held-out postures in g, and windows are ours, of 5 s by default.
+
+    Raises:
+        UsageError: two recordings have the same name, by which GGIR would give both the first one's row.
+    """
+    by_name: dict[str, Handed] = {}
+    for one in all_handed:
+        if one.file_name in by_name:
+            text = f"and {by_name[one.file_name].path} are of recordings of the same name, {one.file_name}"
+            raise UsageError(text, path=one.path, hint="GGIR knows them by name: export them separately")
+        by_name[one.file_name] = one
+    return csv_text(GGIR_COLUMNS, map(_ggir_row, all_handed))
+
+
+def _ggir_row(one: Handed) -> list[object]:
+    axes, report, holdout = one.axes(), one.report, one.errors["holdout"]
+    errors = [holdout and holdout[name]["mean"] / 1000 for name in ("before_mg", "after_mg")]
+    seconds = report["recording"]["duration_s"]
+    hours = None if seconds is None else round(seconds / 3600, 2)
+    temperature = "TRUE" if one.simple.temperature is not None else "FALSE"
+    return [
+        one.file_name, *axes.scale, *axes.offset_g, *axes.warmth(), axes.reference_c, *errors,
+        report["fit"]["windows"]["used"], hours, GGIR_MESSAGE, temperature,
+    ]  # fmt: skip
+
+
+def biobank(one: Handed) -> str:
+    """The command line of biobankAccelerometerAnalysis.
+
+    a = calOffset + calSlope v + calTemp T (version 7, EpochWriter.java), T in degrees C, without a reference
+    temperature. `--meanTemp` is not given: it sets all coefficients back. Its parser takes a negative number
+    with an exponent for an option, so that all numbers are written without.
+    """
+    axes = one.axes()
+    parts = zip(axes.scale, axes.offset_g, axes.slope_g_per_c, strict=True)
+    values = {
+        "calOffset": [k * (offset - slope * axes.reference_c) for k, offset, slope in parts],
+        "calSlope": axes.scale,
+        "calTemp": axes.warmth(),
+    }
+    words = [f"--{name} {' '.join(map(decimal, three))}" for name, three in values.items()]
+    return f"accProcess {_file(one)} --skipCalibration True {' '.join(words)}"
+
+
+def omconvert(one: Handed) -> str:
+    """The command line of omconvert.
+
+    a = (v + offset) scale + (T - Tref) temperature offset (omcalibrate.c); the ten numbers are scales,
+    offsets, temperature offsets and Tref (main.c). `-calibrate 0` makes it use them.
+    """
+    axes = one.axes()
+    numbers = (*axes.scale, *axes.offset_g, *axes.warmth(), axes.reference_c)
+    return f'omconvert {_file(one)} -calibrate 0 -calibration "{",".join(map(decimal, numbers))}"'
+
+
+def as_json(path: Path) -> str:
+    """All that a report has of its calibration: with misalignment and, where that was fitted, without.
+
+    Raises:
+        UnreadableError: it is no report, is damaged, or its recording was refused.
+    """
+    found = read_coefficients(path)
+    without_misalignment(found)  # refuses what is damaged
+    report = found.document.report
+    check_sections(found.document, ("holdout", "sphere_mg"))
+    recording = {name: report["recording"][name] for name in ("path", "sha256", "device")}
+    shown = {
+        "accelcal_version": __version__,
+        "report": {"path": printable(path), "sha256": found.document.sha256},
+        "recording": recording,
+        "outcome": report["outcome"],
+        "calibration": coefficients_json(found.calibration),
+        "sphere_mg": report.get("sphere_mg"),
+        "holdout": report.get("holdout"),
+        "without_misalignment": report.get("without_misalignment"),
+    }
+    return json.dumps(shown, allow_nan=False, ensure_ascii=False)
+
+
+def decimal(value: float) -> str:
+    """A number in full, without an exponent; reading it gives the same bits."""
+    return format(Decimal(repr(value + 0.0)), "f")
+
+
+def _file(one: Handed) -> str:
+    """The recording as one word of a shell's command line, and no option."""
+    path = printable(one.recording)
+    return shlex.quote(f"./{path}" if path.startswith("-") else path)
+
+
+def cost(one: Handed) -> str | None:
+    """What leaving out the misalignment costs, in a sentence; None where there is none to leave out."""
+    if one.simple == one.whole:
+        return None
+    parts = []
+    for name, *places in KINDS_OF_ERROR:
+        with_it, without = (section(held, *places).get("mean") for held in (one.report, one.errors))
+        if with_it is not None and without is not None:
+            parts.append(f"{without:.2f} mg {name} instead of {with_it:.2f}")
+    told = ", ".join(parts) or "what it costs is not known: there is too little stillness to judge it by"
+    return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {told}"
+
+
+LINES: dict[str, Callable[[Handed], str]] = {"biobank": biobank, "omconvert": omconvert}
+"""Forms of one line for each report."""

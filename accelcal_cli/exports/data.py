@@ -1,0 +1,302 @@
+"""Calibrated samples in the forms that other tools read: text tables, arrays of numpy, and BIDS.
+
+All are streamed from the Parquet file's row groups; arrays lie in unnamed temporary files until their
+lengths are known.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tempfile
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from itertools import chain
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.csv
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
+from accelcal_cli.exports.rows import About, Rows, calibrated_rows
+from accelcal_cli.output.files import output_error, replacing
+from accelcal_cli.output.parquet import SOURCE_ROWS
+from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+
+STANDARD_GRAVITY = 9.80665
+"""m/s^2 in one g: BIDS takes SI units alone, in which g is the gram."""
+
+MOTION = re.compile(r"sub-[a-zA-Z0-9]+_(?:[a-z]+-[a-zA-Z0-9]+_)*task-([a-zA-Z0-9]+)_tracksys-([a-zA-Z0-9]+)_"
+                    r"(?:[a-z]+-[a-zA-Z0-9]+_)*motion\.tsv")  # fmt: skip
+"""A name of Motion-BIDS, with task and tracking system."""
+
+MOTION_EXAMPLE = "sub-01_task-freeliving_tracksys-wrist_motion.tsv"
+COPIED_BYTES = 1 << 20
+
+
+@dataclass
+class Written:
+    """What was written: number of rows, first and last time, and how many stretches without a gap."""
+
+    about: About
+    rows: int = 0
+    first_us: int = 0
+    last_us: int = 0
+    stretches: int = 0
+
+    def count(self, rows: Rows) -> None:
+        """Take in what comes next."""
+        times = rows.time_us
+        if not self.rows:
+            self.first_us, self.stretches = int(times[0]), 1
+        else:
+            times = np.concatenate([[self.last_us], times])
+        self.stretches += len(breaks(times, self.about.rate_hz))
+        self.rows += len(rows)
+        self.last_us = int(times[-1])
+
+    @property
+    def seconds(self) -> float:
+        """From the first row to one period after the last."""
+        return (self.last_us - self.first_us) / MICROSECONDS + 1 / self.about.rate_hz
+
+
+Table = Callable[[Rows, Written], dict[str, pa.Array]]
+"""Rows as columns of text and numbers; `Written` has counted them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is asked for.
+
+    Attributes:
+        resample_hz: a fixed rate; None: the samples as they are.
+        measured_only: leave out rows that the device filled in, and those of damaged blocks.
+        batch_rows: rows in memory at a time; what is written does not depend on it.
+    """
+
+    output: Path
+    resample_hz: float | None = None
+    measured_only: bool = False
+    batch_rows: int = SOURCE_ROWS
+
+
+def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
+    """All files that a form is made of; raises UsageError for a name that it cannot have."""
+    if form != "bids":
+        if form == "npz" and output.suffix != ".npz":
+            hint = f"give a name such as {printable(output.with_suffix('.npz'))}"
+            raise UsageError("an array file has to end in .npz", path=output, hint=hint)
+        return (output,)
+    if MOTION.fullmatch(output.name) is None:
+        raise UsageError("is no name of Motion-BIDS", path=output, hint=f"name it as in {MOTION_EXAMPLE}")
+    stem = output.name.removesuffix("_motion.tsv")
+    return (output, *(output.with_name(stem + end) for end in ("_channels.tsv", "_motion.json")))
+
+
+def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker = no_progress) -> Written:
+    """Write a calibrated Parquet file in another form.
+
+    Raises:
+        UnreadableError: it cannot be read, or is not one of ours.
+        UsageError: the rate asked for is too far from its own, or no row is left.
+        OutputError: an output cannot be written.
+    """
+    with calibrated_rows(path, measured_only=wanted.measured_only) as source:
+        about, shown = source.about, progress("reading", source.rows)
+        portions = _shown(source.portions(wanted.batch_rows), shown)
+        if wanted.resample_hz is not None:
+            if not LEAST_RATIO <= wanted.resample_hz / about.rate_hz <= LARGEST_RATIO:
+                text = f"has {about.rate_hz:g} Hz, too far from {wanted.resample_hz:g}"
+                raise UsageError(text, path=path, hint="choose another rate with --resample")
+            portions = resampled(portions, about.rate_hz, wanted.resample_hz)
+            about = replace(about, rate_hz=wanted.resample_hz)
+        first = next(portions, None)
+        if first is None:
+            raise UsageError("no row would be left", path=path, hint="omit --measured-only")
+        portions = chain([first], portions)
+        with ExitStack() as stack:
+            places = [stack.enter_context(replacing(place)) for place in outputs_of(form, wanted.output)]
+            written = Written(about)
+            try:
+                FORMS[form](places, wanted.output, portions, written)
+            except OSError as error:
+                raise output_error(error, wanted.output) from error
+    return written
+
+
+def _shown(portions: Iterator[Rows], shown: Callable[[int], None]) -> Iterator[Rows]:
+    done = 0
+    for rows in portions:
+        yield rows
+        done += len(rows)
+        shown(done)
+
+
+def csv(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
+    """`time,x,y,z[,temperature]`: ISO 8601, with Z where it is UTC; g; degrees C.
+
+    For GGIR's `rmc.*` arguments, actipy, stepcount and biobank's accProcess (docs/exports.md).
+    """
+    names = ["time", *"xyz", *(["temperature"] if written.about.has_temperature else [])]
+    _text(places[0], names, portions, written, _iso)
+
+
+def _iso(rows: Rows, written: Written) -> dict[str, pa.Array]:
+    times = pc.utf8_replace_slice(_clock_text(rows.time_us, "us"), 10, 11, "T")
+    if written.about.utc:
+        times = pc.binary_join_element_wise(times, "Z", "")
+    return {"time": times, **_axes(rows.xyz), **_celsius(rows)}
+
+
+def mhealth(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
+    """`HEADER_TIME_STAMP,X,Y,Z` of mHealth, as MIMSunit reads it: the device's clock to a ms, and g."""
+    _text(places[0], ["HEADER_TIME_STAMP", *"XYZ"], portions, written, _local)
+
+
+def _local(rows: Rows, written: Written) -> dict[str, pa.Array]:
+    ahead_us = written.about.clock_ahead_s * MICROSECONDS if written.about.utc else 0
+    times = _clock_text((rows.time_us + ahead_us + 500) // 1000, "ms")
+    return {"HEADER_TIME_STAMP": times, **_axes(rows.xyz)}
+
+
+def bids(places: Sequence[Path], output: Path, portions: Iterator[Rows], written: Written) -> None:
+    """Motion-BIDS: `_motion.tsv` without a head, `_channels.tsv` and `_motion.json`.
+
+    The first channel is the latency [s]: it shows gaps. Accelerations are in m/s^2.
+    """
+    motion, channels, sidecar = places
+    _text(motion, None, portions, written, _motion)
+    lines = [("name", "component", "type", "tracked_point", "units", "sampling_frequency")]
+    rate = f"{written.about.rate_hz:.10g}"
+    lines.append(("latency", "n/a", "LATENCY", "n/a", "s", rate))
+    lines += [(f"acc_{axis}", axis, "ACCEL", "wrist", "m/s^2", rate) for axis in "xyz"]
+    if written.about.has_temperature:
+        lines.append(("temperature", "n/a", "MISC", "wrist", "oC", rate))
+    channels.write_text("".join("\t".join(line) + "\n" for line in lines), encoding="utf-8")
+    sidecar.write_text(json.dumps(_sidecar(output, written, len(lines) - 1), indent=2) + "\n", "utf-8")
+
+
+def _motion(rows: Rows, written: Written) -> dict[str, pa.Array]:
+    seconds = (rows.time_us - written.first_us) / MICROSECONDS
+    metres = (rows.xyz.astype(np.float64) * STANDARD_GRAVITY).astype(np.float32)
+    return {"latency": pa.array(seconds), **_axes(metres), **_celsius(rows)}
+
+
+def _sidecar(output: Path, written: Written, channels: int) -> dict[str, Any]:
+    named = MOTION.fullmatch(output.name)
+    assert named is not None
+    device = written.about.recording.get("device")
+    device = device if isinstance(device, dict) else {}
+    known = {"ManufacturersModelName": device.get("model"), "DeviceSerialNumber": device.get("serial")}
+    return {
+        "TaskName": named[1],
+        "TrackingSystemName": named[2],
+        "SamplingFrequency": written.about.rate_hz,
+        "SamplingFrequencyEffective": round(written.rows / written.seconds, 6),
+        "RecordingDuration": round(written.seconds, 6),
+        "MotionChannelCount": channels,
+        "ACCELChannelCount": 3,
+        "LATENCYChannelCount": 1,
+        **({"MISCChannelCount": 1} if written.about.has_temperature else {}),
+        "MissingValues": "n/a",
+        "TrackedPointsCount": 1,
+        **{name: value for name, value in known.items() if value},
+    }
+
+
+def _clock_text(values: NDArray[np.int64], unit: str) -> pa.Array:
+    """Times since 1970 as `2024-03-04 00:00:00.040`, with all digits of the unit; faster than strftime."""
+    return pa.array(values).cast(pa.timestamp(unit)).cast(pa.string())
+
+
+def _axes(xyz: NDArray[np.float32]) -> dict[str, pa.Array]:
+    return {axis: pa.array(np.ascontiguousarray(xyz[:, number])) for number, axis in enumerate("xyz")}
+
+
+def _celsius(rows: Rows) -> dict[str, pa.Array]:
+    """A missing temperature is an empty cell, or n/a."""
+    return {} if rows.celsius is None else {"temperature": pa.array(rows.celsius, from_pandas=True)}
+
+
+def _text(
+    place: Path, names: Sequence[str] | None, portions: Iterator[Rows], written: Written, table: Table
+) -> None:
+    """A text table: with these names as its head and commas, or with tabs and without a head."""
+    writer = None
+    with place.open("wb") as file:
+        if names is not None:
+            file.write((",".join(names) + "\n").encode())
+        options = pa.csv.WriteOptions(
+            include_header=False, delimiter="\t" if names is None else ",", quoting_style="none"
+        )
+        for rows in portions:
+            written.count(rows)
+            batch = pa.record_batch(table(rows, written))
+            if names is None:
+                batch = _with_words(batch)
+            if writer is None:
+                writer = pa.csv.CSVWriter(file, batch.schema, write_options=options)
+            writer.write_batch(batch)
+        if writer is not None:
+            writer.close()
+
+
+def _with_words(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """The batch with n/a for missing values, where there are any or may be."""
+    columns = {name: batch.column(name) for name in batch.schema.names}
+    if "temperature" in columns:
+        columns["temperature"] = pc.fill_null(columns["temperature"].cast(pa.string()), "n/a")
+    return pa.record_batch(columns)
+
+
+def npz(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written: Written) -> None:
+    """Arrays for skdh: `time` [s since 1970], `accel` (n, 3) [g], `fs` [Hz], `temperature` if there is one.
+
+    Not compressed. While it is written, the disk holds them twice.
+    """
+    kinds: dict[str, tuple[str, tuple[int, ...]]] = {"time": ("<f8", ()), "accel": ("<f4", (3,))}
+    if written.about.has_temperature:
+        kinds["temperature"] = ("<f4", ())
+    with ExitStack() as stack:
+        folder = places[0].parent
+        files = {name: stack.enter_context(tempfile.TemporaryFile(dir=folder)) for name in kinds}
+        for rows in portions:
+            written.count(rows)
+            columns = {"time": rows.time_us / MICROSECONDS, "accel": rows.xyz, "temperature": rows.celsius}
+            for name, file in files.items():
+                file.write(np.ascontiguousarray(columns[name], kinds[name][0]).tobytes())
+        with zipfile.ZipFile(places[0], "w", zipfile.ZIP_STORED) as archive:
+            for name, (kind, shape) in kinds.items():
+                with _member(archive, name, kind, (written.rows, *shape)) as member:
+                    files[name].seek(0)
+                    shutil.copyfileobj(files[name], member, COPIED_BYTES)
+            with _member(archive, "fs", "<f8", ()) as member:
+                member.write(np.float64(written.about.rate_hz).tobytes())
+
+
+@contextmanager
+def _member(archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
+    """An array of an archive, begun with its head; the same bytes at any time of day."""
+    info = zipfile.ZipInfo(f"{name}.npy")
+    with archive.open(info, "w", force_zip64=True) as member:
+        head = {"descr": kind, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(member, head)
+        yield member
+
+
+FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[Rows], Written], None]] = {
+    "csv": csv,
+    "npz": npz,
+    "mhealth": mhealth,
+    "bids": bids,
+}
