@@ -155,10 +155,10 @@ def test_what_is_not_known_comes_last_either_way(few: Path, opened: Opens) -> No
 def test_filtering_by_keyboard(few: Path, opened: Opens) -> None:
     window = opened(few)
     window.page.focus("#wanted-text")
-    window.page.keyboard.type("SITE03/")
-    assert status(window).startswith("16 of 200 recordings")
-    assert all(path.startswith("site03/") for path in shown_rows(window, 0))
-    assert window.page.locator("#recordings-grid table").get_attribute("aria-rowcount") == "17"
+    window.page.keyboard.type("wrist_WEEK3")
+    assert status(window).startswith("24 of 200 recordings")
+    assert all("_wrist_week3." in path for path in shown_rows(window, 0))
+    assert window.page.locator("#recordings-grid table").get_attribute("aria-rowcount") == "25"
     window.page.keyboard.press("Tab")
     window.page.keyboard.press("r")
     assert window.page.input_value("#wanted-outcome") == "refused"
