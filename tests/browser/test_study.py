@@ -78,6 +78,13 @@ def status(opened: Opened) -> str:
     return text
 
 
+def violations(opened: Opened, axe: str) -> list[Any]:
+    """What axe-core finds, and where."""
+    opened.page.evaluate(axe)
+    found = opened.page.evaluate("axe.run(document, {resultTypes: ['violations']})")["violations"]
+    return [(one["id"], [node["html"][:200] for node in one["nodes"]]) for one in found]
+
+
 def shown_rows(opened: Opened, key: int) -> list[str]:
     """Cells of a column in the rows that exist, in their order."""
     cells = opened.page.locator(f"#recordings-grid tbody tr:not(.space) td:nth-child({key + 1})")
@@ -117,9 +124,7 @@ def test_axe_finds_nothing(
     name: str, scheme: str, opened: Opens, axe: str, shots: Path, request: pytest.FixtureRequest
 ) -> None:
     window = opened(request.getfixturevalue(name), color_scheme=scheme, bypass_csp=True)
-    window.page.evaluate(axe)
-    found = window.page.evaluate("axe.run(document, {resultTypes: ['violations']})")
-    assert [(one["id"], [node["html"][:200] for node in one["nodes"]]) for one in found["violations"]] == []
+    assert violations(window, axe) == []
     window.page.screenshot(path=shots / f"study-{name}-{scheme}.png", full_page=True)
 
 
@@ -155,10 +160,10 @@ def test_what_is_not_known_comes_last_either_way(few: Path, opened: Opens) -> No
 def test_filtering_by_keyboard(few: Path, opened: Opens) -> None:
     window = opened(few)
     window.page.focus("#wanted-text")
-    window.page.keyboard.type("SITE03/")
-    assert status(window).startswith("16 of 200 recordings")
-    assert all(path.startswith("site03/") for path in shown_rows(window, 0))
-    assert window.page.locator("#recordings-grid table").get_attribute("aria-rowcount") == "17"
+    window.page.keyboard.type("wrist_WEEK3")
+    assert status(window).startswith("24 of 200 recordings")
+    assert all("_wrist_week3." in path for path in shown_rows(window, 0))
+    assert window.page.locator("#recordings-grid table").get_attribute("aria-rowcount") == "25"
     window.page.keyboard.press("Tab")
     window.page.keyboard.press("r")
     assert window.page.input_value("#wanted-outcome") == "refused"
@@ -293,3 +298,15 @@ def load_ms(path: Path, opened: Opens) -> tuple[float, float]:
     held = {one["name"]: one["value"] for one in session.send("Performance.getMetrics")["metrics"]}
     window.page.context.close()
     return painted, 1000 * held["TaskDuration"]
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_the_page_of_a_recording_stands_alone_and_says_its_step(
+    stepped: Path, scheme: str, opened: Opens, axe: str, shots: Path
+) -> None:
+    page = stepped.with_name("jumps.html")
+    window = opened(page, color_scheme=scheme)
+    assert (window.complaints, window.requests) == ([], [page.as_uri()])
+    assert f"its offsets jump at {STEP_AT}" in window.page.inner_text("main")
+    window.page.screenshot(path=shots / f"recording-{scheme}.png", full_page=True)
+    assert violations(opened(page, color_scheme=scheme, bypass_csp=True), axe) == []
