@@ -10,7 +10,7 @@ found() {
 }
 
 if ! found >/dev/null && [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; then
-  apt-get -qq update && apt-get -qq install --no-install-recommends chromium >/dev/null || true
+  timeout 120 apt-get -qq update && timeout 300 apt-get -qq install --no-install-recommends chromium >/dev/null || true
 fi
 found >"$folder/chromium" || { echo "There is no Chromium: install the package chromium."; exit 1; }
 
@@ -19,5 +19,5 @@ found >"$folder/chromium" || { echo "There is no Chromium: install the package c
   || { echo "playwright cannot be installed from PyPI."; exit 1; }
 
 [ -f "$folder/node_modules/axe-core/axe.min.js" ] \
-  || npm install --silent --no-save --no-audit --no-fund --ignore-scripts --prefix "$folder" axe-core@4 \
+  || timeout 180 npm install --silent --no-save --no-audit --no-fund --ignore-scripts --prefix "$folder" axe-core@4 \
   || { echo "axe-core cannot be installed: it takes npm, which comes with Node.js."; exit 1; }
