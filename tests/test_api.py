@@ -18,6 +18,7 @@ import pytest
 
 import accelcal_cli as accelcal
 from tests.cli.run import run
+from tests.cli.studies import NAMES, study_folder
 from tests.cli.test_change import jumping
 from tests.conftest import ROOT
 
@@ -37,7 +38,9 @@ def words(options: dict[str, Any]) -> list[object]:
     return [part for name, value in options.items() for part in (f"--{name.replace('_', '-')}", value)]
 
 
-@pytest.mark.parametrize("name", SAMPLES)
+@pytest.mark.parametrize(
+    "name", ["recording.bin", *(pytest.param(one, marks=pytest.mark.nightly) for one in list(SAMPLES)[1:])]
+)
 def test_results_are_those_of_the_command(name: str, tmp_path: Path, capsys: Capture) -> None:
     path, options = ROOT / "sample_data" / name, SAMPLES[name]
     beside = sorted(path.parent.iterdir())
@@ -102,8 +105,9 @@ def test_points_may_be_in_any_table(tmp_path: Path) -> None:
 
 
 def test_a_study_is_that_of_the_command(tmp_path: Path, capsys: Capture) -> None:
-    table = accelcal.study(ROOT / "sample_data", tmp_path / "one", jobs=1, report_only=True)
-    run(capsys, "study", ROOT / "sample_data", "-d", tmp_path / "two", "-j", 1, "--report-only", "-q")
+    folder = study_folder(tmp_path / "in", NAMES[:2])
+    table = accelcal.study(folder, tmp_path / "one", jobs=1, report_only=True)
+    run(capsys, "study", folder, "-d", tmp_path / "two", "-j", 1, "--report-only", "-q")
     with (tmp_path / "two/study.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert table["path"].tolist() == [row["path"] for row in rows]

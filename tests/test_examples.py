@@ -136,7 +136,9 @@ def python_of(path: Path) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", path.read_text("utf-8"), re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("name", ["examples/first_look.ipynb", "docs/python.md"])
+@pytest.mark.parametrize(
+    "name", ["examples/first_look.ipynb", pytest.param("docs/python.md", marks=pytest.mark.nightly)]
+)
 def test_python_examples_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     mpl.use("Agg")
     monkeypatch.chdir(ROOT)
@@ -150,6 +152,7 @@ def test_python_examples_run(name: str, monkeypatch: pytest.MonkeyPatch, capsys:
         assert float(raw) > float(calibrated) > 0
 
 
+@pytest.mark.nightly
 def test_the_cookbook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")

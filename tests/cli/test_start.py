@@ -119,6 +119,7 @@ def test_only_a_page_needs_what_makes_pages(tmp_path: Path) -> None:
     assert {"jinja2", "accelcal_cli.pages.recording"} <= with_page
 
 
+@pytest.mark.nightly
 def test_templates_are_loaded_for_pages_alone(of_each_format: dict[str, frozenset[str]]) -> None:
     study = imported("import accelcal_cli.cli.study, accelcal_cli.cli.report")
     for found in (study, of_each_format["flash"]):

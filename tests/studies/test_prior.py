@@ -144,6 +144,7 @@ def test_a_report_whose_prior_cannot_be_is_damaged(
     assert_one_line(ran, f"is a damaged report: {what}")
 
 
+@pytest.mark.nightly
 def test_workers_and_earlier_runs_make_no_difference(base: Path, here: Path) -> None:
     study(here, "device", out="other", jobs=1)
     assert results(here / "other") == results(base / "out")
