@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import json
 import re
-import time
 from collections import Counter
 from math import log10, pi
 from typing import Any
@@ -410,15 +409,3 @@ def test_two_weeks_with_all_points_make_a_page_below_250_kb(made: Files) -> None
     assert len(root.all("tr")) > 14 * 24
     labels = [one.text for one in figure(root, "error").all("text")]
     assert {"4 Mar", "10 Mar", "18 Mar"} <= set(labels)
-
-
-@pytest.mark.nightly
-def test_two_weeks_take_a_tenth_of_a_second(made: Files) -> None:
-    held = fortnight(*made["warm"])
-    page(*held)
-    taken = []
-    for _ in range(5):
-        begun = time.process_time()
-        page(*held)
-        taken.append(time.process_time() - begun)
-    assert min(taken) < 0.1, taken
