@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, get_type_hints
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Reader, Recording
@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 AnyPath = str | PathLike[str]
-READING, METHOD = "how the recording is read", "how it is calibrated"
 
 
 @cache
@@ -81,7 +80,7 @@ def _values(options: dict[str, Any], *kinds: type) -> dict[str, Any]:
 
 def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
     """A value of an option, as its field's type."""
-    plain = list(value) if isinstance(value, tuple) else value
+    plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
     plain = str(plain) if isinstance(plain, Path) else plain
     hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
     try:
@@ -101,7 +100,7 @@ class Samples:
 
     Attributes:
         first_sample: number of the first of them within the recording.
-        time: (n,) datetime64[us], UTC if `Reading.time_zone` is "UTC", else the device's clock.
+        time: (n,) datetime64[us], UTC if `Reading.recording.timezone` is known, else the device's clock.
         xyz: (n, 3) raw acceleration [g].
         temperature: (n,) [degrees C], or None.
         gyroscope: (n, 3) [degrees/s], or None.
@@ -138,13 +137,15 @@ class Reading:
         Raises:
             UnreadableError: the recording cannot be read on.
         """
-        offset_s: int | None = None
+        offset_s, dated = None, True
         for chunk in self._reader.chunks(self._chunk_samples):
+            dated &= all(problem.code != "no_start_time" for problem in chunk.problems)
             if len(chunk):
                 time_us = chunk.time_us
                 if offset_s is None:
-                    offset_s = utc_offset_s(self.recording.timezone, int(time_us[0])) or 0
-                yield _samples(chunk, self.recording, time_us - 1_000_000 * offset_s)
+                    zone = self.recording.timezone if dated else None
+                    offset_s = utc_offset_s(zone, int(time_us[0])) or 0
+                yield _samples(chunk, self.recording, time_us - MICROSECONDS * offset_s)
 
     def close(self) -> None:
         """Release the file."""

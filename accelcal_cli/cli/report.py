@@ -108,17 +108,34 @@ def refuse_page(job: Job, *, force: bool) -> None:
     refuse_foreign_page(job.page, force=force)
 
 
-def write_page(report: Path, page: Path) -> None:
-    """Make the page of a report from the files alone.
+def write_page(report: Path, page: Path, *, kept: bool = False) -> bool:
+    """Make the page of a report from the files alone; returns whether it was made.
+
+    Args:
+        kept: a page that is what it would be now is left as it is.
 
     Raises:
         UnreadableError: the report cannot be read, or is damaged.
         OutputError: the page cannot be written.
     """
+    from accelcal_cli.pages import stamp
+
+    beside = _beside(report, QUALITY_SUFFIX)
+    made_of = stamp.made_of(*map(_bytes, (report, beside)))
+    if kept and stamp.stamp_of(page) == made_of:
+        return False
     from accelcal_cli.pages import recording  # jinja2 is needed for pages only
 
     document = read_document(report)
     check_sections(document, tuple(report_schema()["properties"]))
-    beside = _beside(report, QUALITY_SUFFIX)
     quality = (load(beside) or {}) if beside.exists() else None
-    write_text(page, recording.page(document.report, quality))
+    write_text(page, stamp.stamped(recording.page(document.report, quality), made_of))
+    return True
+
+
+def _bytes(path: Path) -> bytes:
+    """What a file holds; nothing if it cannot be read."""
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""

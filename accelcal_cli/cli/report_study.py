@@ -6,43 +6,27 @@ of what is there now is left alone, so that a nightly study writes only what is 
 
 from __future__ import annotations
 
-import contextlib
-import hashlib
 import os
-import re
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
+from accelcal_cli.cli.report import refuse_foreign_page, write_page
 from accelcal_cli.core.errors import UnreadableError, counted, printable
 from accelcal_cli.devices import table
 from accelcal_cli.devices.review import DeviceReview, review
 from accelcal_cli.devices.table import Kind
 from accelcal_cli.devices.trends import Rules
-from accelcal_cli.output.files import parsed, refuse_foreign, write_text
-from accelcal_cli.output.report_reading import check_sections, read_document
-from accelcal_cli.output.report_schema import report_schema
-from accelcal_cli.pages import recording, study
+from accelcal_cli.output.files import write_text
+from accelcal_cli.output.report import load
+from accelcal_cli.pages import stamp, study
 from accelcal_cli.pages.study_figures import Drift
-from accelcal_cli.pipeline.jobs import QUALITY_SUFFIX, REPORT_SUFFIX
+from accelcal_cli.pipeline.jobs import PAGE_SUFFIX, REPORT_SUFFIX
 
 NAME = "study.html"
-PAGE_SUFFIX = ".html"
-MADE_OF = "accelcal-made-of"
-STAMP = re.compile(rf'<meta name="{MADE_OF}" content="([0-9a-f]{{64}})">')
-OURS = '<meta name="generator" content="accelcal '
-HEAD_BYTES = 8192
-"""Of a page, in which its hash and its maker stand."""
-CHARSET = '<meta charset="utf-8">\n'
-"""What the hash follows in a page."""
-LARGEST_SAID = 1 << 26
-"""Bytes of a `study.json` or a quality file of ours."""
 
 
 @dataclass(slots=True)
@@ -80,16 +64,17 @@ def make_pages(out: Path, *, force: bool = False) -> PagesMade:
     content = study.StudyContent(
         rows,
         addresses,
-        _said(out / "study.json"),
+        load(out / "study.json") or {},
         [_device(one) for one in reviewed.devices],
         reviewed.records.nameless,
         reviewed.rules.drift_mg,
     )
     text = study.page(content)
-    made_of = _sha256(text.encode())
-    made.changed = _stamp_of(made.page) != made_of
+    made_of = stamp.made_of(text.encode())
+    made.changed = stamp.stamp_of(made.page) != made_of
     if made.changed:
-        _write(made.page, stamped(text, made_of), force=force)
+        refuse_foreign_page(made.page, force=force)
+        write_text(made.page, stamp.stamped(text, made_of))
     return made
 
 
@@ -122,21 +107,6 @@ def _rows(path: Path) -> list[dict[str, Any]]:
     return [dict.fromkeys(study.WANTED) | row for row in found]
 
 
-def _said(path: Path) -> dict[str, Any]:
-    """What the study's JSON says; empty if it cannot be read: the page is made without."""
-    held = _json(path)
-    return held if isinstance(held, dict) else {}
-
-
-def _json(path: Path) -> Any:
-    try:
-        if path.stat().st_size > LARGEST_SAID:
-            return None
-        return parsed(path.read_bytes())
-    except (OSError, ValueError):
-        return None
-
-
 def _reports(out: Path, rows: Sequence[dict[str, Any]]) -> list[Path | None]:
     """Each recording's report; None where it has none, or none that is there.
 
@@ -163,70 +133,15 @@ def page_of(report: Path, out: Path) -> Path:
 def _make(out: Path, report: Path, made: PagesMade, *, force: bool) -> str | None:
     """Make a recording's page if it changed; returns its path below OUT, None if it has none."""
     page = page_of(report, out)
-    quality = report.with_name(report.name.removesuffix(REPORT_SUFFIX) + QUALITY_SUFFIX)
+    refuse_foreign_page(page, force=force)
     try:
-        made_of = _made_of(report, quality)
-        if _stamp_of(page) == made_of:
-            made.kept += 1
-        else:
-            _write(page, stamped(_recording_page(report, quality), made_of), force=force)
-            made.made += 1
+        changed = write_page(report, page, kept=True)
     except UnreadableError as error:
         made.faults.append(str(error))
         return None
+    made.made += changed
+    made.kept += not changed
     return page.relative_to(out).as_posix()
-
-
-def _recording_page(report: Path, quality: Path) -> str:
-    """The page of one recording; raises UnreadableError if its report is none, or is damaged."""
-    document = read_document(report)
-    check_sections(document, tuple(report_schema()["properties"]))
-    return recording.page(document.report, _said(quality) or None)
-
-
-def _made_of(report: Path, quality: Path) -> str:
-    """Hash of all that a recording's page is made of; raises UnreadableError if there is no report."""
-    try:
-        held = [report.read_bytes(), quality.read_bytes() if quality.is_file() else b""]
-    except OSError as error:
-        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=report) from error
-    return _sha256("".join([_makers(), *map(_sha256, held)]).encode())
-
-
-@cache
-def _makers() -> str:
-    """Hash of the version and of all that makes pages: templates, styles, scripts and code."""
-    package = files("accelcal_cli.pages")
-    held = [one for folder in (package, package / "templates") for one in folder.iterdir() if one.is_file()]
-    parts = [one.name + _sha256(one.read_bytes()) for one in sorted(held, key=lambda one: one.name)]
-    return _sha256("\n".join([__version__, *parts]).encode())
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
-
-
-def stamped(text: str, made_of: str) -> str:
-    """A page with the hash of what it was made of."""
-    return text.replace(CHARSET, f'{CHARSET}<meta name="{MADE_OF}" content="{made_of}">\n', 1)
-
-
-def _head(page: Path) -> str:
-    """How a page begins; empty if there is none."""
-    with contextlib.suppress(OSError), page.open("rb") as file:
-        return file.read(HEAD_BYTES).decode("utf-8", "replace")
-    return ""
-
-
-def _stamp_of(page: Path) -> str | None:
-    found = STAMP.search(_head(page))
-    return found[1] if found else None
-
-
-def _write(page: Path, text: str, *, force: bool) -> None:
-    """Write a page; raises OutputError if it cannot be, or if there is a file that accelcal did not make."""
-    refuse_foreign(page, known=force or OURS in _head(page))
-    write_text(page, text)
 
 
 def _device(one: DeviceReview) -> study.DeviceLine:
