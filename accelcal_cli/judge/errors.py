@@ -68,6 +68,12 @@ def jacobian(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floa
     return np.asarray(2 * np.stack(columns, axis=1))
 
 
+def residuals(g: Floats, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
+    """|a|^2 - 1 of raw points g (n, 3) and scaled temperatures (n,), (n,)."""
+    k, u = _gain_and_shifted(g, np.zeros(len(g)) if tau is None else tau, parameters)
+    return np.asarray(((u @ k.T) ** 2).sum(axis=1) - 1)
+
+
 def slope_information(points: PointSet) -> float:
     """How much the points say of the slopes, beside the offsets, where they say least; 0 for nothing.
 
@@ -104,8 +110,7 @@ def uncertainty(points: PointSet, parameters: tuple[int, ...], model: Model) -> 
     singular = np.linalg.svd(weighted / lengths, compute_uv=False)
     if singular[-1] < 1e-6 * singular[0]:
         return None
-    k, u = _gain_and_shifted(points.xyz_g(), np.zeros(len(points)) if tau is None else tau, parameters)
-    residual = ((u @ k.T) ** 2).sum(axis=1) - 1
+    residual = residuals(points.xyz_g(), tau, parameters)
     variance = float((weights * residual**2).sum()) / surplus
     covariance = np.asarray(variance * np.linalg.inv(weighted.T @ weighted), np.float64)
     errors = np.zeros(12)

@@ -18,7 +18,7 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
-from accelcal_cli.judge.errors import jacobian, mean, standard_error, student_t_975
+from accelcal_cli.judge.errors import jacobian, mean, residuals, standard_error, student_t_975
 from accelcal_cli.judge.model_ladder import folds
 from accelcal_cli.judge.posterior import Bend, Posterior, noise
 from accelcal_cli.judge.sphere import largest_error_mg
@@ -72,7 +72,7 @@ class MisfitSearch:
         parameters, self._free = known.found.fit.parameters, list(known.model.free)
         self._all = jacobian(points.xyz_g(), self._tau, parameters)
         self._rows = self._all[:, self._free]
-        self._error = -_residual(points, self._tau, parameters)
+        self._error = -residuals(points.xyz_g(), self._tau, parameters)
         self._weights = points.weights / WEIGHT_ONE
         self._postures = int(label.max()) + 1
         centre = [(known.penalty.centre[index] - parameters[index]) / ONE for index in self._free]
@@ -89,7 +89,7 @@ class MisfitSearch:
         if not bends:
             return self._known
         kind = min(bends, key=lambda one: one.after_mg).kind
-        return self._bent(next(one for one in self._suspects() if one.kind == kind))
+        return _bent(kind, *self._together(next(one for one in self._suspects() if one.kind == kind)))
 
     def _suspects(self) -> Iterator[Suspect]:
         offsets, points = self._all[:, _OFFSETS], self._points
@@ -114,12 +114,11 @@ class MisfitSearch:
         after = self._held_out(suspect)
         falls = [one - other for one, other in zip(self._still, after, strict=True)]
         clearly = mean(falls) > student_t_975(max(1, len(falls) - 1)) * standard_error(falls)
-        bent = self._bent(suspect)
-        c = np.array(bent.bend.c if bent.bend else (0.0,) * 3)
-        errors = np.sqrt(np.diag(np.array(bent.covariance))[-3:])
+        together, c = self._together(suspect)
+        errors = np.sqrt(np.diag(np.array(together.covariance))[-3:])
         largest = float(500 * np.abs(suspect.columns @ c).max())
         if suspect.kind in POWERS:
-            largest = largest_error_mg(bent, self._known.found.fit.parameters)
+            largest = largest_error_mg(_bent(suspect.kind, together, c), self._known.found.fit.parameters)
         before_mg, after_mg = mean(self._still), mean(after)
         return Misfit(
             suspect.kind,
@@ -132,8 +131,8 @@ class MisfitSearch:
             clearly and largest >= LEAST_MG and before_mg - after_mg >= LEAST_FALL * before_mg,
         )
 
-    def _bent(self, suspect: Suspect) -> Posterior:
-        """The posterior of parameters and suspect together; its noise is what they leave."""
+    def _together(self, suspect: Suspect) -> tuple[Posterior, Floats]:
+        """The posterior of parameters and suspect together, whose noise is what they leave; and c."""
         known, everything = self._known, np.ones(len(self._label), np.bool_)
         noise_g, freedom = known.noise_g, known.freedom
         full = np.column_stack([self._rows, suspect.columns])
@@ -150,15 +149,14 @@ class MisfitSearch:
         parameters = list(known.found.fit.parameters)
         for index, value in zip(self._free, moved.tolist(), strict=False):
             parameters[index] += round(value * ONE)
-        x, y, z = moved[-3:].tolist()
-        return replace(
+        joint = replace(
             known,
             found=replace(known.found, fit=replace(known.found.fit, parameters=tuple(parameters))),
             noise_g=noise_g,
             freedom=freedom,
             covariance=tuple(map(tuple, covariance.tolist())),
-            bend=Bend(POWERS.get(suspect.kind, 1), (x, y, z)),
         )
+        return joint, np.asarray(moved[-3:])
 
     def _held_out(self, suspect: Suspect | None) -> list[float]:
         """Mean error of each posture [mg] by a fit of the other folds."""
@@ -195,6 +193,11 @@ class MisfitSearch:
         return np.asarray(own / (1 << PENALTY_BITS) * (noise_g / self._known.noise_g) ** 2)
 
 
+def _bent(kind: MisfitKind, together: Posterior, c: Floats) -> Posterior:
+    """The posterior of a sensor with a bend."""
+    return replace(together, bend=Bend(POWERS[kind], _three(c)))
+
+
 def told(found: Misfit) -> str:
     """A sentence for people about a misfit that was found."""
     shown = ", ".join(f"{axis} {value:.2g}" for axis, value in zip("xyz", found.size, strict=True))
@@ -206,16 +209,6 @@ def told(found: Misfit) -> str:
         "previous posture": f"what the sensor measures depends on the posture before ({shown} mg per g)",
     }[found.kind]
     return f"{what}, by up to {found.largest_mg:.1f} mg"
-
-
-def _residual(points: PointSet, tau: Floats | None, parameters: tuple[int, ...]) -> Floats:
-    """|a|^2 - 1 of each point."""
-    p = np.array(parameters) / ONE
-    shifted = points.xyz_g() + p[_OFFSETS]
-    if tau is not None:
-        shifted = shifted + tau[:, np.newaxis] * p[9:12]
-    a = shifted @ np.array([[p[0], 0, 0], [p[3], p[1], 0], [p[4], p[5], p[2]]]).T
-    return np.asarray((a * a).sum(axis=1) - 1)
 
 
 def _three(values: Floats) -> tuple[float, float, float]:
