@@ -8,14 +8,12 @@ as those of the commands. Nothing is written unless `Result.write` or `study` is
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, replace
-from functools import cache
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_type_hints
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,7 +22,7 @@ from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Reader, Recording
-from accelcal_cli.core.settings import Settings, setting_of
+from accelcal_cli.core.settings import Settings
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import calibration_of, read_document
@@ -33,7 +31,7 @@ from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
 from accelcal_cli.pipeline.fit import fit_frame, fit_points
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, FileStamp, Job, Request, file_stamp
-from accelcal_cli.pipeline.report_settings import converted
+from accelcal_cli.pipeline.stated import folder_rules, options_of
 from accelcal_cli.pipeline.windows import WindowLog
 
 if TYPE_CHECKING:
@@ -43,55 +41,14 @@ if TYPE_CHECKING:
 AnyPath = str | PathLike[str]
 
 
-@cache
-def _keywords() -> dict[str, tuple[type, str]]:
-    """The record and the field that each option sets, by keyword."""
-    known: dict[str, tuple[type, str]] = {}
-    kinds: tuple[type, ...] = (ReadOptions, Settings)
-    for kind in kinds:
-        for one in fields(kind):
-            option = setting_of(kind, one.name).option
-            if option is not None:
-                known[option.name.removeprefix("--").replace("-", "_")] = (kind, one.name)
-    return known
-
-
 def _values(options: dict[str, Any], *kinds: type) -> dict[str, Any]:
     """What the options say, by field, None where nothing is said; as from a command line.
 
     Raises:
-        TypeError: an option does not exist, or has a value of another type.
-        UsageError: a value is out of bounds, or is none of the choices.
+        TypeError, UsageError: see `given.values_of`.
     """
-    keywords = {name: place for name, place in _keywords().items() if place[0] in kinds}
-    values: dict[str, Any] = {name: None for _, name in _keywords().values()}
-    values |= {"no_temperature": False, "force_timezone": False}
-    for keyword, value in options.items():
-        if keyword not in keywords:
-            near = difflib.get_close_matches(keyword, keywords, 1)
-            raise TypeError(f"there is no option {keyword!r}{f'; is it {near[0]!r}?' if near else ''}")
-        if value is not None:
-            kind, name = keywords[keyword]
-            values["no_temperature" if keyword == "no_temperature" else name] = _checked(
-                keyword, kind, name, value
-            )
-    return values
-
-
-def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
-    """A value of an option, as its field's type."""
-    plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
-    plain = str(plain) if isinstance(plain, Path) else plain
-    hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
-    try:
-        found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
-    except TypeError:
-        raise TypeError(f"{keyword} cannot be {value!r}") from None
-    above = None if declared.option is None else declared.option.above
-    if not declared.allows(found) or (above is not None and found <= above):
-        allowed = ", ".join(declared.choices) or f"{declared.low:g} to {declared.high:g}"
-        raise UsageError(f"{keyword} cannot be {value!r}", hint=f"possible: {allowed}")
-    return found
+    nothing: dict[str, Any] = {name: None for _, name in given.keywords(ReadOptions, Settings).values()}
+    return nothing | {"no_temperature": False, "force_timezone": False} | given.values_of(options, *kinds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,8 +138,9 @@ def read(path: AnyPath, *, chunk_samples: int = DEFAULT_CHUNK_SAMPLES, **options
     Raises:
         AccelcalError: it cannot be read.
     """
-    wanted = given.read_options(_values(options, ReadOptions))
-    return Reading(survey.open_marked(Path(path), wanted), chunk_samples)
+    source = Path(path)
+    wanted = options_of(source, given.read_options(_values(options, ReadOptions)))
+    return Reading(survey.open_marked(source, wanted), chunk_samples)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -268,7 +226,7 @@ class Result:
         """
         (job,) = jobs.plan([self._path], None if folder is None else Path(folder), None)
         result = run_job(job, replace(self._request, force=force))
-        return (job.parquet if result.has_parquet else None), job.report
+        return result.parquet, job.report
 
     def plot(self, axes: Any = None) -> Any:
         """|a| of still windows along time, before and after; needs matplotlib.
@@ -314,7 +272,7 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
         data = run.count_beyond(found.data)
     jobs.check_unchanged(source, before)
     report = outputs.with_provenance(reports.build(data), ("accelcal_cli.calibrate",))
-    return Result(_as_written(report), data, request, found, log, source, before)
+    return Result(_as_written(report), data, run.request, found, log, source, before)
 
 
 def _as_written(report: dict[str, Any]) -> dict[str, Any]:
@@ -448,6 +406,7 @@ def study(
         report_only=report_only,
         several=True,
         command=("accelcal_cli.study",),
+        rules=folder_rules([Path(folder)]),
     )
     run(Study(Where((Path(folder),), Path(output), (), ()), request, jobs=jobs), _Silent())
     return pd.read_parquet(Path(output) / "study.parquet")

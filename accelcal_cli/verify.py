@@ -180,6 +180,7 @@ def reproduced(
         coefficients=donor_of(document, options.coefficients),
         any_device=True,
         unused=noted_unused(document.report["recording"]),
+        as_given=True,
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:
         data = run.count_beyond(run.result(judge_of(run, document)).data)

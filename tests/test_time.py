@@ -24,9 +24,9 @@ import pytest
 from accelcal_cli.core.clock import iso_time, utc_offset_s
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.inspect import as_json, inspect
+from accelcal_cli.pipeline.jobs import Request
 from tests.cli.run import run
 from tests.cli.studies import rows
 from tests.formats import make_csv, make_cwa, make_hdf5
@@ -365,7 +365,7 @@ def test_the_report_says_whether_times_follow_a_change(
     zone, change, _ = CHANGES[1]
     times = [moment for moment in moments(change, 90) if kept((moment - change) / timedelta(minutes=1))]
     path = table(tmp_path / "a.csv", [local(moment, zone) for moment in times])
-    found = inspect(path, ReadOptions(timezone=zone, rate_hz=20.0), Settings(), full=True)
+    found = inspect(path, Request(ReadOptions(timezone=zone, rate_hz=20.0)), full=True)
     told = as_json(found)["file_health"]["clock"]["dst_change"]
     assert (told["time"], told["followed"]) == ("2023-10-29T03:00:00.000000+02:00", followed)
     assert told["note"].endswith(words) or words in told["note"]

@@ -41,7 +41,10 @@ def of_all(codes: list[int]) -> int:
 
 
 class InterruptedBySignalError(BaseException):
-    """A signal that ends the command: unwinds the stack, so that temporaries are removed."""
+    """A signal that ends the command: unwinds the stack, so that temporaries are removed.
+
+    It may be given words on how to go on.
+    """
 
 
 def run_safely(command: Callable[[], Any]) -> int:
@@ -53,9 +56,10 @@ def run_safely(command: Callable[[], Any]) -> int:
         watch_signals()
         code = _code_of(command)
         _leave_signals()
-    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort):
+    except (KeyboardInterrupt, InterruptedBySignalError, click.Abort) as stop:
         _leave_signals()
-        say("interrupted; no incomplete output was left behind")
+        more = stop.args[:1] if isinstance(stop, InterruptedBySignalError) else ()
+        say("; ".join(["interrupted", "no incomplete output was left behind", *more]))
         code = INTERRUPTED
     return code if isinstance(code, int) else OK
 

@@ -17,7 +17,7 @@ from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
-from accelcal_cli.pipeline.jobs import STDIN
+from accelcal_cli.pipeline.jobs import STDIN, Request
 
 QUICK = "gauss-newton"
 """Finds the parameters of the default optimizer to a few micro-g, a hundred times as fast."""
@@ -31,6 +31,7 @@ CLOCKS_S_PER_DAY = 86.4
 @click.option("--full", is_flag=True, help="Read everything, not just pieces.")
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @options.reading_options
+@options.config_option
 @options.damage_option
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
@@ -41,14 +42,16 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="give - only once")
     several = len(recordings) > 1
+    reading = given.read_options(values)
     if several and STDIN not in recordings:
-        refuse_unused(recordings, given.read_options(values))
-    return exit_codes.of_all([_one(path, values, several=several) for path in recordings])
+        refuse_unused(recordings, reading)
+    request = Request(reading, _settings(values), several=several, rules=options.rules_of(values))
+    return exit_codes.of_all([_one(path, request, values) for path in recordings])
 
 
-def _one(path: Path, values: dict[str, Any], *, several: bool) -> int:
+def _one(path: Path, request: Request, values: dict[str, Any]) -> int:
     try:
-        inspection = _look(path, values, several=several)
+        inspection = _look(path, request, values)
     except AccelcalError as error:
         return exit_codes.of_failure(error)
     shown = as_json(inspection)
@@ -56,10 +59,9 @@ def _one(path: Path, values: dict[str, Any], *, several: bool) -> int:
     return exit_codes.OK
 
 
-def _look(path: Path, values: dict[str, Any], *, several: bool) -> Inspection:
-    options, settings = given.read_options(values), _settings(values)
+def _look(path: Path, request: Request, values: dict[str, Any]) -> Inspection:
     with bytes_of(path) as source:
-        inspection = inspect(source, options, settings, full=values["full"], several=several)
+        inspection = inspect(source, request, full=values["full"])
     return replace(inspection, recording=replace(inspection.recording, path=path))
 
 

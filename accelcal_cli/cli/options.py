@@ -17,6 +17,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
 from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request
+from accelcal_cli.pipeline.stated import Rules, folder_rules, read_rules
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -156,6 +157,10 @@ _CHUNK = click.option(
     help="Samples held in memory at a time; the result does not depend on it.",
 )  # fmt: skip
 _REPORT_ONLY = click.option("--report-only", is_flag=True, help="Write reports but no Parquet.")
+_KEEP_REFUSED = click.option(
+    "--keep-refused", is_flag=True,
+    help="Write the raw values of a refused recording to STEM.uncalibrated.parquet, marked as such.",
+)  # fmt: skip
 _INTEGERS = click.option(
     "--integers", is_flag=True, help="Also write each fit's points and result as fixed-point integers."
 )
@@ -184,22 +189,50 @@ comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperatur
 """Those of a method but for the optimizer and the prior."""
 
 
+config_option = click.option(
+    "--config", type=FILE, metavar="FILE.toml",
+    help="Reading options by name of recording, as in a study.toml.",
+)  # fmt: skip
+
+
+def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> tuple[Rules, ...]:
+    """What --config says of the recordings in folders, else what a study.toml in each of them says.
+
+    Args:
+        folders: those of a study; None for single recordings, whose patterns begin where the file lies.
+
+    Raises:
+        UsageError: the file cannot be read, or says what is no reading option.
+    """
+    path: Path | None = values["config"]
+    if path is None:
+        return () if folders is None else folder_rules(folders)
+    return tuple(read_rules(path, folder) for folder in folders or (None,))
+
+
 def calibrating_options(command: Command) -> Command:
     """The options that `request_of` needs, and how much is printed."""
-    for decorator in (_recalibrate_option, method_options, damage_option, reading_options, printing_options):
+    options = (_recalibrate_option, method_options, damage_option, config_option, reading_options)
+    for decorator in (*options, printing_options):
         command = decorator(command)
-    return _REPORT_ONLY(_INTEGERS(command))
+    return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(command)))
 
 
-def request_of(values: dict[str, Any], *, in_study: bool = False) -> Request:
-    """The request that the options of `calibrate` and `study` make; raises what its parts raise."""
+def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> Request:
+    """The request that the options of `calibrate` and `study` make; raises what its parts raise.
+
+    Args:
+        folders: those of a study.
+    """
     return Request(
         options=read_options(values),
-        settings=settings(values, in_study=in_study),
+        settings=settings(values, in_study=folders is not None),
         chunk_samples=values["chunk_samples"],
         report_only=values["report_only"],
+        keep_refused=values["keep_refused"],
         integers=values["integers"],
         windows=values.get("windows"),
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
+        rules=rules_of(values, folders),
     )

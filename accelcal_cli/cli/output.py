@@ -165,7 +165,7 @@ Work = Callable[[Job, ProgressMaker, Path], Result]
 
 def parquet_of(result: Result) -> Path | None:
     """The Parquet file of a result, if it has one."""
-    return result.job.parquet if result.has_parquet else None
+    return result.parquet
 
 
 def run_jobs(

@@ -21,6 +21,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
+from accelcal_cli.pipeline.stated import plain
 from accelcal_cli.studies.discovery import Where
 from accelcal_cli.studies.plan import overlooked
 from accelcal_cli.studies.records import FAILED, Item
@@ -97,7 +98,8 @@ class TerminalObserver:
             if row["outcome"] != FAILED:
                 exit_codes.show(json.dumps(json.loads(item.job.report.read_text("utf-8"))))
         elif not self._values["quiet"]:
-            written = None if row["parquet"] is None else item.job.parquet
+            kept = row["outcome"] == Outcome.REFUSED
+            written = None if row["parquet"] is None else item.job.uncalibrated if kept else item.job.parquet
             show_row(row, item.source, written, self._values)
 
     def _comment(self, item: Item, row: dict[str, Any], result: TaskResult) -> None:
@@ -173,7 +175,12 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         exit_codes.say(f"--jobs {study.jobs} is more than CPUs and memory allow ({workers(study.jobs)})")
     with contextlib.ExitStack() as stack:
         observer = TerminalObserver(values, stack)
-        summary = run(study, observer)
+        try:
+            summary = run(study, observer)
+        except (KeyboardInterrupt, exit_codes.InterruptedBySignalError) as stop:
+            done = counted(len(observer.codes), "recording")
+            text = f"{done} done; the same command does the rest"
+            raise exit_codes.InterruptedBySignalError(text) from stop
     code = _exit_code(study, summary, observer, values)
     of_pages = _pages(study, values) if values["html"] else exit_codes.OK
     return code or of_pages
@@ -190,7 +197,7 @@ def _pages(study: Study, values: dict[str, Any]) -> int:
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
-    request = replace(request_of(values, in_study=True), several=True)
+    request = replace(request_of(values, folders), several=True)
     refuse_dash(values["out"])
     learnt = request.recording_settings.prior
     if learnt in LEARNT_PRIORS:
@@ -239,14 +246,32 @@ def _seconds(moment: datetime | None) -> float | None:
 
 
 def _preview(study: Study, values: dict[str, Any]) -> int:
-    """A line for each recording: path and `todo`, `waiting`, or the outcome it has; with -q none."""
-    states = sorted((item.name, printable(item.source), state) for item, state in preview(study).items())
-    for _, path, state in states:
+    """A line for each recording: path, `todo`, `waiting` or its outcome, and the options that files state.
+
+    With -q none.
+    """
+
+    def note(text: str) -> None:
+        if not values["quiet"]:
+            exit_codes.say(text)
+
+    for item, state in sorted(preview(study, note).items(), key=lambda pair: pair[0].name):
+        path = printable(item.source)
         if values["as_json"]:
-            exit_codes.show(json.dumps({"path": path, "state": state}))
+            stated = {one.field: {"value": plain(one.value), "from": one.origin} for one in item.choices}
+            exit_codes.show(
+                json.dumps({"path": path, "state": state} | ({"stated": stated} if stated else {}))
+            )
         elif not values["quiet"]:
-            exit_codes.show(f"{path}\t{state}")
+            exit_codes.show("\t".join([path, state, *_stated(item)]))
     return exit_codes.OK
+
+
+def _stated(item: Item) -> list[str]:
+    """What files state of how a recording is read, and which; no text where nothing is stated."""
+    origins = dict.fromkeys(one.origin for one in item.choices)
+    parts = [f"{' '.join(str(c) for c in item.choices if c.origin == one)} ({one})" for one in origins]
+    return ["; ".join(parts)] if parts else []
 
 
 def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, values: dict[str, Any]) -> int:
@@ -266,6 +291,7 @@ def _exit_code(study: Study, summary: Summary, observer: TerminalObserver, value
         more = {"unchanged": summary.up_to_date, "not started": summary.waiting}
         counts += [f"{number} {name}" for name, number in more.items() if number]
         counts += [counted(summary.left_out, "no recording")] if summary.left_out else []
+        counts += [f"{summary.kept} kept, made with other options"] if summary.kept else []
         table = printable(study.out / f"{study.shard.basename}.csv")
         total = ": ".join(filter(None, [counted(len(summary.rows), "recording"), ", ".join(counts)]))
         exit_codes.say(f"{total}; see {table}")

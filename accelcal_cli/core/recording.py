@@ -32,6 +32,9 @@ class Validity(IntEnum):
     RECOVERED = 3
 
 
+NOT_CALIBRATED = 4
+"""Added to `validity` in a file whose values are raw, since its recording was refused."""
+
 CHANNELS: dict[str, np.generic | None] = {
     "counts": None,
     "temperature_mc": None,

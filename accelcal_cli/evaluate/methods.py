@@ -22,6 +22,7 @@ from accelcal_cli.core.settings import NO_PRIOR, Settings
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.output.files import parsed
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
+from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
 
 TRUTH_SUFFIX = ".truth.json"
@@ -81,7 +82,7 @@ def collected(path: Path, options: ReadOptions, settings: Settings, progress: Pr
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_marked(path, options) as reader:
+    with open_marked(path, options_of(path, options)) as reader:
         method = make_method(reader.recording, settings)
         shown = progress("reading", reader.recording.total_bytes)
         survey(reader.chunks(DEFAULT_CHUNK_SAMPLES), method.segmenter, (method.procedure,), shown)

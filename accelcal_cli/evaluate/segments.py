@@ -24,6 +24,7 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.errors import mean
 from accelcal_cli.judge.verdict import held_out
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import (
     CellProcedure,
     StillWindows,
@@ -126,7 +127,7 @@ def stillness(
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_marked(path, options) as reader:
+    with open_marked(path, options_of(path, options)) as reader:
         recording = reader.recording
         kept = StillWindows()
         shown = progress("finding stillness", recording.total_bytes)

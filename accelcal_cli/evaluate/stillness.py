@@ -22,6 +22,7 @@ from accelcal_cli.evaluate.methods import Truth, truth_beside
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
 
 RAW = "raw"
@@ -83,7 +84,7 @@ def compare(
         AccelcalError: it cannot be read, or its truth file cannot.
     """
     truth = truth_beside(path)
-    with open_marked(path, options) as reader:
+    with open_marked(path, options_of(path, options)) as reader:
         found = [
             _by_rule(reader, with_stillness(settings, rule), chunk_samples, progress) for rule in STILLNESS
         ]

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.recording import Validity
+from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.zones import UTC
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import ParquetSource, described, stored_schema
@@ -114,7 +115,11 @@ def calibrated_rows(path: Path, *, measured_only: bool = False) -> Iterator[Cali
 def _about(path: Path) -> About:
     if not path.is_file():
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
-    recording, schema = section(metadata_of(path), "recording"), stored_schema(path)
+    said, schema = metadata_of(path), stored_schema(path)
+    recording = section(said, "recording")
+    if said.get("outcome") == Outcome.REFUSED:
+        text = f"holds raw values, since its recording was refused ({said.get('message')})"
+        raise UnreadableError(printable(text), path=path, hint="export a calibrated recording")
     rate_hz, range_g = recording.get("sample_rate_hz"), recording.get("range_g")
     if schema is None or not isinstance(rate_hz, int | float) or not 0 < rate_hz < 1e6:
         raise UnreadableError("is no calibrated recording of accelcal", path=path, hint=NAME_ONE)

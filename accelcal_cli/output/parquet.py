@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import BackgroundCalls, BackgroundWriter
-from accelcal_cli.core.recording import Chunk, Recording
+from accelcal_cli.core.recording import NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output.files import METADATA_KEY, output_error
@@ -120,6 +120,16 @@ def _gyroscope(
 
 def _validity(chunk: Chunk, _xyz: Axes) -> NDArray[np.uint8]:
     return np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity
+
+
+def not_calibrated(columns: Sequence[Column]) -> list[Column]:
+    """The columns of a file of raw values: `validity` says so in each row."""
+    unit = f"0 measured, 1 filled, 2 clipped, 3 recovered; plus {NOT_CALIBRATED}: not calibrated"
+
+    def flagged(chunk: Chunk, xyz: Axes) -> NDArray[np.uint8]:
+        return _validity(chunk, xyz) + np.uint8(NOT_CALIBRATED)
+
+    return [replace(one, unit=unit, values=flagged) if one.name == "validity" else one for one in columns]
 
 
 def schema_of(columns: Sequence[Column], metadata: dict[str, Any]) -> pa.Schema:

@@ -402,11 +402,14 @@ def document(
 
 
 def parquet_metadata(data: ReportInput) -> dict[str, Any]:
-    """What the Parquet file says of itself: calibration, recording, version."""
+    """What the Parquet file says of itself: calibration, recording, version; of raw values the refusal."""
+    verdict = data.judgement
+    refusal = {"outcome": str(verdict.outcome), "message": verdict.message}
     return {
         "accelcal_version": __version__,
-        "calibration": data.taken.get("calibration") or calibration_json(data.judgement, data.optimizer),
+        "calibration": data.taken.get("calibration") or calibration_json(verdict, data.optimizer),
         "recording": asdict(_recording(data)),
+        **(refusal if verdict.calibration is None else {}),
     }
 
 

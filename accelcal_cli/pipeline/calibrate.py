@@ -332,12 +332,15 @@ class RecordingRun:
             UnreadableError: the recording changed between the passes or within one.
             OutputError: a file cannot be written.
         """
-        data = found.data
+        data, metadata = found.data, reports.parquet_metadata(found.data)
         jobs.check_unchanged(self.bytes_at, self.before)
-        if writes_parquet(data):
-            data = replace(data, clipped_after=self._write_parquet(data))
-        else:
-            outputs.remove_stale_parquet(self.job.parquet, reports.parquet_metadata(data))
+        kept = outputs.keeps(data.judgement.calibration is not None, self.request)
+        written = self.job.uncalibrated if kept else self.job.parquet if writes_parquet(data) else None
+        if written is not None:
+            over = self._write_parquet(data, written)
+            data = data if kept else replace(data, clipped_after=over)
+        for path in {self.job.parquet, self.job.uncalibrated} - {written}:
+            outputs.remove_stale_parquet(path, metadata)
         if integers is None:
             outputs.remove(self.job.integers)
         else:
@@ -348,13 +351,13 @@ class RecordingRun:
             write_text(self.job.quality, dumps_quality(quality_json(quality)))
         outputs.remove_page(self.job.page)
         report = outputs.with_provenance(reports.build(data), self.request.command)
-        if writes_parquet(data):
-            outputs.refuse_replaced(self.job.parquet, reports.parquet_metadata(data))
+        if written is not None:
+            outputs.refuse_replaced(written, metadata)
         outputs.save_report(self.job.report, report)
-        return Result(self.job, report)
+        return Result(self.job, report, kept=kept)
 
-    def _write_parquet(self, data: ReportInput) -> int:
-        """Second pass; returns how many calibrated samples lie beyond the sensor's range."""
+    def _write_parquet(self, data: ReportInput, path: Path) -> int:
+        """Second pass; returns how many of the samples written lie beyond the sensor's range."""
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.parquet import ParquetSink
 
@@ -362,8 +365,8 @@ class RecordingRun:
         shown, metadata = self.progress("writing", data.recording.total_bytes), reports.parquet_metadata(data)
         chunks = self.reader.chunks(self.request.chunk_samples)
         with (
-            replacing(self.job.parquet) as temporary,
-            ParquetSink(temporary, self.job.parquet, columns, metadata, threads) as sink,
+            replacing(path) as temporary,
+            ParquetSink(temporary, path, columns, metadata, threads) as sink,
         ):
             over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()

@@ -123,9 +123,10 @@ def steps_per_g(precision_mg: float | None) -> float | None:
 
 
 def transform_of(data: ReportInput) -> Transform:
-    """What applies a result's calibration to its recording."""
+    """What applies a result's calibration to its recording; without one, raw values stay as they are."""
     calibration = data.judgement.calibration
-    assert calibration is not None
+    if calibration is None:
+        return Transform(np.eye(3), np.zeros(3), np.zeros(3), 0.0, data.recording.lsb_per_g)
     return Transform(
         calibration.gain(),
         calibration.offset_g(),
@@ -159,13 +160,14 @@ def columns_of(data: ReportInput) -> list[Column]:
     """The columns of a result's Parquet file."""
     from accelcal_cli.output import parquet
 
-    return parquet.columns_of(data.recording, data.facts, transform_of(data).fine_axes())
+    columns = parquet.columns_of(data.recording, data.facts, transform_of(data).fine_axes())
+    return columns if data.judgement.calibration is not None else parquet.not_calibrated(columns)
 
 
 def write_calibrated(
     data: ReportInput, chunks: Iterable[Chunk], sink: ParquetSink, threads: int, progress: Progress
 ) -> int:
-    """Write a recording's chunks calibrated.
+    """Write a recording's chunks calibrated, or as they are without a calibration.
 
     Args:
         threads: how many may work at a time.

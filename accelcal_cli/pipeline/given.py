@@ -1,13 +1,19 @@
 """What is asked for by name, as on the command line, made into the records that the work is done by.
 
 Names are those of the records' fields; None stands for what is not given. Text and bounds of single values
-have been checked (`core.settings`); here is what goes together and what does not.
+have been checked by click, or by `values_of`; here is what goes together and what does not.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import Any, TypeVar
+import difflib
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
 
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import UsageError, printable
@@ -23,11 +29,60 @@ from accelcal_cli.core.settings import (
     STILLNESS,
     PoseSettings,
     Settings,
+    setting_of,
     with_stillness,
 )
 from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.pipeline.report_settings import converted
 
 AnySettings = TypeVar("AnySettings", Settings, PoseSettings)
+
+
+@cache
+def keywords(*kinds: type) -> dict[str, tuple[type, str]]:
+    """The record and the field that each option sets, by its name without dashes: `lsb_per_g`."""
+    return {
+        option.name.removeprefix("--").replace("-", "_"): (kind, one.name)
+        for kind in kinds
+        for one in fields(kind)
+        if (option := setting_of(kind, one.name).option) is not None
+    }
+
+
+def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
+    """What options given by keyword say, by field; only those that are given.
+
+    Raises:
+        TypeError: an option does not exist, or has a value of another type.
+        UsageError: a value is out of bounds, or is none of the choices.
+    """
+    known, values = keywords(*kinds), {}
+    for keyword, value in options.items():
+        if keyword not in known:
+            near = difflib.get_close_matches(keyword, known, 1)
+            raise TypeError(f"there is no option {keyword!r}{f'; is it {near[0]!r}?' if near else ''}")
+        if value is not None:
+            kind, name = known[keyword]
+            values["no_temperature" if keyword == "no_temperature" else name] = _checked(
+                keyword, kind, name, value
+            )
+    return values
+
+
+def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
+    """A value of an option, as its field's type."""
+    plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
+    plain = str(plain) if isinstance(plain, Path) else plain
+    hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
+    try:
+        found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
+    except TypeError:
+        raise TypeError(f"{keyword} cannot be {value!r}") from None
+    above = None if declared.option is None else declared.option.above
+    if not declared.allows(found) or (above is not None and found <= above):
+        allowed = ", ".join(declared.choices) or f"{declared.low:g} to {declared.high:g}"
+        raise UsageError(f"{keyword} cannot be {value!r}", hint=f"possible: {allowed}")
+    return found
 
 
 def read_options(values: dict[str, Any]) -> ReadOptions:

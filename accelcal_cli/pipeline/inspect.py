@@ -13,13 +13,11 @@ from accelcal_cli import __version__
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.daylight import zone_change
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.core.zones import zone_of_times
-from accelcal_cli.formats import unused_options
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import advised, damage_verdict
@@ -33,6 +31,7 @@ from accelcal_cli.output.report import (
     rest_json,
 )
 from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.survey import Observer, fitting, make_method, open_marked, survey
 
 PREVIEW_PIECES = 64
@@ -111,19 +110,14 @@ def quick_fitting(settings: Settings) -> Fitting:
     return ladder if settings.prior == NO_PRIOR else replace(ladder, penalized=fitting(DEFAULT).penalized)
 
 
-def inspect(
-    path: Path, options: ReadOptions, settings: Settings, *, full: bool, several: bool = False
-) -> Inspection:
+def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     """Read a recording's description and pieces spread over it, or all of it with `full`.
-
-    Args:
-        several: see `Request`.
 
     Raises:
         AccelcalError: it cannot be read.
     """
-    unused = unused_options(path, options) if several else ()
-    with open_marked(path, options, unused=unused) as reader:
+    request, settings = request.for_recording(path), request.recording_settings
+    with open_marked(path, request.options, unused=request.unused) as reader:
         recording = reader.recording
         fitter, method = quick_fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)

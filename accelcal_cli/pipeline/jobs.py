@@ -19,12 +19,14 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
 from accelcal_cli.formats import all_formats, refuse_unused, unused_options
+from accelcal_cli.pipeline import stated
 
 if TYPE_CHECKING:
     from accelcal_cli.output.report_reading import Coefficients
 
 STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"
+UNCALIBRATED_SUFFIX = ".uncalibrated.parquet"
 REPORT_SUFFIX = ".calibration.json"
 INTEGERS_SUFFIX = ".integers.json"
 QUALITY_SUFFIX = ".quality.json"
@@ -61,6 +63,11 @@ class Job:
         return self._beside(INTEGERS_SUFFIX)
 
     @property
+    def uncalibrated(self) -> Path:
+        """Where the raw values of a refused recording go, if they are asked for."""
+        return self._beside(UNCALIBRATED_SUFFIX)
+
+    @property
     def quality(self) -> Path:
         """Where the recording's quality along time goes, if it has blocks of time."""
         return self._beside(QUALITY_SUFFIX)
@@ -73,7 +80,7 @@ class Job:
     @property
     def outputs(self) -> tuple[Path, ...]:
         """All files that may be written."""
-        return (self.parquet, self.report, self.integers, self.quality)
+        return (self.parquet, self.report, self.integers, self.quality, self.uncalibrated)
 
     def _beside(self, suffix: str) -> Path:
         return self.report.with_name(self.report.name.removesuffix(REPORT_SUFFIX) + suffix)
@@ -261,6 +268,7 @@ class Request:
         coefficients: those to apply, None to find the recording's own.
         any_device: apply them to recordings of any device.
         report_only: write no Parquet.
+        keep_refused: write the raw values of a recording that is refused.
         integers: also write the fit's points and result as integers.
         windows: where all still windows go; None: nowhere.
         force: overwrite what accelcal did not write, and redo what is up to date.
@@ -268,6 +276,8 @@ class Request:
         threads: how many may work at a time on one recording.
         several: the options are for several recordings; those that mean nothing for one are left out there.
         unused: of this recording's options those that mean nothing; its report has a note of them.
+        rules: reading options by name, of `study.toml`.
+        as_given: the reading options are all that counts; what files beside the recording state does not.
     """
 
     options: ReadOptions = field(default_factory=ReadOptions)
@@ -275,6 +285,7 @@ class Request:
     poses: Path | None = None
     chunk_samples: int = DEFAULT_CHUNK_SAMPLES
     report_only: bool = False
+    keep_refused: bool = False
     integers: bool = False
     windows: Path | None = None
     force: bool = False
@@ -284,15 +295,29 @@ class Request:
     threads: int = field(default_factory=cpus)
     several: bool = False
     unused: tuple[str, ...] = ()
+    rules: tuple[stated.Rules, ...] = ()
+    as_given: bool = False
+
+    def options_of(self, path: Path) -> ReadOptions:
+        """How a recording is read: as was given, and as files beside it state; raises UsageError."""
+        return self.options if self.as_given else stated.options_of(path, self.options, self.rules)
+
+    def choices_of(self, path: Path) -> dict[str, stated.Choice]:
+        """What files beside a recording state; raises UsageError where it contradicts what is given."""
+        choices = stated.choices_of(path, self.rules, self.options.layout)
+        stated.with_choices(self.options, choices, path)
+        return choices
 
     def for_recording(self, path: Path) -> Request:
-        """The request without options that are meant for others of several recordings.
+        """The request as it is for one recording: with what files beside it state, and without options that
+        are meant for others of several recordings.
 
         Raises:
-            UnreadableError, UsageError: see `find_format`.
+            UnreadableError, UsageError: see `find_format` and `options_of`.
         """
-        unused = unused_options(path, self.options) if self.several else ()
-        return replace(self, options=without(self.options, unused), unused=unused) if unused else self
+        options = self.options_of(path)
+        unused = unused_options(path, options) if self.several else ()
+        return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)
 
     def for_jobs(self, planned: Sequence[Job]) -> Request:
         """The request for so many recordings; raises UsageError if an option means nothing for any."""
@@ -329,11 +354,16 @@ def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, An
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One recording's report, and whether it was up to date already."""
+    """One recording's report, and whether it was up to date already.
+
+    Attributes:
+        kept: whether the raw values were written, since it was refused.
+    """
 
     job: Job
     report: dict[str, Any]
     up_to_date: bool = False
+    kept: bool = False
 
     @property
     def outcome(self) -> Outcome:
@@ -344,3 +374,10 @@ class Result:
     def has_parquet(self) -> bool:
         """Whether the calibrated recording was written too."""
         return self.report["calibration"] is not None and not self.report["settings"]["report_only"]
+
+    @property
+    def parquet(self) -> Path | None:
+        """The Parquet file that was written; None for none."""
+        if self.kept:
+            return self.job.uncalibrated
+        return self.job.parquet if self.has_parquet else None

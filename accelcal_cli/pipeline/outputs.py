@@ -48,7 +48,8 @@ def prepare(job: Job, windows: tuple[Path, ...] = (), *, force: bool) -> None:
         make_folder(folder)
     if force:
         return
-    refuse_foreign(job.parquet, known=written_by_us(job.parquet))
+    for path in (job.parquet, job.uncalibrated):
+        refuse_foreign(path, known=written_by_us(path))
     refuse_foreign_report(job.report)
     for path in (job.integers, job.quality):
         refuse_foreign(path, known=load(path) is not None)
@@ -91,12 +92,18 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
     if not _matches(report, recording, request):
         _refuse_replacing(job, source, report, request)
         return None
-    existing = Result(job, report, up_to_date=True)
-    if existing.has_parquet and not _are_a_pair(report, metadata_of(job.parquet)):
+    kept = keeps(report["calibration"] is not None, request)
+    existing = Result(job, report, up_to_date=True, kept=kept)
+    if existing.parquet is not None and not _are_a_pair(report, metadata_of(existing.parquet)):
         return None
     if request.integers and report["calibration"] is not None and not exists(job.integers):
         return None
     return existing if _is_of(report, source) else None
+
+
+def keeps(calibrated: bool, request: Request) -> bool:
+    """Whether the raw values of a recording are asked for, if it is not calibrated."""
+    return request.keep_refused and not request.report_only and not calibrated
 
 
 def _matches(report: dict[str, Any], recording: Recording, request: Request) -> bool:
@@ -218,8 +225,9 @@ def withdraw(job: Job) -> None:
     if report is None or _made_by(report) != CALIBRATE:
         return
     if real(Path(report["recording"]["path"])) == real(Path(printable(job.source))):
-        if written_by_us(job.parquet):
-            remove(job.parquet)
+        for path in (job.parquet, job.uncalibrated):
+            if written_by_us(path):
+                remove(path)
         remove_ours(job.integers)
         remove_ours(job.quality)
         remove_page(job.page)

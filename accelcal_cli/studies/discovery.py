@@ -11,7 +11,6 @@ import re
 import stat
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pyarrow as pa
@@ -20,9 +19,10 @@ import pyarrow.parquet as pq
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
 from accelcal_cli.formats import all_formats, named_format
-from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, folder_layout, named_layout
+from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline import jobs
+from accelcal_cli.pipeline.stated import fits
 from accelcal_cli.studies.ledger import is_ledger
 from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.summary import COLUMNS
@@ -33,8 +33,8 @@ FIRST = list(COLUMNS[:2])
 """With these columns the table of every version begins."""
 
 OURS = (
-    jobs.PARQUET_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX, jobs.QUALITY_SUFFIX, SUFFIX,
-    ".truth.json", ".tmp", ".part",
+    jobs.PARQUET_SUFFIX, jobs.UNCALIBRATED_SUFFIX, jobs.REPORT_SUFFIX, jobs.INTEGERS_SUFFIX,
+    jobs.QUALITY_SUFFIX, ".toml", ".truth.json", ".tmp", ".part",
 )  # fmt: skip
 TABLES = "csv"
 """The one format whose suffixes other files often have."""
@@ -96,14 +96,42 @@ class Where:
     exclude: tuple[str, ...] = ()
 
 
-def files(where: Where) -> list[Item]:
+def files(where: Where, notes: list[str]) -> list[Item]:
     """All files that may be recordings, by name.
+
+    Args:
+        notes: takes in which links to folders were not followed.
 
     Raises:
         UsageError: one of them is not a folder, or two would share one place under OUT.
     """
-    found = [item for folder, place in places(where) for item in _folder(where, folder, place)]
+    links = _Links([jobs.real(folder) for folder in where.folders], notes)
+    found = [item for folder, place in places(where) for item in _folder(where, folder, place, links)]
     return sorted(_apart(found), key=lambda item: item.name)
+
+
+@dataclass(frozen=True, slots=True)
+class _Links:
+    """Links to folders: one whose recordings would be found twice, or without end, is not followed.
+
+    Attributes:
+        roots: real paths of the folders that are gone through.
+    """
+
+    roots: list[Path]
+    notes: list[str]
+
+    def follows(self, folder: Path) -> bool:
+        """Whether to go into a folder."""
+        if not folder.is_symlink():
+            return True
+        target = jobs.real(folder)
+        for root in self.roots:
+            if target.is_relative_to(root) or root.is_relative_to(target):
+                self.notes.append(f"the link {folder} is not followed: {target} is gone through as it is")
+                return False
+        self.roots.append(target)
+        return True
 
 
 def _apart(items: list[Item]) -> Iterator[Item]:
@@ -138,14 +166,14 @@ def below_out(where: Where) -> list[Item]:
             out = jobs.real(where.out).relative_to(jobs.real(folder))
             items += [
                 item
-                for item in _folder(every, folder / out, f"{place}{out.as_posix()}/")
+                for item in _folder(every, folder / out, f"{place}{out.as_posix()}/", _Links([], []))
                 if _wanted(where, item.name.removeprefix(place))
             ]
     return items
 
 
 def _wanted(where: Where, below: str) -> bool:
-    return not _fits(below, where.exclude) and (not where.include or _fits(below, where.include))
+    return not fits(below, where.exclude) and (not where.include or fits(below, where.include))
 
 
 def places(where: Where) -> list[tuple[Path, str]]:
@@ -164,40 +192,33 @@ def places(where: Where) -> list[tuple[Path, str]]:
     return [(folder, f"{name}/") for folder, name in zip(where.folders, names, strict=True)]
 
 
-def _folder(where: Where, folder: Path, place: str) -> Iterator[Item]:
+def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[Item]:
     out = jobs.real(where.out)
     unlisted: list[OSError] = []
-    for here, folders, names in os.walk(folder, onerror=unlisted.append):
+    for here, folders, names in os.walk(folder, onerror=unlisted.append, followlinks=True):
         base = Path(here)
         inside = jobs.real(base) != out
         folders[:] = sorted(
             name for name in folders if name[0] != "." and not (inside and jobs.real(base / name) == out)
         )
+        folders[:] = [name for name in folders if links.follows(base / name)]
         if base != folder and jobs.real(base) == out:
             folders.clear()
             continue
         for name in names:
             below = (base / name).relative_to(folder).as_posix()
-            aside = bool(where.include) and not _fits(below, where.include)
-            if not _never(base / name) and not _fits(below, where.exclude) and _plain(base / name):
+            aside = bool(where.include) and not fits(below, where.include)
+            if not _never(base / name) and not fits(below, where.exclude) and _plain(base / name):
                 yield replace(_item(where, base / name, place + below), aside=aside)
     for error in unlisted:
         yield _unlisted(where, folder, place, error)
 
 
 def _never(path: Path) -> bool:
-    """Whether a file is certainly no recording: hidden, of ours, a study's, or a layout."""
+    """Whether a file is certainly no recording: hidden, of ours, a study's, or options and layouts."""
     name = path.name
     written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _summary(path))
-    return name.startswith(".") or name.endswith(OURS) or name == FOLDER_NAME or written
-
-
-def _fits(below: str, patterns: tuple[str, ...]) -> bool:
-    def fits(pattern: str) -> bool:
-        text = below if "/" in pattern else below.rpartition("/")[2]
-        return fnmatchcase(text.lower(), pattern.lower())
-
-    return any(map(fits, patterns))
+    return name.startswith(".") or name.endswith(OURS) or written
 
 
 def _plain(path: Path) -> bool:

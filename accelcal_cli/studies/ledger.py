@@ -74,6 +74,16 @@ class Ledger:
         last = [self._entries[name, which][-1] for which in rounds if (name, which) in self._entries]
         return [one for one in last if one.asked == asked]
 
+    def of_others(self, item: Item, rounds: Iterable[str]) -> list[Entry]:
+        """What a run with other options left of a recording: its own result, then that which replaced it.
+
+        Empty where the outputs of the last of them are not there."""
+        own = [one for one in self._entries.get((item.name, OWN), ()) if one.row is not None][-1:]
+        later = [one for name in rounds for one in self._entries.get((item.name, name), ())[-1:]]
+        there = [one for one in later if own and one.asked == own[0].asked and self.in_place(one)]
+        last = (own + there)[-1:]
+        return own + there[-1:] if last and self.in_place(last[0]) else []
+
     def in_place(self, entry: Entry) -> bool:
         """Whether the outputs that lie there are those of an entry."""
         return all(file_stamp(self.out / name) == stamp for name, stamp in entry.outputs)

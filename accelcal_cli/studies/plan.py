@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.formats import refuse_unused
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.pipeline.stated import Rules, stamp_of
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.discovery import below_out, files, is_recording, without_collisions
 from accelcal_cli.studies.ledger import Ledger
@@ -39,6 +41,8 @@ class Plan:
         left_out: entries of files that are no recordings.
         late: names of all that is left for a later run, done before or not.
         changing: of these the ones whose file is not that of the earlier result; it may be half there.
+        kept: what earlier runs with other options made of recordings that this one does not name.
+        notes: what a person should know: patterns of `study.toml` that no file fits, links not followed.
     """
 
     done: list[tuple[Item, Entry]] = field(default_factory=list)
@@ -47,6 +51,8 @@ class Plan:
     left_out: list[Entry] = field(default_factory=list)
     late: set[str] = field(default_factory=set)
     changing: set[str] = field(default_factory=set)
+    kept: list[Entry] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def ahead(self) -> int:
         """How many recordings wait that were changed in the future, by this machine's clock."""
@@ -66,7 +72,11 @@ def plan(study: Study, ledger: Ledger) -> Plan:
             means anything.
     """
     planning = _Planning(study, ledger, study.asked(), Plan())
-    items = [planning.as_it_counts(item) for item in files(study.where)]
+    listed, rules = files(study.where, planning.plan.notes), study.request.rules
+    planning.plan.notes += unfit_patterns(rules, listed)
+    wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
+    found = [as_stated(item, study.request) for item in wanted]
+    items = [planning.as_it_counts(item) for item in found]
     recordings = without_collisions([item for item in items if not item.aside and planning.keeps(item)])
     if not recordings:
         raise UsageError(
@@ -82,6 +92,28 @@ def plan(study: Study, ledger: Ledger) -> Plan:
         if item.aside and study.shard.owns(item.name):
             planning.place_aside(item)
     return planning.plan
+
+
+def as_stated(item: Item, request: Request) -> Item:
+    """A file with what others state of how it is read; refused where that makes no sense."""
+    try:
+        choices = request.choices_of(item.source)
+    except UsageError as error:
+        if item.refusal is None and is_recording(item, request.options, asked_for=False):
+            why = str(error).removeprefix(f"{printable(item.source)}: ")
+            return replace(item, refusal=why)
+        return item
+    if not choices:
+        return item
+    return replace(item, stamps=(*item.stamps, stamp_of(choices)), choices=tuple(choices.values()))
+
+
+def unfit_patterns(rules: Sequence[Rules], items: Sequence[Item]) -> list[str]:
+    """Patterns of `study.toml` that none of the files fits, each with the file's name."""
+    fitting = {(one.path, pattern) for one in rules for item in items for pattern in one.fitting(item.source)}
+    named = dict.fromkeys((one.path, pattern) for one in rules for pattern in one.patterns)
+    unfit = [one for one in named if one not in fitting]
+    return [f'no file fits "{pattern}" of {path}' for path, pattern in unfit]
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,10 +138,11 @@ class _Planning:
     def keeps(self, item: Item) -> bool:
         """Whether a file is one of the study's recordings; those that are not are remembered too."""
         entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
+        request = self.study.request
         if entry is not None and not entry.failed and (entry.row is not None or not named):
             recording = entry.row is not None
         else:
-            options = self.study.request.options
+            options = request.options_of(item.source) if item.choices else request.options
             recording = item.refusal is not None or is_recording(item, options, asked_for=named)
         if not recording:
             self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
@@ -132,6 +165,8 @@ class _Planning:
             self.plan.left_out.append(known)
         elif (entry := self._standing(item)) is not None:
             self.plan.done.append((item, entry))
+        else:
+            self.plan.kept += self.ledger.of_others(item, REPLACING)
 
     def _standing(self, item: Item) -> Entry | None:
         """The entry of a recording's own result; what a later round made of it may lie in its place."""

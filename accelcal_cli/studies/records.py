@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from accelcal_cli.pipeline.jobs import FileStamp, Job
+from accelcal_cli.pipeline.stated import Choice
 
 FAILED = "failed"
 """The summary's outcome of a recording that gave no report."""
@@ -22,9 +23,11 @@ class Item:
 
     Attributes:
         name: its place under OUT with its full file name, `/` between folders: what it is known by.
-        stamps: its own stamp, and those of the layout files that may describe it; None for none.
+        stamps: its own stamp, and those of the layout files that may describe it; None for none. Then that of
+            what files state of how it is read, where they state something.
         refusal: why nothing can be done with it, found before any work.
         aside: not to be started now, since `--include` does not name it.
+        choices: what files state of how it is read.
     """
 
     name: str
@@ -32,6 +35,7 @@ class Item:
     stamps: tuple[FileStamp | None, ...]
     refusal: str | None = None
     aside: bool = False
+    choices: tuple[Choice, ...] = ()
 
     @property
     def source(self) -> Path:

@@ -5,7 +5,10 @@ With `--dry-run` it only says what it would do.
 
 from __future__ import annotations
 
-from collections.abc import Sequence, Set
+import contextlib
+import functools
+import time
+from collections.abc import Callable, Sequence, Set
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -24,6 +27,9 @@ from accelcal_cli.studies.rounds import Round, RoundTask, StudyObserver, StudySt
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
 from accelcal_cli.studies.task import CalibrationTask, TaskResult, calibrated
+
+TABLE_S, TABLE_TIMES = 5.0, 20.0
+"""While a study runs, the table is brought up to date after so long, and so many times what that takes."""
 
 
 def rounds(study: Study) -> tuple[Round, ...]:
@@ -56,11 +62,14 @@ def run(study: Study, observer: StudyObserver) -> Summary:
                 f"none of {counted(len(planned.waiting), 'recording')} has a result made with these options"
             )
             raise UsageError(text, hint="give --collect the options of the parts, or run these first")
-        study_run = StudyRun(study, ledger, observer)
-        study_run.run(planned)
+        for text in planned.notes:
+            observer.note(printable(text))
+        study_run = StudyRun(study, ledger, observer, planned)
+        study_run.run()
         result = _summary(study, planned, study_run)
         summary.write(result, study.out, base)
-        ledger.tidy([*study_run.entries(), *planned.left_out, *_of_waiting(study, planned, ledger)])
+        others = (*planned.left_out, *planned.kept, *_of_waiting(study, planned, ledger))
+        ledger.tidy([*study_run.entries(), *others])
         if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
@@ -81,13 +90,13 @@ def _other_locks(study: Study) -> tuple[Path, ...]:
 
 def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
     standing, pools = study_run.known.standing, study_run.known.pools
-    last = [standing[name].last for name in sorted(standing)]
     return Summary(
-        rows=[entry.row for entry in last if entry.row is not None],
+        rows=study_run.rows(planned.kept),
         settings=_settings(study),
         waiting=len(planned.waiting),
         ahead=planned.ahead(),
         left_out=len(planned.left_out),
+        kept=len({entry.name for entry in planned.kept}),
         up_to_date=len(set(standing) - study_run.worked),
         pools={name: pools[name].row or {} for name in sorted(pools)},
     )
@@ -95,29 +104,46 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
 
 def _settings(study: Study) -> dict[str, Any]:
     """All that decides the results but the recordings."""
-    own = study.settings()
-    return {**own, "prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
+    own, stated = study.settings(), {str(one.path.name): one.as_json() for one in study.request.rules}
+    later = {"prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
+    return {**own, **later, **({"stated": stated} if stated else {})}
 
 
 class StudyRun:
     """A study under way.
 
     Attributes:
+        planned: what there was to do.
         worked: names of recordings that were given to a worker.
     """
 
-    def __init__(self, study: Study, ledger: Ledger, observer: StudyObserver) -> None:
+    def __init__(self, study: Study, ledger: Ledger, observer: StudyObserver, planned: Plan) -> None:
         self.study = study
         self.known = StudyState()
         self.worked: set[str] = set()
+        self.planned = planned
+        self._table = _TableOnTheWay(self, ledger)
         self._ledger = ledger
         self._observer = observer
         self._rounds = rounds(study)
         self._planner = RoundPlanner(study, ledger)
         self._pending: dict[str, TaskResult] = {}
 
-    def run(self, planned: Plan) -> None:
-        """All rounds."""
+    def run(self) -> None:
+        """All rounds; the table of what is done so far is there, however they end."""
+        try:
+            self._run(self.planned)
+        except BaseException:
+            self._table.write()
+            raise
+
+    def rows(self, kept: Sequence[Entry]) -> list[dict[str, Any]]:
+        """Rows of the table, by name: of what is done now, and of earlier results that stand in its place."""
+        last = {entry.name: entry.row for entry in kept}
+        last |= {name: one.last.row for name, one in self.known.standing.items()}
+        return [row for _, row in sorted(last.items()) if row is not None]
+
+    def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing
         for item, entry in planned.done:
             self._own(item, TaskResult(entry, up_to_date=True))
@@ -152,6 +178,7 @@ class StudyRun:
             self.worked.add(item.name)
             self._ledger.add(result.entry)
             self._own(item, result)
+            self._table.write_if_due()
 
     def _own(self, item: Item, result: TaskResult) -> None:
         """An own result; it is reported at once if no later round can replace it."""
@@ -185,6 +212,7 @@ class StudyRun:
             self._ledger.add(result.entry)
             self._take(one, item, result)
             self.worked |= set() if one.of_pools else {item.name}
+            self._table.write_if_due()
 
     def _take(self, one: Round, item: Item, result: TaskResult) -> None:
         self.known.take(one, item.name, result.entry)
@@ -192,10 +220,42 @@ class StudyRun:
             self._pending[item.name] = result
 
 
-def preview(study: Study) -> dict[Item, str]:
+class _TableOnTheWay:
+    """`study.csv` while a study runs: what is done, and of the rest what an earlier run made of it."""
+
+    def __init__(self, study_run: StudyRun, ledger: Ledger) -> None:
+        self._run, self._ledger = study_run, ledger
+        self._due = time.monotonic() + TABLE_S
+
+    def write_if_due(self) -> None:
+        """Bring it up to date now and then."""
+        began = time.monotonic()
+        if began >= self._due:
+            self.write()
+            now = time.monotonic()
+            self._due = now + max(TABLE_S, TABLE_TIMES * (now - began))
+
+    def write(self) -> None:
+        """Bring it up to date; what cannot be written is told at the end."""
+        study, rows = self._run.study, self._run.rows(self._before)
+        with contextlib.suppress(OutputError):
+            if rows:
+                summary.write_csv(rows, study.out, study.shard.basename)
+
+    @functools.cached_property
+    def _before(self) -> list[Entry]:
+        planned = self._run.planned
+        left = (*planned.todo, *planned.waiting)
+        return [*planned.kept, *(entry for item in left for entry in self._ledger.of_others(item, REPLACING))]
+
+
+def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:
     """What a run would do with each recording: `todo`, `waiting`, or the outcome that it has.
 
     What a later round does is decided by what is known now; nothing is locked or written.
+
+    Args:
+        note: is told what a person should know.
 
     Raises:
         UsageError: see `plan`.
@@ -207,6 +267,8 @@ def preview(study: Study) -> dict[Item, str]:
         raise OutputError("cannot be made: a file is in its place", path=existing)
     ledger = ledger_of(study)
     planned = plan(study, ledger)
+    for text in planned.notes:
+        note(printable(text))
     known = StudyState({item.name: RecordingState(item, entry, entry) for item, entry in planned.done})
     states = dict.fromkeys(planned.todo, "todo") | dict.fromkeys(planned.waiting, "waiting")
     planner = RoundPlanner(study, ledger, planned.changing)

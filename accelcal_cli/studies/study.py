@@ -125,6 +125,7 @@ class Study:
         return {
             **self.request.effective_settings(self.request.options.layout).as_json(),
             "integers": self.request.integers,
+            **({"keep_refused": True} if self.request.keep_refused else {}),
         }
 
     @property

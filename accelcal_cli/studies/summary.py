@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -179,6 +180,7 @@ class Summary:
         waiting: recordings that were not tried yet: too new, too old, or another shard's.
         ahead: of these, those that were changed in the future by this machine's clock; not written.
         left_out: files that are no recordings.
+        kept: rows of recordings that this run does not name, from one with other options.
         up_to_date: recordings of which nothing had to be done; not part of what is written.
         pools: device, number of recordings, outcome and message of each pool, by name.
     """
@@ -188,6 +190,7 @@ class Summary:
     waiting: int = 0
     ahead: int = 0
     left_out: int = 0
+    kept: int = 0
     up_to_date: int = 0
     pools: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -221,6 +224,7 @@ class Summary:
             "mixed_times": self.mixed_times(),
             "waiting": self.waiting,
             "left_out": self.left_out,
+            "kept": self.kept,
             "pools": self.pools,
             "settings": self.settings,
         }
@@ -234,9 +238,14 @@ def write(summary: Summary, out: Path, name: str) -> None:
     """
     with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
         pq.write_table(_table(summary.rows), file, compression="zstd")
-    rows = [[row.get(column) for column in COLUMNS] for row in summary.rows]
-    write_text(out / f"{name}.csv", csv_text(COLUMNS, rows))
+    write_csv(summary.rows, out, name)
     write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
+
+
+def write_csv(rows: Sequence[dict[str, Any]], out: Path, name: str) -> None:
+    """`NAME.csv` alone; raises OutputError if it cannot be written."""
+    cells = [[row.get(column) for column in COLUMNS] for row in rows]
+    write_text(out / f"{name}.csv", csv_text(COLUMNS, cells))
 
 
 def _table(rows: list[dict[str, Any]]) -> pa.Table:

@@ -137,7 +137,7 @@ def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
     """A result's row in the summary."""
     code = REFUSED if result.outcome is Outcome.REFUSED else 0
     names = {
-        "parquet": _under(common, result.job.parquet) if result.has_parquet else None,
+        "parquet": None if result.parquet is None else _under(common, result.parquet),
         "report": _under(common, result.job.report),
     }
     shown = {kind: None if name is None else printable(name) for kind, name in names.items()}
@@ -146,8 +146,7 @@ def row_of(item: Item, common: Common, result: Result) -> dict[str, Any]:
 
 def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, FileStamp], ...]:
     """Name under OUT and stamp of each file of a result."""
-    paths = [result.job.parquet] if result.has_parquet else []
-    paths.append(result.job.report)
+    paths = [path for path in (result.parquet, result.job.report) if path is not None]
     if common.request.integers and item.job.integers.exists():
         paths.append(item.job.integers)
     stamps = [(_under(common, path), file_stamp(path)) for path in paths]

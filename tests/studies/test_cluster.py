@@ -100,7 +100,10 @@ def test_interrupted_it_leaves_nothing_running_and_nothing_half_written(
         assert list(out.glob(".p0.calibrated.parquet.*.tmp"))
         process.send_signal(number)
         left = ended(process)
-    assert (left.code, left.err) == (130, "accelcal: interrupted; no incomplete output was left behind\n")
+    said = (
+        "interrupted; no incomplete output was left behind; 0 recordings done; the same command does the rest"
+    )
+    assert (left.code, left.err) == (130, f"accelcal: {said}\n")
     assert not list(out.iterdir())
 
 

@@ -46,7 +46,7 @@ def test_a_cluster_is_given_absolute_names_and_the_lock(
 def test_what_a_lost_process_left_is_removed_and_no_more(tmp_path: Path) -> None:
     folder, out = study_folder(tmp_path / "in", ("a.raw",)), tmp_path / "out"
     out.mkdir()
-    item = next(item for item in files(Where((folder,), out)) if item.name == "a.raw")
+    item = next(item for item in files(Where((folder,), out), []) if item.name == "a.raw")
     host = platform.node() or "host"
     lost = [f".a.calibrat{end}.there.12.ff.tmp" for end in ("ed.parquet", "ion.json")]
     kept = [

@@ -70,12 +70,20 @@ def test_a_study_may_be_done_in_steps(here: Path, capsys: Capture) -> None:
     assert results(here / "out") == steps
 
 
-def test_what_is_excluded_gone_or_of_other_settings_has_no_row(here: Path, capsys: Capture) -> None:
+def test_what_is_excluded_or_gone_has_no_row(here: Path, capsys: Capture) -> None:
     (here / "in" / NAMES[2]).unlink()
     study(capsys, here / "in", "--include", "a.raw", "--exclude", "*.cwa")
     assert paths(here) == list(NAMES[:2])
-    study(capsys, here / "in", "--include", "a.raw", "--model", 6)
-    assert paths(here) == [NAMES[0]]
+
+
+def test_what_was_done_with_other_options_keeps_its_row(here: Path, capsys: Capture) -> None:
+    again = study(capsys, here / "in", "--include", "a.raw", "--model", 6)
+    assert "3 kept, made with other options" in again.err
+    assert paths(here) == [*NAMES, "zeros.cwa"]
+    assert [row["model"] for row in rows(here / "out")] == ["6", "9", "9", ""]
+    study(capsys, here / "in", "--include", "a.raw")
+    assert [row["model"] for row in rows(here / "out")] == ["9", "9", "9", ""]
+    assert "4 unchanged" in study(capsys, here / "in").err
 
 
 @pytest.mark.nightly

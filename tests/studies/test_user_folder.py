@@ -29,7 +29,7 @@ NAMES = ("a.raw", "b.raw")
 
 
 def tasks(folder: Path, out: Path, request: Request | None = None) -> list[CalibrationTask]:
-    found = files(Where((folder,), out, exclude=("*.txt", "*.json")))
+    found = files(Where((folder,), out, exclude=("*.txt", "*.json")), [])
     return [CalibrationTask(item, Common(out, request or Request(), "asked")) for item in found]
 
 

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
 import reprlib
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -20,7 +18,7 @@ from typing import Any, TypeVar
 from accelcal_cli.core.clock import FIRST_US, LAST_US
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G
-from accelcal_cli.core.text_files import read_text
+from accelcal_cli.core.text_files import read_toml
 
 AXES = ("x", "y", "z")
 GYRO = ("gx", "gy", "gz")
@@ -393,20 +391,7 @@ def load_layout(path: Path) -> Layout:
         UsageError: it cannot be read, is not TOML, or a key is missing, unknown or impossible;
             the message names the key.
     """
-    text = read_text(path, "the layout", LARGEST_LAYOUT)
-    for number, line in enumerate(text.split("\n"), 1):
-        if len(line) > LONGEST_LINE:
-            what = f"the layout has a line of more than {LONGEST_LINE} characters"
-            raise UsageError(what, path=path, line=number)
-    try:
-        document = tomllib.loads(text)
-    except RecursionError as error:
-        raise UsageError("the layout is not valid: its brackets are nested too deep", path=path) from error
-    except ValueError as error:
-        match = re.search(r"at line (\d+)", str(error))
-        place = int(match[1]) if match else None
-        raise UsageError(f"the layout is not valid TOML ({error})", path=path, line=place) from error
-    return parse_layout(document, path)
+    return parse_layout(read_toml(path, "the layout", LARGEST_LAYOUT), path)
 
 
 def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:

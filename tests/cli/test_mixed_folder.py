@@ -1,0 +1,224 @@
+"""Folders whose recordings need different reading options: `study.toml` and `NAME.toml`."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+import accelcal_cli as accelcal
+from tests.cli.run import run
+from tests.cli.studies import results, rows, study
+from tests.recordings import directions, still_counts, write_csv, write_raw
+
+Capture = pytest.CaptureFixture[str]
+COUNTS = still_counts(directions(40))
+
+RULES = """
+["*"]
+timezone = "Europe/Berlin"
+["phone/*"]
+unit = "mg"
+["phone/odd.csv"]
+unit = "m/s2"
+time-column = "time"
+"""
+
+
+@pytest.fixture
+def mixed(tmp_path: Path) -> Path:
+    """A dump with a layout, a table in g, and two in units that no head states."""
+    folder = tmp_path / "in"
+    (folder / "phone").mkdir(parents=True)
+    write_raw(folder / "a.raw", COUNTS)
+    write_csv(folder / "g.csv", COUNTS)
+    for name, factor in (("phone/mg.csv", 1000.0), ("phone/odd.csv", 9.80665)):
+        write_csv(folder / name, COUNTS)
+        scaled(folder / name, factor)
+    return folder
+
+
+def scaled(path: Path, factor: float) -> None:
+    """The values of a table times a factor, and columns without a unit."""
+    _, *lines = path.read_text().splitlines()
+    cells = [line.split(",") for line in lines]
+    body = [",".join([time, *(repr(factor * float(value)) for value in xyz)]) for time, *xyz in cells]
+    path.write_text("\n".join(["time,x,y,z", *body]) + "\n")
+
+
+def by_name(folder: Path) -> dict[str, dict[str, str]]:
+    return {row["path"]: row for row in rows(folder)}
+
+
+def test_each_recording_is_read_as_the_folder_s_file_says(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text(RULES)
+    done = study(capsys, mixed)
+    assert done.code == 0, done.err
+    found = by_name(mixed.parent / "out")
+    assert [row["outcome"] for row in found.values()] == ["calibrated"] * 4
+    afters = {row["path"]: float(row["sphere_mg"]) for row in found.values()}
+    assert max(afters.values()) < 1.05 * min(afters.values()), "the same values in four units"
+    assert {row["time_zone"] for row in found.values()} == {"UTC"}
+    report = json.loads((mixed.parent / "out/phone/odd.calibration.json").read_text())
+    said = report["settings"]["input"]
+    assert (said["unit"], said["time_column"]) == ("m/s2", "time")
+    settings = json.loads((mixed.parent / "out/study.json").read_text())["settings"]
+    assert settings["stated"]["study.toml"]["phone/odd.csv"] == {"unit": "m/s2", "time-column": "time"}
+
+
+def test_the_result_is_that_of_the_same_options_by_hand(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text('["phone/mg.csv"]\nunit = "mg"\n')
+    study(capsys, mixed, "--include", "mg.csv")
+    alone = mixed.parent / "alone"
+    assert run(capsys, "calibrate", mixed / "phone/mg.csv", "--unit", "mg", "-d", alone).code == 0
+    together = results(mixed.parent / "out/phone")
+    assert results(alone) == together
+
+
+def test_a_dry_run_shows_every_choice_and_who_made_it(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text(RULES)
+    (mixed / "g.toml").write_text("rate = 25\n")
+    told = study(capsys, mixed, "--dry-run")
+    fields = {line.split("\t")[0].removeprefix(f"{mixed}/"): line.split("\t")[2:] for line in told.lines}
+    zone = 'timezone=Europe/Berlin (study.toml, "*")'
+    assert fields["g.csv"] == [f"{zone}; rate=25.0 (g.toml)"]
+    assert fields["a.raw"] == [zone]
+    odd = 'unit=m/s2 time-column=time (study.toml, "phone/odd.csv")'
+    assert fields["phone/odd.csv"] == [f"{zone}; {odd}"]
+    (line,) = study(capsys, mixed, "--dry-run", "--json", "--include", "g.csv").lines
+    assert json.loads(line)["stated"]["rate_hz"] == {"value": 25.0, "from": "g.toml"}
+
+
+def test_a_change_of_what_is_said_of_a_recording_makes_that_one_anew(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text('["phone/*"]\nunit = "mg"\n')
+    assert study(capsys, mixed).code == 1
+    assert by_name(mixed.parent / "out")["phone/odd.csv"]["outcome"] == "refused"
+    (mixed / "study.toml").write_text('["phone/*"]\nunit = "mg"\n["phone/odd.csv"]\nunit = "m/s2"\n')
+    done = study(capsys, mixed)
+    assert "3 unchanged" in done.err
+    assert by_name(mixed.parent / "out")["phone/odd.csv"]["outcome"] == "calibrated"
+    before = results(mixed.parent / "out")
+    os.utime(mixed / "study.toml")
+    assert "4 unchanged" in study(capsys, mixed).err
+    assert results(mixed.parent / "out") == before
+
+
+def test_what_two_say_differently_is_not_decided(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text(RULES)
+    done = study(capsys, mixed, "--unit", "g")
+    assert done.code == 1
+    row = by_name(mixed.parent / "out")["phone/mg.csv"]
+    said = '--unit g contradicts unit=mg (study.toml, "phone/*"); say it in one place'
+    assert row["message"].endswith(f"mg.csv: {said}")
+    assert by_name(mixed.parent / "out")["g.csv"]["outcome"] == "calibrated"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (
+            '["*.csv"]\nunits = "mg"\n',
+            "\"*.csv\": there is no option 'units'; is it 'unit'?; reading options are",
+        ),
+        ('["*.csv"]\nunit = "stone"\n', "\"*.csv\": unit cannot be 'stone'; possible: g, mg, m/s2, counts"),
+        ('["*.csv"]\nrate = "fast"\n', "\"*.csv\": rate cannot be 'fast'"),
+        ('["*.csv"]\nrate = 0\n', '"*.csv": rate cannot be 0; possible: 0.001 to 100000'),
+        (
+            'unit = "mg"\n',
+            '\'unit\' is not a table; write it below a pattern such as ["*.csv"], or ["*"] for all',
+        ),
+        ('["*.csv"\n', "line 1: study.toml is not valid TOML"),
+    ],
+)
+def test_a_file_that_says_nonsense_stops_the_study(
+    mixed: Path, capsys: Capture, text: str, said: str
+) -> None:
+    (mixed / "study.toml").write_text(text)
+    done = study(capsys, mixed)
+    assert (done.code, done.out) == (2, "")
+    assert said in done.err
+    assert not (mixed.parent / "out/study.csv").exists()
+
+
+def test_a_recording_s_file_that_says_nonsense_costs_that_recording(mixed: Path, capsys: Capture) -> None:
+    (mixed / "g.toml").write_text("rat = 5\n")
+    done = study(capsys, mixed, "--exclude", "phone/*")
+    assert done.code == 1
+    row = by_name(mixed.parent / "out")["g.csv"]
+    assert (row["outcome"], row["exit_code"]) == ("failed", "2")
+    assert "g.toml: there is no option 'rat'; is it 'rate'?" in row["message"]
+
+
+def test_a_pattern_that_no_file_fits_is_told(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text('["*.cvs"]\nunit = "mg"\n')
+    for more in ((), ("--dry-run",)):
+        assert f'no file fits "*.cvs" of {mixed / "study.toml"}' in study(capsys, mixed, *more).err
+
+
+def test_another_file_takes_the_place_of_the_folder_s(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_text('["*.csv"]\nunit = "counts"\n')
+    other = mixed.parent / "other.toml"
+    other.write_text(RULES)
+    assert study(capsys, mixed, "--config", other).code == 0
+    single = run(capsys, "calibrate", mixed / "phone/mg.csv", "--config", mixed.parent / "x.toml", "-d", "no")
+    assert (single.code, "x.toml: study.toml cannot be read" in single.err) == (2, True)
+    by_name_alone = mixed.parent / "names.toml"
+    by_name_alone.write_text('["mg.csv"]\nunit = "mg"\n')
+    out = mixed.parent / "alone"
+    done = run(capsys, "calibrate", mixed / "phone/mg.csv", "--config", by_name_alone, "-d", out)
+    assert done.code == 0, done.err
+
+
+def test_every_command_reads_a_recording_as_its_own_file_says(mixed: Path, capsys: Capture) -> None:
+    path = mixed / "phone/mg.csv"
+    plain = run(capsys, "inspect", path)
+    (mixed / "phone/mg.toml").write_text('unit = "mg"\n')
+    told = run(capsys, "inspect", path)
+    assert (plain.code, told.code) == (3, 0) or plain.out != told.out
+    assert run(capsys, "quality", path).code == 0
+    report = accelcal.calibrate(path).report
+    assert report["settings"]["input"]["unit"] == "mg"
+    with accelcal.read(path) as reading:
+        assert max(abs(part.xyz).max() for part in reading) < 3
+    run(capsys, "calibrate", path, "-d", mixed.parent / "alone")
+    (mixed / "phone/mg.toml").write_text('unit = "m/s2"\n')
+    again = run(capsys, "verify", mixed.parent / "alone/mg.calibration.json", path)
+    assert again.code == 0, "a report is made again with what it was made with"
+
+
+def test_a_layout_lies_where_the_file_that_names_it_says(tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / "in"
+    (folder / "layouts").mkdir(parents=True)
+    (folder / "dumps").mkdir()
+    write_raw(folder / "dumps/a.raw", COUNTS)
+    (folder / "dumps/a.layout.toml").rename(folder / "layouts/logger.toml")
+    (folder / "study.toml").write_text('["dumps/*"]\nlayout = "layouts/logger.toml"\n')
+    assert study(capsys, folder).code == 0
+    assert "1 unchanged" in study(capsys, folder).err
+    text = (folder / "layouts/logger.toml").read_text()
+    (folder / "layouts/logger.toml").write_text(text + "\n# looked at again\n")
+    assert "unchanged" not in study(capsys, folder).err, "another layout, another result"
+
+
+def test_links_to_folders_are_followed_or_named(tmp_path: Path, capsys: Capture) -> None:
+    folder, elsewhere = tmp_path / "in", tmp_path / "disk"
+    for place in (folder, elsewhere):
+        place.mkdir()
+    write_raw(folder / "a.raw", COUNTS)
+    write_raw(elsewhere / "b.raw", COUNTS[::-1].copy())
+    (folder / "more").symlink_to(elsewhere)
+    (folder / "again").symlink_to(elsewhere)
+    (elsewhere / "loop").symlink_to(folder)
+    done = study(capsys, folder)
+    assert done.code == 0
+    assert sorted(by_name(tmp_path / "out")) == ["a.raw", "again/b.raw"]
+    assert f"the link {folder / 'more'} is not followed: {elsewhere} is gone through as it is" in done.err
+    assert f"the link {folder / 'again/loop'} is not followed: {folder} is gone through as it is" in done.err
+
+
+def test_a_folder_given_to_calibrate_names_study(mixed: Path, capsys: Capture) -> None:
+    done = run(capsys, "calibrate", mixed)
+    assert done.code == 3
+    assert f"is a folder, not a recording; accelcal study {mixed} -d OUT calibrates all" in done.err
