@@ -10,7 +10,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz lint docs browser browser-ready bench bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz lint docs firmware browser browser-ready bench bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -65,6 +65,10 @@ browser-ready: $(READY)
 docs: $(PLAIN)
 	$(PIP) '.[docs]'
 	$(BIN)/python -m pdoc accelcal_cli.api --docformat google --output-directory build/api
+
+# flash, RAM and time of firmware/accelcal.h on simulated microcontrollers (docs/firmware.md)
+firmware: $(PLAIN)
+	$(BIN)/python -m firmware.measure
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)

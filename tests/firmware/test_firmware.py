@@ -9,6 +9,7 @@ import subprocess
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.core.settings import PAPER
 from accelcal_cli.optimize import fixed32
 from accelcal_cli.pipeline.survey import StillWindows, make_method, open_marked, survey, with_clipping
+from firmware import measure
 from tests.cli.run import exit_code
 from tests.conftest import ROOT
 from tests.optimize.oracle import drawn_errors, measured, points, random_directions
@@ -357,6 +359,47 @@ def test_it_compiles_as_cpp(tmp_path: Path) -> None:
     words = [compiler, "-std=c++11", *FLAGS[1:], "-fsyntax-only", f"-I{ROOT / 'firmware'}", str(source)]
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     assert not done.returncode, done.stderr
+
+
+def test_cycles_of_instructions_are_arms() -> None:
+    """By hand: three registers are pushed, then three times a load, a product, and a branch, taken twice."""
+    text = """
+00000848 <loop>:
+ 848:\tb5f0      \tpush\t{r4, r5, lr}
+ 84a:\tf851 3f04 \tldr.w\tr3, [r1, #4]!
+ 84e:\tfb83 4502 \tsmull\tr4, r5, r3, r2
+ 852:\td1fa      \tbne.n\t84a <loop+0x2>
+ 854:\tbd30      \tpop\t{r4-r5, pc}
+ 856:\tbf00      \tnop
+"""
+    table = measure.disassembled(text)
+    assert {address: (size, name) for address, (size, name, _) in table.items()} == {
+        0x848: (2, "push"),
+        0x84A: (4, "ldr"),
+        0x84E: (4, "smull"),
+        0x852: (2, "bne"),
+        0x854: (2, "pop"),
+        0x856: (2, "nop"),
+    }
+    body = [0x84A, 0x84E, 0x852]
+    executed = [0, 1, 0x848, *body * 3, 0x854, 2, 3]
+    (pairs,) = measure.between(executed, 1, 2)
+    assert pairs.total() == 10
+    assert measure.cost(pairs, table) == (4 + 3 * (1 + 3 + 1) + 2 * 1, 5 + 3 * (3 + 5 + 1) + 2 * 3)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize(
+    ("measured_on", "tools"),
+    [
+        (measure.atmega328, ("avr-gcc", "simavr")),
+        (measure.cortex_m3, ("arm-none-eabi-gcc", "qemu-system-arm")),
+    ],
+)
+def test_microcontrollers_find_the_same_bits(measured_on: Callable[..., Any], tools: tuple[str, ...]) -> None:
+    if absent := [tool for tool in tools if not shutil.which(tool)]:
+        pytest.skip(f"{' and '.join(absent)} not found")
+    assert measured_on(["-Os"]).parameters == measure.expected()
 
 
 def test_the_header_keeps_its_promises() -> None:
