@@ -264,7 +264,10 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
     """
     values, source = _values(options, ReadOptions, Settings), Path(path)
     request = Request(
-        options=given.read_options(values), settings=given.settings(values), report_only=report_only
+        options=given.read_options(values),
+        settings=given.settings(values),
+        report_only=report_only,
+        parts=True,
     )
     before, log = file_stamp(source), WindowLog()
     with open_run(Job(source, source, source), request) as run:
@@ -407,6 +410,7 @@ def study(
         several=True,
         command=("accelcal_cli.study",),
         rules=folder_rules([Path(folder)]),
+        parts=True,
     )
     run(Study(Where((Path(folder),), Path(output), (), ()), request, jobs=jobs), _Silent())
     return pd.read_parquet(Path(output) / "study.parquet")

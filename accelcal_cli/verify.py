@@ -180,6 +180,7 @@ def reproduced(
         coefficients=donor_of(document, options.coefficients),
         any_device=True,
         unused=noted_unused(document.report["recording"]),
+        parts=True,
         as_given=True,
     )
     with open_run(Job(recording, recording, document.path), request, progress) as run:

@@ -26,6 +26,7 @@ from accelcal_cli.pipeline.jobs import Request, plan
 @click.option("--no-temperature", is_flag=True, help="Use the coefficients at their reference temperature.")
 @options.printing_options
 @options.reading_options
+@options.parts_option
 @options.damage_option
 @options.gravity_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
@@ -39,6 +40,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     keep_coefficients(values["coefficients"], jobs)
     request = Request(
         options=given.read_options(values),
+        parts=values["parts"],
         settings=replace(given.with_given(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],

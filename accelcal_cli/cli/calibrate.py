@@ -7,7 +7,14 @@ from typing import Any
 
 import click
 
-from accelcal_cli.cli.options import FILE, calibrating_options, place_options, request_of
+from accelcal_cli.cli.options import (
+    FILE,
+    calibrating_options,
+    parts_option,
+    place_options,
+    recordings_of,
+    request_of,
+)
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.cli.report import refuse_page, write_page
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -18,6 +25,7 @@ from accelcal_cli.pipeline.windows import refuse_impossible
 @click.command("calibrate")
 @place_options
 @calibrating_options
+@parts_option
 @click.option(
     "--windows",
     type=FILE,
@@ -31,7 +39,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     tab-separated line: path, outcome, model, error before and after in mg on held-out postures,
     error before / after x 100, and the Parquet file.
     """
-    jobs = plan(list(recordings), values["output_dir"], values["output"])
+    jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:
         refuse_impossible(values["windows"], jobs)
     request = request_of(values).for_jobs(jobs)

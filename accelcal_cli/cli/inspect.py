@@ -32,6 +32,7 @@ CLOCKS_S_PER_DAY = 86.4
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object per line.")
 @options.reading_options
 @options.config_option
+@options.parts_option
 @options.damage_option
 @options.method_options
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
@@ -41,12 +42,14 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="give - only once")
-    several = len(recordings) > 1
+    named = options.recordings_of(recordings, values)
+    several = len(named) > 1
     reading = given.read_options(values)
     if several and STDIN not in recordings:
-        refuse_unused(recordings, reading)
-    request = Request(reading, _settings(values), several=several, rules=options.rules_of(values))
-    return exit_codes.of_all([_one(path, request, values) for path in recordings])
+        refuse_unused(named, reading)
+    rules, parts = options.rules_of(values), values["parts"]
+    request = Request(reading, _settings(values), several=several, rules=rules, parts=parts)
+    return exit_codes.of_all([_one(path, request, values) for path in named])
 
 
 def _one(path: Path, request: Request, values: dict[str, Any]) -> int:

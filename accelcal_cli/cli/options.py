@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import click
 
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.parts import may_be_archive, pattern_of
 from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
 from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request
@@ -195,6 +196,18 @@ config_option = click.option(
 )  # fmt: skip
 
 
+parts_option = click.option(
+    "--parts", is_flag=True,
+    help="Each RECORDING is a folder of parts, or a pattern in quotes; files are the parts of one recording.",
+)  # fmt: skip
+
+
+def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
+    """What is named, several files with --parts as one recording; raises what `pattern_of` raises."""
+    files = len(recordings) > 1 and all(one.is_file() and not may_be_archive(one) for one in recordings)
+    return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
+
+
 def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> tuple[Rules, ...]:
     """What --config says of the recordings in folders, else what a study.toml in each of them says.
 
@@ -235,4 +248,5 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
         rules=rules_of(values, folders),
+        parts=folders is not None or values["parts"],
     )

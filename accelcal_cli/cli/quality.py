@@ -49,6 +49,7 @@ WORN = {True: "yes", False: "no", None: "-"}
 @click.option("--tsv", is_flag=True, help="Print tab-separated rows with all columns at a terminal too.")
 @click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
 @options.reading_options
+@options.parts_option
 @options.damage_option
 @options.method_options
 def command(recording: Path, **values: Any) -> int:
@@ -73,6 +74,7 @@ def _request(recording: Path, values: dict[str, Any]) -> Request:
         raise UsageError("--any-device is for --coefficients only", path=recording, hint="omit it")
     return Request(
         options=given.read_options(values),
+        parts=values["parts"],
         settings=given.settings(values) if path is None else _settings_beside(values),
         chunk_samples=values["chunk_samples"],
         coefficients=None if path is None else read_coefficients(path),

@@ -106,6 +106,10 @@ class UnreadableError(AccelcalError):
     exit_code = 3
 
 
+class NoFormatError(UnreadableError):
+    """The content of the file matches no format."""
+
+
 class OutputError(AccelcalError):
     """A result could not be written."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import gzip
 import importlib
 import re
-import shlex
 import stat
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US
-from accelcal_cli.core.errors import UnreadableError, UsageError, listed, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import Option, setting, setting_of
 from accelcal_cli.core.zones import in_its_zone
@@ -207,8 +206,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
         status = path.stat()
         size = status.st_size
         if stat.S_ISDIR(status.st_mode):
-            hint = f"accelcal study {shlex.quote(printable(path))} -d OUT calibrates all recordings in it"
-            raise UnreadableError("is a folder, not a recording", path=path, hint=hint)
+            raise UnreadableError("is a folder, not a recording", path=path, hint="name the files in it")
         if not stat.S_ISREG(status.st_mode):
             what, hint = "is a pipe or a device, and a recording is read twice", "write it to a file first"
             raise UnreadableError(what, path=path, hint=hint)

@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
-from accelcal_cli.core.errors import UnreadableError, UsageError, listed
+from accelcal_cli.core.errors import NoFormatError, UnreadableError, UsageError, listed
 from accelcal_cli.core.formats import (
     Encoder,
     Format,
@@ -26,8 +26,12 @@ from accelcal_cli.core.formats import (
     unused_note,
     without,
 )
+from accelcal_cli.core.parts import ARCHIVES, files_of, may_be_archive, set_of
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
+
+LOOKED_AT = 8
+"""Members of an archive whose names are looked at."""
 
 
 @cache
@@ -55,7 +59,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
     scored = [(item.sniff(probe), item.name, item) for item in all_formats()]
     best = max(scored, key=lambda score: (score[0], score[1]))
     if best[0] == 0:
-        raise UnreadableError(
+        raise NoFormatError(
             "its content matches no known format",
             path=path,
             byte_offset=0,
@@ -70,9 +74,38 @@ def named_format(name: str) -> Format:
     return found or named_plugin(name, all_formats(), "format")
 
 
+def has_parts(path: Path) -> bool:
+    """Whether a path stands for the parts of one recording: a folder, a pattern, or an archive."""
+    if files_of(path) is not None:
+        return True
+    if not may_be_archive(path):
+        return False
+    probe = probe_file(path, ReadOptions())
+    if any(item.sniff(probe) for item in all_formats()):
+        return False
+    from accelcal_cli.formats._parts.archive import is_archive
+
+    return is_archive(path)
+
+
+def holds_parts(path: Path) -> bool:
+    """Whether a file is an archive in which one of the first members is named as the part of a recording."""
+    if not path.name.lower().endswith(ARCHIVES) or not has_parts(path):
+        return False
+    from accelcal_cli.formats._parts.archive import first_names
+
+    return any(set_of(Path(name)) is not None for name in first_names(path, LOOKED_AT))
+
+
 def unused_options(path: Path, options: ReadOptions) -> tuple[str, ...]:
-    """Options that mean nothing for a file's format; raises what `find_format` raises."""
-    return find_format(path, options).unused(options) if _may_be_unused(options) else ()
+    """Options that mean nothing for a file's format; raises what `find_format` raises.
+
+    Of parts the first counts; those in an archive are all meant.
+    """
+    if not _may_be_unused(options):
+        return ()
+    path = next(iter(files_of(path) or ()), path)
+    return () if has_parts(path) else find_format(path, options).unused(options)
 
 
 def _may_be_unused(options: ReadOptions) -> set[str]:
@@ -89,7 +122,7 @@ def refuse_unused(paths: Iterable[Path], options: ReadOptions) -> None:
         if not pending:
             return
         with contextlib.suppress(UnreadableError):
-            item = find_format(path, options)
+            item = find_format(next(iter(files_of(path) or ()), path), options)
             found.add(item.name)
             pending &= set(item.ignores)
     if found:
@@ -108,7 +141,7 @@ def _refuse_options(names: Sequence[str], formats: Sequence[str], path: Path | N
 def open_recording(
     path: Path, options: ReadOptions, threads: int = 1, unused: tuple[str, ...] = ()
 ) -> Reader:
-    """Open a recording of any format for streaming.
+    """Open a recording of any format for streaming, or one in parts.
 
     Args:
         threads: how many may work at a time on reading it.
@@ -117,12 +150,23 @@ def open_recording(
     Raises:
         UnreadableError, UsageError: see `find_format` and the format's own `open`; or an option means
             nothing for the format.
+        OutputError: there is no room to unpack an archive of parts.
     """
+    if has_parts(path):
+        from accelcal_cli.formats._parts.reader import open_parts
+
+        reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused))
+    else:
+        reader = _open_file(path, options, unused)
+    reader.threads = threads
+    return reader
+
+
+def _open_file(path: Path, options: ReadOptions, unused: tuple[str, ...]) -> Reader:
     options = without(options, unused)
     item = find_format(path, options)
     _refuse_options(item.unused(options), [item.name], path)
     reader = item.open(path, options)
-    reader.threads = threads
     if unused:
         note = unused_note(unused, item.name)
         reader.recording = replace(reader.recording, notes=(*reader.recording.notes, note))

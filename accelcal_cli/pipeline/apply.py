@@ -15,6 +15,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import noted_unused
+from accelcal_cli.core.parts import size_of
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
@@ -172,7 +173,7 @@ def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, 
 def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
     """How a recording and coefficients belong together, whatever is asked for."""
     report = donor.document.report
-    if report["recording"]["bytes"] != bytes_at.stat().st_size and "coefficients" not in report:
+    if report["recording"]["bytes"] != size_of(bytes_at) and "coefficients" not in report:
         return Relation.OTHER
     if jobs.sha256(bytes_at) != donor.origin.sha256:
         return Relation.OTHER

@@ -8,6 +8,8 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import os
+import re
+import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -15,6 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions, without
+from accelcal_cli.core.parts import ANY, ARCHIVES, files_of
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
@@ -99,7 +102,9 @@ def real(path: Path) -> Path:
 
 def stem(path: Path) -> str:
     """File name without `.gz` and its format suffix."""
-    name = path.name
+    name = re.sub(r"([._-]*)\*[._-]*", r"\1", path.name).strip("._-") if ANY in path.name else path.name
+    if (packed := next((one for one in ARCHIVES if name.lower().endswith(one)), None)) is not None:
+        return name[: -len(packed)]
     if name.lower().endswith(".gz"):
         name = name[:-3]
     known = {suffix for item in all_formats() for suffix in item.suffixes}
@@ -202,11 +207,14 @@ def _refuse_collisions(jobs: list[Job]) -> None:
 
 
 def sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal.
+    """SHA-256 of a file, hexadecimal; of several, that of the lines `SHA-256  NAME` of all, by name.
 
     Raises:
-        UnreadableError: it cannot be read.
+        UnreadableError: one cannot be read.
     """
+    if (files := files_of(path)) is not None:
+        lines = (f"{sha256(one)}  {printable(one.name)}\n" for one in files)
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
     try:
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
@@ -215,12 +223,12 @@ def sha256(path: Path) -> str:
 
 
 def file_stamp(path: Path) -> FileStamp | None:
-    """The stamp of a file; None if it cannot be looked at."""
+    """The stamp of a file, or of all parts together; None if one cannot be looked at."""
     try:
-        status = path.stat()
+        found = [one.stat() for one in files_of(path) or (path,)]
     except OSError:
         return None
-    return status.st_size, status.st_mtime_ns
+    return sum(one.st_size for one in found), max(one.st_mtime_ns for one in found)
 
 
 def check_unchanged(path: Path, before: FileStamp | None) -> None:
@@ -277,6 +285,7 @@ class Request:
         several: the options are for several recordings; those that mean nothing for one are left out there.
         unused: of this recording's options those that mean nothing; its report has a note of them.
         rules: reading options by name, of `study.toml`.
+        parts: a folder or a pattern stands for the parts of one recording.
         as_given: the reading options are all that counts; what files beside the recording state does not.
     """
 
@@ -296,6 +305,7 @@ class Request:
     several: bool = False
     unused: tuple[str, ...] = ()
     rules: tuple[stated.Rules, ...] = ()
+    parts: bool = False
     as_given: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
@@ -313,8 +323,13 @@ class Request:
         are meant for others of several recordings.
 
         Raises:
-            UnreadableError, UsageError: see `find_format` and `options_of`.
+            UnreadableError, UsageError: see `find_format` and `options_of`; or it is a folder, and parts are
+                not asked for.
         """
+        if not self.parts and files_of(path) is not None and path.is_dir():
+            hint = f"accelcal study {shlex.quote(printable(path))} -d OUT calibrates all recordings in it; "
+            more = "with --parts it is read as the parts of one"
+            raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)
         options = self.options_of(path)
         unused = unused_options(path, options) if self.several else ()
         return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)

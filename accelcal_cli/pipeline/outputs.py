@@ -17,6 +17,7 @@ from typing import Any
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
+from accelcal_cli.core.parts import size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
@@ -147,7 +148,7 @@ def _refuse_other(job: Job, source: Path, report: dict[str, Any]) -> None:
 def _is_of(report: dict[str, Any], source: Path) -> bool:
     """Whether a report is of these very bytes."""
     recorded = report["recording"]
-    return bool(recorded["bytes"] == source.stat().st_size and recorded["sha256"] == sha256(source))
+    return bool(recorded["bytes"] == size_of(source) and recorded["sha256"] == sha256(source))
 
 
 def _refuse_replacing(job: Job, source: Path, report: dict[str, Any], request: Request) -> None:

@@ -6,6 +6,8 @@ that a study writes: these are recognised by name and content.
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
 import re
 import stat
@@ -18,7 +20,8 @@ import pyarrow.parquet as pq
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
-from accelcal_cli.formats import all_formats, named_format
+from accelcal_cli.core.parts import ANY, files_of, is_never, set_of
+from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline import jobs
@@ -107,7 +110,39 @@ def files(where: Where, notes: list[str]) -> list[Item]:
     """
     links = _Links([jobs.real(folder) for folder in where.folders], notes)
     found = [item for folder, place in places(where) for item in _folder(where, folder, place, links)]
-    return sorted(_apart(found), key=lambda item: item.name)
+    return sorted(_apart([*_with_sets(where, found)]), key=lambda item: item.name)
+
+
+def _with_sets(where: Where, items: list[Item]) -> Iterator[Item]:
+    """The items, with one for all parts of a recording in the place of those of its files and their logs."""
+    sets: dict[Path | None, list[Item]] = {}
+    for item in items:
+        sets.setdefault(set_of(item.source), []).append(item)
+    single, folders = sets.pop(None, []), {one.parent for one in sets if one is not None}
+    yield from (item for item in single if item.source.parent not in folders or not is_never(item.source))
+    for pattern, members in sets.items():
+        assert pattern is not None
+        whole = len(members) > 1 and {item.source for item in members} == set(files_of(pattern) or ())
+        yield from [_set(where, pattern, members)] if whole else members
+
+
+def _set(where: Where, pattern: Path, members: list[Item]) -> Item:
+    """The item of all parts of a recording."""
+    first = min(members, key=lambda item: item.name)
+    beside = first.source.relative_to(_root(where, first.source))
+    folder = Path(first.name[: len(first.name) - len(beside.as_posix())])
+    name = (folder / pattern.relative_to(_root(where, first.source))).as_posix()
+    place = where.out.joinpath(*(part for part in Path(name).parts[:-1] if part != ANY))
+    files = json.dumps([(item.name, item.stamps[0]) for item in sorted(members, key=lambda item: item.name)])
+    digest = int.from_bytes(hashlib.sha256(files.encode()).digest()[:7], "big")
+    stamps = (jobs.file_stamp(pattern), (len(members), digest))
+    aside = all(item.aside for item in members)
+    return Item(name, _job(pattern, place / jobs.stem(pattern)), stamps, aside=aside)
+
+
+def _root(where: Where, source: Path) -> Path:
+    """The study's folder in which a file was found."""
+    return next(folder for folder in where.folders if source.is_relative_to(folder))
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,9 +299,11 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
     Args:
         asked_for: the user named its kind with `--include`.
     """
-    if asked_for:
+    if asked_for or files_of(item.source) is not None:
         return True
     name = options.format or ("raw" if options.layout is not None else None)
+    if name is None and holds_parts(item.source):
+        return True
     wanted = all_formats() if name is None else (named_format(name),)
     try:
         probe = probe_file(item.source, replace(options, layout=None))

@@ -17,7 +17,14 @@ from accelcal_cli.formats.csv import times
 from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
-from accelcal_cli.formats.csv.table import Block, LineFile, ParsedTable, TableParser, lone_block
+from accelcal_cli.formats.csv.table import (
+    Block,
+    LineFile,
+    ParsedTable,
+    RepeatedHeads,
+    TableParser,
+    lone_block,
+)
 from accelcal_cli.formats.csv.vendors import ExportDescription, export_description
 
 HEAD_BYTES = 1 << 20
@@ -31,6 +38,7 @@ class Detected:
     Attributes:
         start_us: time of the first row where rows carry none; None if it is not known.
         first_values: of each channel, its first value; a column that the head leaves empty is none.
+        head: the file up to its first row.
     """
 
     export: ExportDescription
@@ -41,6 +49,7 @@ class Detected:
     first_values: dict[str, int]
     line_bytes: float
     guessed_unit: bool
+    head: bytes
 
     @property
     def has_dates(self) -> bool:
@@ -80,7 +89,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     """
     _refuse_not_positive(options)
     head = _head(path, False)
-    export = export_description(head) or ExportDescription()
+    export = export_description(head, path.name) or ExportDescription()
     _refuse_doubtful(export, options, path)
     dialect = find_dialect(head, export.preamble)
     if dialect is None:
@@ -89,7 +98,7 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         head = _head(path, True)
     if dialect.names is None and len(export.names or ()) == dialect.columns:
         dialect = replace(dialect, names=export.names)
-    block = _head_block(head, dialect)
+    block = RepeatedHeads(head[: dialect.offset]).without(_head_block(head, dialect))
     roles = find_roles(dialect, options, path)
     parser = _table_parser(block, dialect, roles, export, options, path)
     cells = parser.cells(block)
@@ -99,7 +108,8 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     if parser.time is None and export.start is not None:
         start_us = export.start.us(options.date_format or export.date_order, path)
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
-    return Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed)
+    above = head[: dialect.offset]
+    return Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed, above)
 
 
 def _refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core import recording
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.daylight import FOLLOWED
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
@@ -33,7 +33,7 @@ from accelcal_cli.formats.csv.rows import (
     block_bytes,
     joined,
 )
-from accelcal_cli.formats.csv.table import Block, LineFile
+from accelcal_cli.formats.csv.table import Block, LineFile, RepeatedHeads
 
 SINGLE = 50
 """Problems of a kind that are given one by one."""
@@ -79,17 +79,18 @@ class CsvReader(Reader):
         """
         changes = FollowedChanges(self.recording.timezone if self.recording.stamped else None)
         assembler = Assembler(self._detected, changes.rows, self.recording.timezone)
-        for rows, block in joined(self._settled(chunk_samples, [changes]), chunk_samples):
+        heads = RepeatedHeads(self._detected.head)
+        for rows, block in joined(self._settled(chunk_samples, heads, [changes]), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
                 if len(chunk) or chunk.problems:
                     yield chunk
         if 2 * assembler.samples < assembler.rows or not assembler.samples:
             raise self._unusable(f"only {assembler.samples} of {assembler.rows} rows hold usable values")
-        if (end := assembler.end(block)).problems:
+        if (end := assembler.end(block, _joined_files(heads.lines, assembler.samples))).problems:
             yield end
 
     def _settled(
-        self, chunk_samples: int, changes: Sequence[FollowedChanges] = ()
+        self, chunk_samples: int, heads: RepeatedHeads, changes: Sequence[FollowedChanges] = ()
     ) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
@@ -102,7 +103,7 @@ class CsvReader(Reader):
         size = block_bytes(chunk_samples, detected.line_bytes)
         with LineFile(self._path, dialect.bare_returns) as file:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
-            for parsed, block in row_parser.rows(blocks, self.threads):
+            for parsed, block in row_parser.rows(map(heads.without, blocks), self.threads):
                 rows = parsed
                 for stage in stages:
                     rows = stage.add(rows, block.last)
@@ -112,7 +113,7 @@ class CsvReader(Reader):
         """Time of the first usable row [us], None without dates."""
         assembler = Assembler(self._detected)
         samples = int(HEAD_BYTES / self._detected.line_bytes)
-        for rows, block in self._settled(samples):
+        for rows, block in self._settled(samples, RepeatedHeads(self._detected.head)):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
                 if len(chunk):
                     return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
@@ -212,7 +213,7 @@ class Assembler:
             )
             self.samples += stop - start
 
-    def end(self, block: Block) -> Chunk:
+    def end(self, block: Block, more: tuple[Problem, ...] = ()) -> Chunk:
         """An empty chunk with what the end of the file completes: runs that reach it, the rest of many."""
         left = sorted(self._log.take(None), key=lambda problem: CODES.index(problem.code))
         return Chunk(
@@ -220,7 +221,7 @@ class Assembler:
             np.empty((0, 3), np.int32),
             StampClock(np.empty(0, np.int64)),
             block.end_byte,
-            problems=(*left, *_cut_short(block, self.samples)),
+            problems=(*left, *more, *_cut_short(block, self.samples)),
             used_bytes=0,
             **self._no_channels,
         )
@@ -323,6 +324,15 @@ def _message(run: Run) -> str:
         repeated=f", and so on for {count} rows" if count > 1 else "",
     )
     return f"and more of the same: {text}" if run.scattered else text
+
+
+def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
+    """That the names of the columns stand in these lines again."""
+    if not lines:
+        return ()
+    more = f" and {counted(len(lines) - 1, 'more line')}" if len(lines) > 1 else ""
+    text = f"the names of the columns stand again in line {lines[0]}{more}: files that were joined"
+    return (Problem("repeated_head", text, None, samples, count=len(lines)),)
 
 
 def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:

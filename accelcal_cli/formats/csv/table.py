@@ -22,7 +22,7 @@ from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._stamps import IMPOSSIBLE
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
-from accelcal_cli.formats.csv.dialect import Dialect, decode, split_line
+from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, Dialect, decode, split_line
 from accelcal_cli.formats.csv.times import TimeFormat, floats
 
 PIECE_BYTES = 1 << 18
@@ -34,6 +34,7 @@ PARSER_BYTES = 1 << 20
 CACHED_BYTES = 1 << 18
 LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
+BLANKS = (b"\n", b"\r")
 PADDING = frozenset(b" \t\r\n")
 SHOWN = 40
 
@@ -130,6 +131,40 @@ class LineFile(Closing):
                 yield Block(data, rest, line, lines, offset, offset + len(data), disk, last, broken, zeros)
                 line += lines
                 offset += len(data)
+
+
+class RepeatedHeads:
+    """Blanks the names of the columns where they stand again, as between files that were joined.
+
+    Args:
+        head: the file up to its first row.
+
+    Attributes:
+        lines: numbers of the lines in which the names stand again.
+    """
+
+    def __init__(self, head: bytes) -> None:
+        self._head = head.removeprefix(BYTE_ORDER_MARK).splitlines(keepends=True)
+        self.lines: list[int] = []
+
+    def without(self, block: Block) -> Block:
+        """The block with the same lines, those of a repeated head empty."""
+        names = self._head[-1] if self._head and not self._head[-1].startswith(BLANKS) else b""
+        if not names or names not in block.data:
+            return block
+        lines = block.data.splitlines(keepends=True)
+        for number in range(len(lines)):
+            if lines[number] == names:
+                self.lines.append(block.line + number)
+                self._blank(lines, number)
+        return replace(block, data=b"".join(lines))
+
+    def _blank(self, lines: list[bytes], last: int) -> None:
+        """Empty a repeated head whose last line is here, as far up as it is the same."""
+        for up, line in enumerate(reversed(self._head)):
+            if last < up or lines[last - up].removeprefix(BYTE_ORDER_MARK) != line:
+                break
+            lines[last - up] = b"\n"
 
 
 def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:

@@ -112,11 +112,13 @@ class Vendor:
         name: of the file that binds it.
         recognise: whether the first lines are this vendor's. Never raises.
         describe: what they say. Never raises: what is damaged is left out.
+        from_name: adds to this what the name of the file says. Never raises.
     """
 
     name: str
     recognise: Callable[[Head], bool]
     describe: Callable[[Head], ExportDescription]
+    from_name: Callable[[str, ExportDescription], ExportDescription] = lambda _name, export: export
 
 
 @cache
@@ -125,10 +127,11 @@ def all_vendors() -> tuple[Vendor, ...]:
     return tuple(find_plugins(__name__, __path__, "VENDOR"))
 
 
-def export_description(head: bytes) -> ExportDescription | None:
-    """What the head of a vendor's export says; None if it is not a known vendor's."""
+def export_description(head: bytes, name: str = "") -> ExportDescription | None:
+    """What the head and the name of a vendor's export say; None if it is not a known vendor's."""
     if not is_text(head[:HEAD_BYTES]):
         return None
     raw = head[:HEAD_BYTES].removeprefix(BYTE_ORDER_MARK).splitlines()[:HEAD_LINES]
     lines = tuple(map(decode, raw))
-    return next((item.describe(lines) for item in all_vendors() if lines and item.recognise(lines)), None)
+    vendor = next((item for item in all_vendors() if lines and item.recognise(lines)), None)
+    return None if vendor is None else vendor.from_name(name, vendor.describe(lines))

@@ -1,0 +1,105 @@
+"""Paths that stand for several files, the parts of one recording: a folder, a pattern, or an archive."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from accelcal_cli.core.errors import UsageError
+
+ANY = "*"
+ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tbz", ".tar.xz", ".txz", ".zip")
+"""Suffixes of files that may hold parts."""
+
+NEVER = re.compile(
+    r"\..*|.*\.(log\.csv|toml|(un)?calibrated\.parquet|(calibration|quality|integers)\.json)", re.I
+)
+"""Names of files among parts that are none: logs (NHANES), options, layouts, and results of ours."""
+
+HOUR = re.compile(r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz)?)", re.IGNORECASE)
+HALF_HOUR = re.compile(r"(.+)_\d{10}\.avro", re.IGNORECASE)
+DAY = re.compile(r"\d{4}-\d\d-\d\d")
+
+MAGIC_BYTES, TAR_MAGIC, TAR_MAGIC_AT = 262, b"ustar", 257
+PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00")
+
+
+def is_never(path: Path) -> bool:
+    """Whether a file among parts is none, by its name."""
+    return NEVER.fullmatch(path.name) is not None
+
+
+def may_be_archive(path: Path) -> bool:
+    """Whether a file, and no pipe, begins as an archive may; what cannot be read is none."""
+    try:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            head = file.read(MAGIC_BYTES)
+    except (OSError, ValueError):
+        return False
+    return head.startswith(PACKED) or head[TAR_MAGIC_AT:] == TAR_MAGIC
+
+
+def files_of(path: Path) -> tuple[Path, ...] | None:
+    """The files that a folder or a pattern stands for, by name; None for any other path."""
+    found: Iterable[Path]
+    if path.is_dir():
+        found = path.rglob(ANY)
+    elif ANY in str(path) and not path.exists():
+        found = _matching(path)
+    else:
+        return None
+    return tuple(sorted(one for one in found if one.is_file() and not is_never(one)))
+
+
+def _matching(path: Path) -> Iterable[Path]:
+    """Files whose path fits a pattern in which only `*` has a meaning."""
+    parts = path.parts
+    first = next(number for number, part in enumerate(parts) if ANY in part)
+    pattern = "/".join(part.replace("[", "[[]").replace("?", "[?]") for part in parts[first:])
+    return Path(*parts[:first]).glob(pattern)
+
+
+def set_of(path: Path) -> Path | None:
+    """The pattern of all parts of the recording that a file is one of, if its name says so.
+
+    An hour of NHANES, or half an hour of an EmbracePlus, whose folders are DATE/PERSON-DEVICE/raw_data/v6
+    (Empatica, "Data Connection - raw data").
+    """
+    if (found := HOUR.fullmatch(path.name)) is not None:
+        return path.with_name(f"{found[1]}.{ANY}{found[2]}")
+    if (found := HALF_HOUR.fullmatch(path.name)) is None:
+        return None
+    pattern, day = path.with_name(f"{found[1]}_{ANY}.avro"), path.parents[3:4]
+    if day and DAY.fullmatch(day[0].name) and path.parents[1].name == "raw_data":
+        return day[0].parent / ANY / pattern.relative_to(day[0])
+    return pattern
+
+
+def pattern_of(paths: Sequence[Path]) -> Path:
+    """The pattern that stands for just these files of one folder.
+
+    Raises:
+        UsageError: there is none.
+    """
+    folders, names = {path.parent for path in paths}, sorted(path.name for path in paths)
+    first, last = names[0], names[-1]
+    same = next(
+        (at for at, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first)
+    )
+    ending = 0
+    while ending < min(map(len, names)) - same and len({name[len(name) - ending - 1] for name in names}) == 1:
+        ending += 1
+    pattern = paths[0].parent / f"{first[:same]}{ANY}{first[len(first) - ending :]}"
+    if len(folders) > 1 or set(files_of(pattern) or ()) != set(paths):
+        hint = "put them into a folder of their own, and name that, or give a pattern in quotes"
+        raise UsageError("the parts cannot be told from other files by a pattern", path=paths[0], hint=hint)
+    return pattern
+
+
+def size_of(path: Path) -> int:
+    """Bytes of a recording's file, or of all its parts; raises OSError where one cannot be looked at."""
+    files = files_of(path)
+    return path.stat().st_size if files is None else sum(one.stat().st_size for one in files)

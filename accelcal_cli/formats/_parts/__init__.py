@@ -1,0 +1,1 @@
+"""Recordings in many files: archives that hold their parts, and the reader that joins them."""

@@ -1,0 +1,336 @@
+"""Recordings in many files: the same bits as from one file, and what is missing, double or damaged."""
+
+from __future__ import annotations
+
+import io
+import json
+import random
+import shutil
+import tarfile
+import zipfile
+from collections.abc import Callable, Iterator
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import accelcal_cli as accelcal
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import joined
+from accelcal_cli.formats import open_recording
+from tests.cli.run import run, run_process
+from tests.cli.studies import rows, study
+from tests.formats.make_csv import read
+from tests.recordings import START, directions, still_counts, write_csv
+
+Capture = pytest.CaptureFixture[str]
+SAME = (
+    "outcome",
+    "calibration",
+    "holdout",
+    "fit",
+    "coverage",
+    "sphere_mg",
+    "models_tried",
+    "misfits",
+    "change",
+)
+PARTS = 30
+HEAD = "HEADER_TIMESTAMP,X,Y,Z\n"
+NAME = "GT3XPLUS-AccelerationCalibrated-1x5x0.NEO1D26171071.{:%Y-%m-%d-%H-%M-%S}-000-P0000.sensor.csv"
+PART_S = 60
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Half an hour as one table."""
+    return write_csv(tmp_path_factory.mktemp("whole") / "whole.csv", still_counts(directions(60)))
+
+
+@pytest.fixture(scope="module")
+def made(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same in parts of a minute, named as those of NHANES, and a log."""
+    folder = tmp_path_factory.mktemp("made") / "S01"
+    folder.mkdir()
+    lines = whole.read_text().splitlines(keepends=True)[1:]
+    number = 25 * PART_S
+    for part in range(-(-len(lines) // number)):
+        name = NAME.format(datetime.fromisoformat(START) + timedelta(seconds=PART_S * part))
+        (folder / name).write_text(HEAD + "".join(lines[number * part : number * (part + 1)]))
+    (folder / "GT3XPLUS.NEO1D26171071.2024-03-04.log.csv").write_text("DAY,START,END,FLAG\n1,2,3,4\n")
+    return folder
+
+
+@pytest.fixture
+def parts(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "S01")
+
+
+@pytest.fixture(scope="module")
+def expected(whole: Path) -> dict[str, Any]:
+    return accelcal.calibrate(whole, report_only=True).report
+
+
+def sensor_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.sensor.csv"))
+
+
+def tarred(files: list[Path], path: Path, mode: str) -> Path:
+    with tarfile.open(path, mode) as tar:
+        for file in files:
+            tar.add(file, f"some/folder/{file.name}")
+    return path
+
+
+def zipped(files: list[Path], path: Path) -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for file in files:
+            archive.write(file, f"some/folder/{file.name}")
+    return path
+
+
+def same(report: dict[str, Any], expected: dict[str, Any]) -> bool:
+    return all(json.dumps(report[name]) == json.dumps(expected[name]) for name in SAME)
+
+
+ARCHIVES: dict[str, Callable[[list[Path], Path], Path]] = {
+    ".tar": lambda files, path: tarred(files, path, "w"),
+    ".tar.gz": lambda files, path: tarred(files, path, "w:gz"),
+    ".tar.bz2": lambda files, path: tarred(files, path, "w:bz2"),
+    ".tar.xz": lambda files, path: tarred(files, path, "w:xz"),
+    ".zip": zipped,
+}
+
+
+def test_a_folder_has_the_bits_of_one_table(parts: Path, expected: dict[str, Any]) -> None:
+    report = accelcal.calibrate(parts, report_only=True).report
+    assert same(report, expected)
+    assert report["file_health"] == expected["file_health"] | {"lost_bytes": 0}
+    about = report["recording"]
+    assert about["device"] == {"model": "GT3XPLUS", "serial": "NEO1D26171071", "firmware": "1.5.0"}
+    assert (about["samples"], about["gaps"]) == (expected["recording"]["samples"], [])
+    assert about["bytes"] == sum(one.stat().st_size for one in sensor_files(parts))
+
+
+@pytest.mark.parametrize("suffix", ARCHIVES)
+def test_so_has_an_archive_in_any_order(
+    parts: Path, tmp_path: Path, expected: dict[str, Any], suffix: str
+) -> None:
+    files = sensor_files(parts)
+    random.Random(1).shuffle(files)
+    path = ARCHIVES[suffix]([*files, *parts.glob("*.log.csv")], tmp_path / f"S01{suffix}")
+    result = accelcal.calibrate(path, report_only=True)
+    assert same(result.report, expected)
+    assert result.write(tmp_path / "out", force=True)[1].name == "S01.calibration.json"
+
+
+def test_so_has_a_pipe_in_which_the_names_of_the_columns_stand_again(
+    parts: Path, tmp_path: Path, expected: dict[str, Any]
+) -> None:
+    stream = b"".join(one.read_bytes() for one in sensor_files(parts))
+    done = run_process("calibrate", "-", "--json", "--report-only", "-d", tmp_path / "out", stdin=stream)
+    assert done.code == 0, done.err
+    report = json.loads(done.out)
+    assert same(report, expected)
+    (told,) = report["file_health"]["problems"]
+    assert (told["code"], told["count"]) == ("repeated_head", PARTS - 1)
+    assert "line 1502 and 28 more lines" in told["message"]
+
+
+@pytest.mark.parametrize("chunk_samples", [1, 700, 10**6])
+def test_the_rows_are_those_of_one_table_however_they_are_cut(
+    parts: Path, whole: Path, chunk_samples: int
+) -> None:
+    one = read(whole)
+    if chunk_samples == 1:
+        for file in sensor_files(parts)[2:]:
+            file.unlink()
+    with open_recording(parts, ReadOptions()) as reader:
+        chunks = [*reader.chunks(chunk_samples)]
+    both = joined(chunks)
+    assert (both.counts == one.counts[: len(both)]).all()
+    assert (both.time_us == one.times[: len(both)]).all()
+    assert len(both.breaks) == 0
+    firsts = [chunk.first_sample for chunk in chunks]
+    assert firsts == [sum(map(len, chunks[:number])) for number in range(len(chunks))]
+
+
+def test_a_missing_part_is_a_gap_and_nothing_else(parts: Path) -> None:
+    sensor_files(parts)[4].unlink()
+    report = accelcal.calibrate(parts, report_only=True).report
+    (gap,) = report["recording"]["gaps"]
+    assert gap["seconds"] == pytest.approx(PART_S, abs=0.05)
+    (told,) = report["file_health"]["problems"]
+    assert told["code"] == "clock_gap"
+    assert told["message"].startswith("the time jumps ahead by 60.04 s before part GT3XPLUS")
+    assert told["sample"] == 4 * 25 * PART_S
+
+
+def test_a_part_that_is_there_twice_is_read_once_and_told(parts: Path, expected: dict[str, Any]) -> None:
+    third = sensor_files(parts)[3]
+    shutil.copy(third, parts / f"again-{third.name}")
+    report = accelcal.calibrate(parts, report_only=True).report
+    assert same(report, expected)
+    (told,) = report["file_health"]["problems"]
+    assert told["code"] == "repeated_part"
+    assert "again-GT3XPLUS" in told["message"] or "part GT3XPLUS" in told["message"]
+    assert told["message"].endswith("repeats the time of parts before it: all of it left out")
+
+
+def test_of_parts_that_overlap_the_later_rows_are_left_out(parts: Path, expected: dict[str, Any]) -> None:
+    files = sensor_files(parts)
+    text = files[5].read_text().splitlines(keepends=True)
+    files[6].write_text(HEAD + "".join(text[-100:]) + files[6].read_text().removeprefix(HEAD))
+    report = accelcal.calibrate(parts, report_only=True).report
+    assert same(report, expected)
+    (told,) = report["file_health"]["problems"]
+    assert told["code"] == "repeated_part"
+    assert told["message"].endswith("100 rows left out")
+
+
+def test_a_damaged_part_costs_itself(parts: Path) -> None:
+    broken = sensor_files(parts)[5]
+    broken.write_bytes(HEAD.encode() + b"\0\1\2 not a table\n" * 50)
+    (parts / "notes.txt").write_text("recorded in spring\n")
+    report = accelcal.calibrate(parts, report_only=True).report
+    codes = {one["code"]: one for one in report["file_health"]["problems"]}
+    assert set(codes) <= {"unreadable_part", "clock_gap"}
+    aside = [note for note in report["recording"]["notes"] if note.startswith("no recordings, set aside: ")]
+    assert aside
+    assert "notes.txt" in aside[0]
+
+
+@pytest.mark.parametrize("suffix", [".tar.bz2", ".tar.gz", ".tar", ".zip", ".tar.xz"])
+def test_an_archive_cut_short_keeps_the_parts_before(made: Path, tmp_path: Path, suffix: str) -> None:
+    files = sensor_files(made)
+    path = ARCHIVES[suffix](files, tmp_path / f"S01{suffix}")
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 6 // 10] if suffix != ".tar.bz2" else data[: len(data) * 9 // 10])
+    try:
+        result = accelcal.calibrate(path, report_only=True)
+    except UnreadableError as error:
+        assert "damaged archive: nothing can be unpacked" in error.message
+        assert suffix in (".tar.bz2", ".tar.xz"), "all of it is one block"
+        return
+    (told,) = [one for one in result.report["file_health"]["problems"] if one["code"] == "damaged_archive"]
+    number = next(n for n, file in enumerate(files, 1) if told["message"].endswith(file.name))
+    assert result.report["recording"]["samples"] == 25 * PART_S * number
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for file in files[:number]:
+        shutil.copy(file, alone)
+    assert same(result.report, accelcal.calibrate(alone, report_only=True).report)
+
+
+def test_parts_of_two_devices_are_no_recording(parts: Path) -> None:
+    other = sensor_files(parts)[-1]
+    other.rename(parts / other.name.replace("NEO1D26171071", "NEO1D26171072"))
+    with pytest.raises(UsageError, match="holds parts of 2 devices \\(NEO1D26171071 and NEO1D26171072\\)"):
+        accelcal.calibrate(parts)
+    pattern = parts / "*NEO1D26171071*.csv"
+    assert accelcal.calibrate(pattern, report_only=True).report["recording"]["samples"] == 25 * PART_S * (
+        PARTS - 1
+    )
+
+
+def test_a_part_of_another_rate_is_left_out(parts: Path) -> None:
+    last = sensor_files(parts)[-1]
+    lines = last.read_text().splitlines(keepends=True)
+    last.write_text("".join([lines[0], *lines[1::2]]))
+    report = accelcal.calibrate(parts, report_only=True).report
+    told = {one["code"]: one["message"] for one in report["file_health"]["problems"]}
+    assert told["other_part"].endswith("was left out: its sampling rate is not that of the first part")
+
+
+def test_files_are_named_by_a_list_or_a_pattern(
+    parts: Path, capsys: Capture, expected: dict[str, Any]
+) -> None:
+    out, more = parts.parent / "out", ("--report-only", "--json")
+    listed = run(capsys, "calibrate", "--parts", *sensor_files(parts), "-d", out, *more)
+    assert listed.code == 0, listed.err
+    assert same(json.loads(listed.out), expected)
+    assert json.loads(listed.out)["recording"]["path"].endswith(".sensor.csv")
+    pattern = run(
+        capsys, "calibrate", "--parts", parts / "*.sensor.csv", "-d", out, "--report-only", "--json"
+    )
+    assert same(json.loads(pattern.out), expected)
+    some = run(capsys, "calibrate", "--parts", *sensor_files(parts)[::2], "-d", out)
+    assert (some.code, "cannot be told from other files by a pattern" in some.err) == (2, True)
+
+
+def test_a_folder_is_taken_for_parts_only_if_asked(parts: Path, capsys: Capture) -> None:
+    done = run(capsys, "calibrate", parts)
+    assert done.code == 3
+    assert f"accelcal study {parts} -d OUT calibrates all recordings in it; with --parts" in done.err
+
+
+def test_every_command_takes_it(parts: Path, capsys: Capture) -> None:
+    out = parts.parent / "out"
+    assert run(capsys, "calibrate", "--parts", parts, "-d", out).code == 0
+    assert "up to date" in run(capsys, "calibrate", "--parts", parts, "-d", out).err
+    assert f"{PARTS} parts, from GT3XPLUS" in run(capsys, "inspect", "--parts", parts).out
+    assert run(capsys, "quality", "--parts", parts).code == 0
+    report = out / "S01.calibration.json"
+    assert run(capsys, "verify", report, parts, "--values").code == 0
+    applied = run(capsys, "apply", "--parts", "--coefficients", report, parts, "-d", parts.parent / "applied")
+    assert applied.code == 0, applied.err
+    later = sensor_files(parts)[-1]
+    later.write_text(later.read_text() + later.read_text().splitlines(keepends=True)[-1])
+    assert run(capsys, "verify", report, parts).code == 2, "the recording changed"
+
+
+def test_a_study_knows_its_sets(
+    parts: Path, tmp_path: Path, capsys: Capture, expected: dict[str, Any]
+) -> None:
+    folder = tmp_path / "in"
+    (folder / "S02").mkdir(parents=True)
+    shutil.move(parts, folder / "S01")
+    tarred(sensor_files(folder / "S01"), folder / "S02/S02.tar.bz2", "w:bz2")
+    assert study(capsys, folder).code == 0
+    found = rows(tmp_path / "out")
+    whole = "S01/GT3XPLUS-AccelerationCalibrated-1x5x0.NEO1D26171071.*.sensor.csv"
+    assert [row["path"] for row in found] == [whole, "S02/S02.tar.bz2"]
+    made = "S01/GT3XPLUS-AccelerationCalibrated-1x5x0.NEO1D26171071.sensor.calibration.json"
+    assert found[0]["report"] == made
+    for row in found:
+        assert same(json.loads((tmp_path / "out" / row["report"]).read_text()), expected)
+    assert "2 unchanged" in study(capsys, folder).err
+    sensor_files(folder / "S01")[-1].unlink()
+    assert "1 unchanged" in study(capsys, folder).err
+
+
+def test_what_an_archive_says_of_places_is_not_believed(tmp_path: Path, made: Path) -> None:
+    path = tmp_path / "S01.tar"
+    with tarfile.open(path, "w") as tar:
+        for number, file in enumerate(sensor_files(made)):
+            data = file.read_bytes()
+            info = tarfile.TarInfo(f"../../../{'../' * number}{file.name}")
+            info.size = len(data)
+            tar.addfile(info, io.BytesIO(data))
+        link = tarfile.TarInfo("link.sensor.csv")
+        link.type, link.linkname = tarfile.SYMTYPE, "/etc/passwd"
+        tar.addfile(link)
+    before = sorted(tmp_path.parent.rglob("*"))
+    assert accelcal.calibrate(path, report_only=True).outcome == "calibrated"
+    assert sorted(tmp_path.parent.rglob("*")) == before
+
+
+def cuts(path: Path) -> Iterator[bytes]:
+    data = path.read_bytes()
+    for stop in range(0, len(data), max(1, len(data) // 40)):
+        yield data[:stop]
+
+
+@pytest.mark.parametrize("suffix", ARCHIVES)
+def test_cut_anywhere_it_is_read_or_refused(made: Path, tmp_path: Path, suffix: str) -> None:
+    path = ARCHIVES[suffix](sensor_files(made)[:3], tmp_path / f"S01{suffix}")
+    for data in cuts(path):
+        path.write_bytes(data)
+        try:
+            with open_recording(path, ReadOptions()) as reader:
+                rows = sum(map(len, reader.chunks(10_000)))
+        except UnreadableError:
+            continue
+        assert rows % (25 * PART_S) == 0
