@@ -21,6 +21,9 @@ from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, fl
 
 SUFFIX = ".gt3x"
 RATE = 30
+LARGEST_G = 127.0
+"""Values behind a calibration.json are cut off there."""
+
 FRAME = 9
 LONGEST = 65_535
 SEPARATOR = 0x1E
@@ -224,7 +227,7 @@ def calibrated(rows: np.ndarray, values: dict[str, object]) -> np.ndarray:
             for a in "XYZ"
         ]
     )
-    return (rows * 256 - offset) @ matrix
+    return np.clip((rows * 256 - offset) @ matrix, -LARGEST_G, LARGEST_G)
 
 
 def zipped(log: bytes, info: bytes | None, more: dict[str, bytes], random: Random) -> bytes:

@@ -48,6 +48,7 @@ accelerometer."""
 AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
 DAMAGED = "{} in the zip file is damaged: what it says of the sensor was not applied"
 NOT_APPLIED = "the maker's calibration (calibration.json) was not applied, as --lsb-per-g is given"
+OLDER_KIND = "the maker's calibration (calibration.json) was not applied: it is not for activity.bin"
 NO_TEMPERATURE = (
     "no temperatures were read: there are none, or temperature_calibration.json does not say what they are"
 )

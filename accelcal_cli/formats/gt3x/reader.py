@@ -18,7 +18,7 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Problem, Reader,
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import ACTIVITY, LOG, header
 from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream, open_archive
-from accelcal_cli.formats.gt3x.factory import Applied, Beside, acceleration_of, temperature_of
+from accelcal_cli.formats.gt3x.factory import OLDER_KIND, Applied, Beside, acceleration_of, temperature_of
 from accelcal_cli.formats.gt3x.header import COPY_AGAIN, Info
 from accelcal_cli.formats.gt3x.records import Span, batches
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
@@ -93,8 +93,8 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
     if imu:
         description = header.imu_of(beginning, options, archive.path)
     else:
-        if options.lsb_per_g is None:
-            bare = acceleration_of(beside.acceleration, info.rate_hz or beginning.rate or 0, archive.path)
+        if options.lsb_per_g is None and beginning.rate is not None:
+            bare = acceleration_of(beside.acceleration, info.rate_hz or beginning.rate, archive.path)
         description = header.primary_of(info, beginning, bare, options, archive.path)
     applied = Applied(bare, description.scale.limit, line, beginning.first_mc)
     member, span = archive.members[LOG], header.span_of(info, beginning)
@@ -151,6 +151,7 @@ def open_activity_bin(
         timezone=info.zone,
         samples=file.samples,
         duration_s=None if file.samples is None else file.samples / rate,
+        notes=(OLDER_KIND,) if Beside.of(archive).acceleration.is_open else (),
     )
     return Gt3xReader(recording, file)
 

@@ -26,6 +26,8 @@ from tests.formats.make_gt3x import (
     battery,
     event,
     info,
+    old_info,
+    packed,
     record,
     seconds,
     temperature,
@@ -161,6 +163,20 @@ def test_a_damaged_part_is_told_and_not_used(tmp_path: Path, data: bytes) -> Non
     assert [(problem.code, "calibration.json" in problem.message) for problem in found.problems] == [
         ("damaged_header", True)
     ]
+
+
+def test_the_older_kind_says_that_it_has_no_use_for_it(tmp_path: Path) -> None:
+    data = {"activity.bin": packed(random_counts(60)), "info.txt": old_info()}
+    path = tmp_path / "a.gt3x"
+    path.write_bytes(zipped(data | {"calibration.json": json.dumps(factory(1))}))
+    assert (whole(path).counts == random_counts(60)).all()
+    assert any("it is not for activity.bin" in note for note in opened(path).recording.notes)
+
+
+def test_a_file_without_samples_is_told_as_such(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.gt3x", [battery(START_S)], info(Sample_Rate=None), calibration=factory(1))
+    with pytest.raises(UnreadableError, match=r"holds no acceleration in log\.bin"):
+        opened(path)
 
 
 def test_it_is_found_without_the_zip_files_directory(tmp_path: Path) -> None:
