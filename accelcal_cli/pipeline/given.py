@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
@@ -72,6 +73,7 @@ def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
     """A value of an option, as its field's type."""
     plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
     plain = str(plain) if isinstance(plain, Path) else plain
+    plain = plain.isoformat() if isinstance(plain, date) else plain  # a date and time, as TOML has them
     hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
     try:
         found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)

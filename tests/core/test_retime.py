@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import accelcal_cli
 from accelcal_cli.core.clock import (
     Clock,
     JoinedClock,
@@ -30,6 +31,7 @@ from tests.recordings import directions, good_csv, good_raw, still_counts
 
 Capture = pytest.CaptureFixture[str]
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+NOON = datetime(2024, 3, 4, 12, tzinfo=UTC)
 ROWS = "".join(f"{0.001 * (row % 7):g},0.02,1\n" for row in range(100))
 PLAIN = "x [g],y [g],z [g]\n" + ROWS
 ZONES = ("Europe/Berlin", "America/New_York", "Asia/Kolkata", "Australia/Lord_Howe", "Pacific/Apia", "UTC")
@@ -243,3 +245,13 @@ def test_reports_without_them_do_not_name_them(tmp_path: Path, capsys: Capture) 
     edit(report, lambda held: held["settings"]["input"].update(shift_s=1e300))
     ran, _ = verify(capsys, report, path)
     assert ran.code == 3 and "shift_s cannot be" in ran.err
+
+
+@pytest.mark.parametrize("start", ["2024-03-04T10:00:00+01:00", '"2024-03-04T10:00:00+01:00"'])
+def test_a_file_beside_the_recording_may_say_it(tmp_path: Path, capsys: Capture, start: str) -> None:
+    path = make_csv.written(tmp_path, PLAIN)
+    (tmp_path / "a.toml").write_text(f"rate = 25\nstart = {start}\nshift = -5\nworn-zone = 'Asia/Tokyo'\n")
+    told = json.loads(run(capsys, "inspect", path, "--json").out)["recording"]
+    assert told["start_time"] == "2024-03-04T17:59:55.000000+09:00"
+    (tmp_path / "a.toml").unlink()
+    assert accelcal_cli.read(path, rate=25, start=NOON).recording.start_us == us(NOON)
