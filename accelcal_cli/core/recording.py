@@ -102,6 +102,11 @@ class Recording:
     companion: Path | None = None
     notes: tuple[str, ...] = ()
 
+    @property
+    def of_bare_sensor(self) -> bool:
+        """Whether its counts are those that the maker's calibration gives of the raw ones."""
+        return self.factory is not None and self.factory.acceleration is not None
+
 
 @dataclass(frozen=True, slots=True)
 class Problem:

@@ -336,7 +336,7 @@ def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) 
     if found_there and then["lsb_per_g"] not in (None, recording.lsb_per_g):
         notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then['lsb_per_g']:.10g} there")
     bare = bool((then.get("factory_calibration") or {}).get("acceleration"))
-    if found_there and bare != (recording.factory is not None and recording.factory.acceleration is not None):
+    if found_there and bare != recording.of_bare_sensor:
         here, there = ("there", "here") if bare else ("here", "there")
         notes.append(f"the maker's calibration was applied first {here} and not {there}")
     if donor.calibration.temperature is not None and calibration.temperature is None:

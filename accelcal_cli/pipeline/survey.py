@@ -455,7 +455,7 @@ def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
 
     Behind the maker's calibration counts no longer tell: the reader marked the rows.
     """
-    if recording.range_g is None or recording.factory is not None:
+    if recording.range_g is None or recording.of_bare_sensor:
         return chunk
     limit = int(recording.range_g * recording.lsb_per_g)
     return clipped_at(chunk, -limit, limit - 1)

@@ -13,6 +13,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
+from accelcal_cli.pipeline import survey
 from tests.cli.run import run, verify
 from tests.formats.gt3x.reading import opened, random_counts, whole
 from tests.formats.make_gt3x import (
@@ -199,6 +200,16 @@ def test_clipping_is_of_raw_counts_and_sleep_repeats_a_sample(tmp_path: Path) ->
     assert np.flatnonzero(found.validity == 2).tolist() == [3, 7]
     assert (found.validity[100:] == 1).all() and len(found.validity) == 250
     assert (found.counts[100:] == found.counts[99]).all()
+
+
+def test_a_thermometer_alone_leaves_clipping_to_others(tmp_path: Path) -> None:
+    counts = np.array([[10, 20, 256]] * 100, np.int16)
+    counts[3, 1] = 2047
+    log = [temperature(START_S, 1600), *seconds(counts, 50)]
+    path = written(tmp_path / "a.agdc", log, temperature_calibration=LINE)
+    with survey.open_marked(path, ReadOptions()) as reader:
+        (chunk,) = reader.chunks(1000)
+    assert chunk.validity is not None and np.flatnonzero(chunk.validity).tolist() == [3]
 
 
 def test_beyond_the_grid_is_cut_off_and_marked(tmp_path: Path) -> None:
