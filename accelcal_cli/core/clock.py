@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from fractions import Fraction
 from typing import Any, Protocol
 
@@ -49,25 +49,62 @@ def utc_offset_s(zone: str | None, start_us: int, *, fold: int = 0) -> int | Non
     """
     if zone is None:
         return None
+    place = _place_of(zone)
+    offset = (_EPOCH + timedelta(microseconds=start_us)).replace(tzinfo=place, fold=fold).utcoffset()
+    return 0 if offset is None else round(offset.total_seconds())
+
+
+def _place_of(zone: str) -> tzinfo:
+    """A zone by its name; raises UsageError if there is none."""
     if zone.upper() in ("UTC", "GMT", "Z"):
-        return 0
+        return UTC
     fixed = _FIXED.fullmatch(zone)
     if fixed is not None and int(fixed[2]) <= WIDEST_OFFSET_H and int(fixed[3] or 0) < 60:
-        seconds = int(fixed[2]) * 3600 + int(fixed[3] or 0) * 60
-        return -seconds if fixed[1] == "-" else seconds
+        ahead = timedelta(hours=int(fixed[2]), minutes=int(fixed[3] or 0))
+        return timezone(-ahead if fixed[1] == "-" else ahead)
     from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # few recordings name a region and place
 
     try:
         if "/" not in zone:
             raise ZoneInfoNotFoundError(zone)
-        local = (_EPOCH + timedelta(microseconds=start_us)).replace(tzinfo=ZoneInfo(zone), fold=fold)
+        return ZoneInfo(zone)
     except (ZoneInfoNotFoundError, ValueError, OSError) as error:
         raise UsageError(
             f"unknown time zone {zone!r}",
             hint="give a name such as Europe/Berlin, or an offset such as +01:00",
         ) from error
-    offset = local.utcoffset()
+
+
+def offset_at_s(zone: str, utc_us: int) -> int:
+    """Seconds that a clock of this zone is ahead of UTC at a moment, microseconds since 1970 in UTC.
+
+    Raises:
+        UsageError: the zone does not exist.
+    """
+    day_us = _DAY_S * MICROSECONDS
+    inside_us = min(max(utc_us, FIRST_US + day_us), LAST_US - day_us)
+    moment = _EPOCH.replace(tzinfo=UTC) + timedelta(microseconds=inside_us)
+    offset = moment.astimezone(_place_of(zone)).utcoffset()
     return 0 if offset is None else round(offset.total_seconds())
+
+
+@dataclass(frozen=True, slots=True)
+class StartTime:
+    """Time of the first sample [us since 1970]; `timezone` is UTC if it was given with Z or an offset."""
+
+    start_us: int
+    timezone: str | None
+    had_offset: bool = False
+
+
+def start_of(written: datetime) -> StartTime | None:
+    """A start as it was written; None where it lies outside the years 1 to 9999 in UTC."""
+    known = written.tzinfo is not None
+    moment = written if known else written.replace(tzinfo=UTC)
+    start_us = (moment - _EPOCH.replace(tzinfo=UTC)) // timedelta(microseconds=1)
+    if not FIRST_US <= start_us <= LAST_US:
+        return None
+    return StartTime(start_us, "UTC" if known else None, bool(moment.utcoffset()))
 
 
 def iso_time(time_us: int | None, offset_s: int | None) -> str | None:
@@ -96,6 +133,9 @@ class Clock(Protocol):
 
     def part(self, start: int, stop: int) -> Clock:
         """The clock of rows start..stop-1, counted from 0."""
+
+    def shifted(self, by_us: int) -> Clock:
+        """The clock of the same rows, put forward."""
 
 
 def rate_fraction(rate_hz: float) -> Fraction:
@@ -126,6 +166,10 @@ class UniformClock:
         """The clock of rows start..stop-1, counted from 0."""
         return UniformClock(self.start_us, self.first_index + start, self.rate)
 
+    def shifted(self, by_us: int) -> UniformClock:
+        """The clock of the same rows, put forward."""
+        return UniformClock(self.start_us + by_us, self.first_index, self.rate)
+
 
 @dataclass(frozen=True, slots=True)
 class StampClock:
@@ -140,6 +184,10 @@ class StampClock:
     def part(self, start: int, stop: int) -> StampClock:
         """The clock of rows start..stop-1, counted from 0."""
         return StampClock(self.time_us[start:stop])
+
+    def shifted(self, by_us: int) -> StampClock:
+        """The clock of the same rows, put forward."""
+        return StampClock(self.time_us + by_us)
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,6 +224,10 @@ class PageClock:
         pages = slice(max(low, 0), int(np.searchsorted(self.first_row, stop, side="left")))
         first_row, columns = self.first_row[pages] - start, (self.time_us, self.span_rows, self.span_us)
         return PageClock(first_row, *(column[pages] for column in columns))
+
+    def shifted(self, by_us: int) -> PageClock:
+        """The clock of the same rows, put forward."""
+        return PageClock(self.first_row, self.time_us + by_us, self.span_rows, self.span_us)
 
     def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
         """Times of all rows of pages that hold `rows` rows each, one page after the other.
@@ -223,3 +275,7 @@ class JoinedClock:
         return JoinedClock(
             self.first.part(start, self.rows), self.rows - start, self.second.part(0, stop - self.rows)
         )
+
+    def shifted(self, by_us: int) -> JoinedClock:
+        """The clock of the same rows, put forward."""
+        return JoinedClock(self.first.shifted(by_us), self.rows, self.second.shifted(by_us))

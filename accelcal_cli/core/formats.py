@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.clock import FIRST_US, LAST_US
-from accelcal_cli.core.errors import UnreadableError, UsageError, listed
+from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError, listed, printable
 from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.core.retime import Retiming, retimed
 from accelcal_cli.core.settings import Option, setting, setting_of
-from accelcal_cli.core.zones import in_its_zone
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
@@ -64,11 +64,34 @@ class ReadOptions:
     force_timezone: bool = setting(
         False, option=Option("--force-timezone", "Use --timezone even if a file states another zone.")
     )
+    start: str | None = setting(
+        None, option=Option("--start", "Time of the first sample, of files that do not say it.", "ISO")
+    )
+    shift_s: float | None = setting(
+        None, -1e9, 1e9, Option("--shift", "Added to all times, of a clock that was wrong.", "SECONDS")
+    )
+    configured_zone: str | None = setting(
+        None, option=Option("--configured-zone", "Zone in which the clock was set; with --worn-zone.", "ZONE")
+    )
+    worn_zone: str | None = setting(
+        None, option=Option("--worn-zone", "Zone in which the device was worn, if another.", "ZONE")
+    )
     layout: Path | None = setting(None, option=Option("--layout", "Layout file (TOML) of a raw dump."))
     sensor: str | None = setting(
         None, option=Option("--sensor", "Sensor to read from a file with several.", "NAME")
     )
 
+    @property
+    def times(self) -> Retiming:
+        """What the user states about its times."""
+        by_user = "--timezone" if self.configured_zone is None else "--configured-zone"
+        zone = self.configured_zone or self.timezone
+        shift_us = round((self.shift_s or 0) * MICROSECONDS)
+        return Retiming(zone, by_user, self.force_timezone, self.start, shift_us, self.worn_zone)
+
+
+IF_GIVEN = ("start", "shift_s", "configured_zone", "worn_zone")
+"""Options that a report names only where they were given."""
 
 UNUSED = re.compile(r"(--.*) means? nothing for format (\S+) and (?:was|were) not used")
 """A note that names options, and the format."""
@@ -184,8 +207,8 @@ class Format:
         module, _, function = self.reader.partition(":")
         reader: Reader = getattr(importlib.import_module(module), function)(path, options)
         _refuse_no_calendar(reader.recording)
-        zone, force = options.timezone, options.force_timezone
-        reader.recording = in_its_zone(reader.recording, zone, force=force)
+        reader = retimed(reader, options.times)
+        _refuse_no_calendar(reader.recording)
         return reader
 
 

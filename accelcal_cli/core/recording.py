@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
+from accelcal_cli.core.factory import FactoryCalibration
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
@@ -77,6 +78,7 @@ class Recording:
         samples: number of samples, None if only reading everything would show it.
         duration_s: length from headers and first and last pages, None if unknown.
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
+        factory: the maker's calibration, where the reader applied one: counts are those that it gives.
         companion: a file beside the recording that says how to read it, such as a layout.
         notes: what a user should know of how the file was understood.
     """
@@ -96,8 +98,14 @@ class Recording:
     duration_s: float | None = None
     has_temperature: bool = False
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
+    factory: FactoryCalibration | None = None
     companion: Path | None = None
     notes: tuple[str, ...] = ()
+
+    @property
+    def of_bare_sensor(self) -> bool:
+        """Whether its counts are those that the maker's calibration gives of the raw ones."""
+        return self.factory is not None and self.factory.acceleration is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,6 +251,21 @@ def _joined_channel(chunks: Sequence[Chunk], name: str) -> Any:
         return None
     pairs = zip(chunks, columns, strict=True)
     return np.concatenate([np.full(len(c), missing) if column is None else column for c, column in pairs])
+
+
+def clipped_at(chunk: Chunk, low: Any, high: Any) -> Chunk:
+    """The chunk with measured rows marked that reach the ends of what the sensor can tell.
+
+    Args:
+        low, high: counts of all axes, or (3,) of each.
+    """
+    counts = chunk.counts
+    if not len(chunk) or (counts.min() > np.max(low) and counts.max() < np.min(high)):
+        return chunk
+    clipped = ((counts <= low) | (counts >= high)).any(axis=1)
+    validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
+    validity[clipped & (validity == Validity.MEASURED)] = Validity.CLIPPED
+    return replace(chunk, validity=validity)
 
 
 def cut_columns(record: Any, names: Iterable[str], rows: Any) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from accelcal_cli.core.recording import Recording
 UTC, UNKNOWN = "UTC", "unknown"
 """What times in the outputs are in: moments in UTC, or local times of an unknown zone."""
 
-OMIT = "omit --timezone, which is for files that state no zone"
+OMIT = "omit {option}, which is for files that state no zone"
 TWICE = "{time} occurs twice in {zone} on that day: it is taken to be the first, before clocks were put back"
 NEVER = "{time} does not occur in {zone} on that day: the clock is taken to be one that was not put forward"
 
@@ -26,23 +26,26 @@ def zone_of_times(offset_s: int | None) -> str:
     return UNKNOWN if offset_s is None else UTC
 
 
-def in_its_zone(recording: Recording, wanted: str | None, *, force: bool) -> Recording:
+def in_its_zone(
+    recording: Recording, wanted: str | None, *, force: bool, option: str = "--timezone"
+) -> Recording:
     """A recording that a reader opened, in the zone that counts.
 
     Args:
         wanted: the user's zone, for files that state none.
         force: the user's zone counts in any case.
+        option: by which the user gave it.
 
     Raises:
         UsageError: the zone that the file states is not the user's; or the user's is to replace offsets
             that the times themselves had.
     """
-    zone = _zone(recording, wanted, force)
+    zone = _zone(recording, wanted, force, OMIT.format(option=option))
     note = () if zone is None or recording.start_us is None else _start_note(zone, recording.start_us)
     return replace(recording, timezone=zone, notes=(*recording.notes, *note))
 
 
-def _zone(recording: Recording, wanted: str | None, force: bool) -> str | None:
+def _zone(recording: Recording, wanted: str | None, force: bool, omit: str) -> str | None:
     stated, start_us = recording.timezone, recording.start_us or 0
     if wanted is None or stated is None:
         return wanted or stated
@@ -50,12 +53,11 @@ def _zone(recording: Recording, wanted: str | None, force: bool) -> str | None:
         return wanted if force else stated
     if not force:
         what = f"states its time zone, {stated}, which is not {wanted}"
-        raise UsageError(
-            what, path=recording.path, hint=f"{OMIT}; or add --force-timezone if the file is wrong"
-        )
+        hint = f"{omit}; or add --force-timezone if the file is wrong"
+        raise UsageError(what, path=recording.path, hint=hint)
     if recording.has_offsets:
         what = f"its times have offsets from UTC, which --force-timezone cannot replace with {wanted}"
-        raise UsageError(what, path=recording.path, hint=f"{OMIT}; or write the times without offsets")
+        raise UsageError(what, path=recording.path, hint=f"{omit}; or write the times without offsets")
     return wanted
 
 

@@ -117,6 +117,11 @@ def handed(path: Path) -> Handed:
     if report["recording"]["format"] in NO_RECORDING:
         text = f"is of {NO_RECORDING[report['recording']['format']]}, of which no other tool has a file"
         raise UsageError(text, path=path, hint="name reports of recordings, or use --to json")
+    if section(report, "recording", "factory_calibration", "acceleration"):
+        text = (
+            "is of counts of a bare sensor, to which other tools do not apply the maker's calibration first"
+        )
+        raise UsageError(text, path=path, hint="hand on the calibrated data (--to csv), or use --to json")
     if whole.course is not None:
         raise UsageError(
             "follows a sensor that changed while it recorded, which no other tool can",
@@ -217,7 +222,8 @@ def as_json(path: Path) -> str:
     without_misalignment(found)  # refuses what is damaged
     report = found.document.report
     check_sections(found.document, ("holdout", "sphere_mg"))
-    recording = {name: report["recording"][name] for name in ("path", "sha256", "device")}
+    names = ("path", "sha256", "device", "factory_calibration")
+    recording = {name: report["recording"][name] for name in names if name in report["recording"]}
     shown = {
         "accelcal_version": __version__,
         "report": {"path": printable(path), "sha256": found.document.sha256},

@@ -46,6 +46,9 @@ SHORT_JUMPS = (
     "its times jitter or skip a little: {} short gaps and steps back in what was read; "
     "windows go on over them (--longest-gap)"
 )
+ONLY_SOME = ("factory_calibration",)
+"""Keys of `recording` that only some reports have."""
+
 LARGEST_BYTES = 64 << 20
 """A report has some thousand entries at most; what is longer is none."""
 
@@ -317,6 +320,12 @@ class ReportRecording:
     gaps: list[dict[str, Any]] = field(default_factory=list)
     gaps_omitted: int = 0
     notes: list[str] = field(default_factory=list)
+    factory_calibration: dict[str, Any] | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The object; the maker's calibration is a key only where one was applied."""
+        keys = asdict(self)
+        return {name: value for name, value in keys.items() if name not in ONLY_SOME or value is not None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -384,7 +393,7 @@ def document(
     return {
         "schema_version": SCHEMA_VERSION,
         "accelcal_version": __version__,
-        "recording": asdict(recording),
+        "recording": recording.as_json(),
         "settings": data.settings.as_json(),
         "outcome": str(verdict.outcome),
         "message": verdict.message,
@@ -408,7 +417,7 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
     return {
         "accelcal_version": __version__,
         "calibration": data.taken.get("calibration") or calibration_json(verdict, data.optimizer),
-        "recording": asdict(_recording(data)),
+        "recording": _recording(data).as_json(),
         **(refusal if verdict.calibration is None else {}),
     }
 
@@ -434,6 +443,7 @@ def _recording(data: ReportInput) -> ReportRecording:
         gaps=[_gap(gap, facts.utc_offset_s) for gap in facts.gaps],
         gaps_omitted=facts.gaps_omitted,
         notes=notes_json(recording, facts),
+        factory_calibration=None if recording.factory is None else recording.factory.as_json(),
     )
 
 

@@ -336,6 +336,10 @@ def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) 
     found_there = then["sha256"] == donor.origin.sha256
     if found_there and then["lsb_per_g"] not in (None, recording.lsb_per_g):
         notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then['lsb_per_g']:.10g} there")
+    bare = bool((then.get("factory_calibration") or {}).get("acceleration"))
+    if found_there and bare != recording.of_bare_sensor:
+        here, there = ("there", "here") if bare else ("here", "there")
+        notes.append(f"the maker's calibration was applied first {here} and not {there}")
     if donor.calibration.temperature is not None and calibration.temperature is None:
         at_c = donor.calibration.reference_c()
         notes.append(f"used as at {at_c:.1f} C, their temperature slopes are left out")

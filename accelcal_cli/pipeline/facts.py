@@ -134,7 +134,8 @@ class FactsObserver(Observer):
         self.problems += problems[:left]
         self._problems_omitted += len(problems[left:])
         self._lost_bytes += sum(problem.lost_bytes for problem in problems)
-        self._followed += sum(problem.count for problem in problems if problem.code == FOLLOWED)
+        if self.recording.stamped:
+            self._followed += sum(problem.count for problem in problems if problem.code == FOLLOWED)
 
     def _note_times(self, chunk: Chunk) -> None:
         if self.first_us is None:

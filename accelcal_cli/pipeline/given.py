@@ -9,13 +9,13 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping
 from dataclasses import fields, replace
+from datetime import date
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
@@ -73,6 +73,7 @@ def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
     """A value of an option, as its field's type."""
     plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
     plain = str(plain) if isinstance(plain, Path) else plain
+    plain = plain.isoformat() if isinstance(plain, date) else plain  # a date and time, as TOML has them
     hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
     try:
         found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
@@ -91,13 +92,14 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
     Raises:
         UsageError: a zone does not exist, or a name is not UTF-8 and could not stand in a report.
     """
-    utc_offset_s(values["timezone"], 0)
-    if values["force_timezone"] and values["timezone"] is None:
-        raise UsageError("--force-timezone has no zone to use", hint="give it with --timezone")
+    if values["timezone"] is not None and values["configured_zone"] is not None:
+        raise UsageError("--timezone and --configured-zone are the same", hint="give one of them")
+    options = ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
+    options.times.check()
     for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
         if text is not None and not _utf8(text):
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
-    return ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
+    return options
 
 
 def _utf8(text: str) -> bool:

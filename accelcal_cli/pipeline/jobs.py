@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
-from accelcal_cli.core.formats import ReadOptions, without
+from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
 from accelcal_cli.core.parts import ANY, ARCHIVES, files_of
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
@@ -360,7 +360,8 @@ class Request:
 
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
     """The `input` object of a report's settings: what the user said of the recording."""
-    used = asdict(options)
+    given = asdict(options)
+    used = {name: value for name, value in given.items() if name not in IF_GIVEN or value is not None}
     used["layout"] = None if companion is None else printable(companion.name)
     used["layout_sha256"] = None if companion is None else sha256(companion)
     used["columns"] = None if options.columns is None else list(options.columns)

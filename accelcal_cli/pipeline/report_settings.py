@@ -12,9 +12,8 @@ from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
-from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.formats import IF_GIVEN, ReadOptions
 from accelcal_cli.core.settings import SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
 from accelcal_cli.formats import named_format
 from accelcal_cli.optimize import named_optimizer
@@ -200,7 +199,7 @@ def _unmatched(
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Missing and unknown keys, by their places in `settings`."""
     outer = [name for name in NOT_SETTINGS if name not in values]
-    read = [name for name in options.missing if name not in NOT_OPTIONS]
+    read = [name for name in options.missing if name not in (*NOT_OPTIONS, *IF_GIVEN)]
     if values["input"].get("format") != POINTS:
         read += [name for name in NOT_OPTIONS if name not in values["input"]]
     return (
@@ -216,7 +215,7 @@ def _check(record: Settings | PoseSettings | ReadOptions) -> None:
         named_optimizer(record.optimizer)
         _check_stillness(record)
     elif isinstance(record, ReadOptions):
-        utc_offset_s(record.timezone, 0)
+        record.times.check()
         if record.format is not None:
             named_format(record.format)
 

@@ -33,7 +33,7 @@ from accelcal_cli.core.points import (
     joined_windows,
 )
 from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.recording import Chunk, Reader, Recording, Validity
+from accelcal_cli.core.recording import Chunk, Reader, Recording, clipped_at
 from accelcal_cli.core.results import Change, Judgement
 from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, Settings
 from accelcal_cli.formats import open_recording
@@ -451,14 +451,11 @@ class MarkingReader(Reader):
 
 
 def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:
-    """The chunk with rows at the sensor's range marked in `validity`."""
-    if recording.range_g is None or not len(chunk):
+    """The chunk with rows at the sensor's range marked in `validity`.
+
+    Behind the maker's calibration counts no longer tell: the reader marked the rows.
+    """
+    if recording.range_g is None or recording.of_bare_sensor:
         return chunk
     limit = int(recording.range_g * recording.lsb_per_g)
-    low, high = -limit, limit - 1
-    if chunk.counts.min() > low and chunk.counts.max() < high:
-        return chunk
-    clipped = ((chunk.counts <= low) | (chunk.counts >= high)).any(axis=1)
-    validity = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity.copy()
-    validity[clipped & (validity == Validity.MEASURED)] = Validity.CLIPPED
-    return replace(chunk, validity=validity)
+    return clipped_at(chunk, -limit, limit - 1)

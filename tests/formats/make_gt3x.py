@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import struct
 import zipfile
 from collections.abc import Iterable, Mapping
@@ -21,7 +22,7 @@ START_US = START_S * 1_000_000
 SERIAL = "TAS1D48140206"
 OLD_SERIAL = "NEO1C04110003"
 ACTIVITY, BATTERY, EVENT, LUX, METADATA = 0, 2, 3, 5, 6
-PARAMETERS, SENSOR_SCHEMA, SENSOR_DATA, ACTIVITY2, ACTIVITY3 = 21, 24, 25, 26, 27
+PARAMETERS, SENSOR_SCHEMA, SENSOR_DATA, ACTIVITY2, ACTIVITY3, TEMPERATURE = 21, 24, 25, 26, 27, 30
 ASLEEP, AWAKE = b"\x08", b"\x09"
 
 
@@ -60,6 +61,12 @@ def event(second: int, payload: bytes) -> bytes:
 
 def battery(second: int) -> bytes:
     return record(BATTERY, second, struct.pack("<H", 4100))
+
+
+def temperature(second: int, counts: int, processor: int | None = None) -> bytes:
+    """Readings of the accelerometer's thermometer and, before it, the processor's."""
+    before = b"" if processor is None else struct.pack("<BH", 0, processor)
+    return record(TEMPERATURE, second, before + struct.pack("<Bh", 1, counts))
 
 
 def parameters(pairs: Mapping[tuple[int, int], int], second: int = START_S) -> bytes:
@@ -101,11 +108,16 @@ def zipped(parts: Mapping[str, bytes | str], method: int = zipfile.ZIP_DEFLATED)
 
 
 def written(
-    path: Path, log: Iterable[bytes], text: str | None = None, method: int = zipfile.ZIP_DEFLATED
+    path: Path,
+    log: Iterable[bytes],
+    text: str | None = None,
+    method: int = zipfile.ZIP_DEFLATED,
+    **beside: object,
 ) -> Path:
-    """A recording of the newer kind; its records, and its info.txt."""
+    """A recording of the newer kind; its records, its info.txt, and NAME.json of what is beside them."""
     parts = {"log.bin": b"".join(log), "info.txt": info() if text is None else text}
-    path.write_bytes(zipped(parts, method))
+    more = {f"{name}.json": json.dumps(values) for name, values in beside.items()}
+    path.write_bytes(zipped(parts | more, method))
     return path
 
 

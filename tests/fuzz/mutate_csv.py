@@ -48,6 +48,7 @@ TIMES = (
     *("2262-04-12 00:00:00.000000", "2300-01-01 00:00:00.000000", "1677-01-01 00:00:00.000000", "-1e18"),
     *("9999-12-31 23:59:59.999999", "0001-01-01 00:00:00.000000", "0001-01-01T00:00:00+14:00", "9e11"),
     *("2024-03-31 02:30:00.000000", "2024-03-04T00:00:00Z", "2024-03-04 00:00:00+25:00", "1e300", "0", "-1"),
+    *("12:00:00 AM", "13:00:00 AM", "0:00:00 PM", "3/4/2024", "2024-02-30", "04.03.24", "\u0661:00:00 PM"),
     *("2024-03-04 25:00:00", "1709510400", "1709510400000", "9999-12-31T23:59:59-14:00", "10000-01-01"),
 )
 LINES = (
@@ -131,6 +132,20 @@ def days_first() -> Lines:
     return ["time,x,y,z", *body]
 
 
+def two_columns() -> Lines:
+    return ["date,time,x,y,z", *(line.replace(" ", ",", 1) for line in plain()[1:])]
+
+
+def mornings() -> Lines:
+    body = (f"{moment(k, '%m/%d/%Y,%I:%M:%S.%f %p')},{text_of(row)}" for k, row in enumerate(values()))
+    return ["Date,Time,x,y,z", *body]
+
+
+def afternoons() -> Lines:
+    body = (f"{moment(k, '%Y-%m-%d 0%M:%S.%f PM')},{text_of(row)}" for k, row in enumerate(values()))
+    return ["time,x,y,z", *body]
+
+
 def zoned() -> Lines:
     return ["time,x,y,z", *(f"{moment(k)}Z,{text_of(row)}" for k, row in enumerate(values()))]
 
@@ -157,7 +172,7 @@ def actigraph() -> Lines:
 
 OTHERS = (
     *(epoch_s, epoch_ms, semicolons, decimal_commas, tabs, blanks, days_first, zoned, milli_g, metres),
-    actigraph,
+    *(actigraph, two_columns, mornings, mornings, afternoons),
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import re
 import struct
 import warnings
@@ -20,6 +21,9 @@ from tests.fuzz.mutant import ORDER, Change, Mutant, Records, Truth, changed, fl
 
 SUFFIX = ".gt3x"
 RATE = 30
+LARGEST_G = 127.0
+"""Values behind a calibration.json are cut off there."""
+
 FRAME = 9
 LONGEST = 65_535
 SEPARATOR = 0x1E
@@ -180,9 +184,56 @@ def info_of(random: Random) -> tuple[bytes | None, str]:
     return data, f"info {key}"
 
 
-def zipped(log: bytes, info: bytes | None, random: Random) -> bytes:
-    """Both in a zip file, perhaps with more, or twice."""
-    parts = [("log.bin", log)] + ([] if info is None else [("info.txt", info)])
+def maker(random: Random) -> dict[str, object]:
+    """A calibration.json of a bare sensor."""
+    values: dict[str, object] = {"isCalibrated": False, "calibrationMethod": 2}
+    values |= {f"offset{axis}_{RATE}": random.randrange(-50, 50) for axis in "XYZ"}
+    values |= {f"sensitivity{axis * 2}_{RATE}": random.randrange(24_000, 27_000) for axis in "XYZ"}
+    return values | {f"sensitivity{pair}_{RATE}": random.randrange(-500, 500) for pair in ("XY", "XZ", "YZ")}
+
+
+def beside(random: Random) -> tuple[dict[str, bytes], str, dict[str, object] | None]:
+    """calibration.json and the like, what was done to them, and what is to be applied."""
+    if random.random() < 0.7:
+        return {}, "", None
+    values = maker(random)
+    heat = {"isCalibrated": random.random() < 0.3, "calibrationMethod": 1, "tempLow": 20, "tempHigh": 40}
+    heat |= {"adxlTempLow": 1500, "adxlTempHigh": random.choice([1900, 1500, "x"])}
+    parts = {"temperature_calibration.json": json.dumps(heat).encode()}
+    if random.random() < 0.5:
+        return parts | {"calibration.json": json.dumps(values).encode()}, "maker", values
+    values |= {
+        random.choice(list(values)): random.choice([None, [], {}, "1e400", -1, 1 << 70, 1e300, True, ""])
+    }
+    data = json.dumps(values).encode()
+    data = random.choice(
+        [data, blind(data, random), data[: random.randrange(len(data))], random.choice(METADATA)]
+    )
+    return parts | {"calibration.json": data}, "broken maker", None
+
+
+def calibrated(rows: np.ndarray, values: dict[str, object]) -> np.ndarray:
+    """Rows that counts / 256 stand for, behind a calibration.json."""
+    said = {name.split("_")[0]: float(str(value)) / 100 for name, value in values.items() if "_" in name}
+    offset = 100 * np.array([said[f"offset{axis}"] for axis in "XYZ"])
+    matrix = np.array(
+        [
+            [
+                1 / said[f"sensitivity{a + b}"]
+                if a == b
+                else 1 / (250 + said[f"sensitivity{min(a, b) + max(a, b)}"]) - 0.004
+                for b in "XYZ"
+            ]
+            for a in "XYZ"
+        ]
+    )
+    return np.clip((rows * 256 - offset) @ matrix, -LARGEST_G, LARGEST_G)
+
+
+def zipped(log: bytes, info: bytes | None, more: dict[str, bytes], random: Random) -> bytes:
+    """All in a zip file, perhaps with more, or twice."""
+    parts = [("log.bin", log)] + ([] if info is None else [("info.txt", info)]) + [*more.items()]
+    random.shuffle(parts)
     if random.random() < 0.05:
         parts += random.choice([[("../x", b"y")], [("log.bin", log[:100])], [("lux.bin", b"")], parts])
     buffer = io.BytesIO()
@@ -249,15 +300,17 @@ def mutant(random: Random) -> Mutant:
         joined, what, known = joined[: random.randrange(len(joined))], f"{what} cut", False
     if random.random() < 0.1:
         joined, what, known = blind(joined, random), f"{what} blind", False
-    data = zipped(joined, info, random)
+    more, done, applied = beside(random)
+    data, what = zipped(joined, info, more, random), f"{what} {done}"
+    known = known and done != "broken maker"
     if random.random() < 0.12:
         data, what, known = damaged_zip(data, random), f"{what} zip", False
     options = ReadOptions(sensor="imu" if "schema" in what and random.random() < 0.5 else None)
-    once = data.count(b"PK\x01\x02") == 2
-    return Mutant(data, f"{what} {how}", truth(joined) if known and once else None, options)
+    once = data.count(b"PK\x01\x02") == 2 + len(more)
+    return Mutant(data, f"{what} {how}", truth(joined, applied) if known and once else None, options)
 
 
-def truth(log: bytes) -> Truth:
+def truth(log: bytes, applied: dict[str, object] | None) -> Truth:
     """Rows of all whole records of a log in which nothing but whole records looks like one."""
     place, parts, left_over = 0, [], 0
     while place < len(log):
@@ -267,7 +320,7 @@ def truth(log: bytes) -> Truth:
         else:
             left_over += log[place] != 0
         place += size or 1
-    rows = together(parts)
+    rows = together(parts) if applied is None else calibrated(together(parts), applied)
     return Truth(rows, rows, left_over)
 
 

@@ -34,6 +34,7 @@ def bounded(*kinds: Any) -> dict[str, tuple[float, float]]:
 
 
 LIMITS = {
+    "shift_s": (-1e9, 1e9),
     "segment_seconds": (1e-6, 3600),
     "stillness_threshold_g": (1e-9, 4),
     "stillness_deviation_g": (1e-9, 4),
@@ -139,7 +140,8 @@ def test_what_cannot_be_is_refused_by_name(name: str, value: Any) -> None:
             json.dumps(Request(settings=PoseSettings(), report_only=True).effective_settings(None).as_json())
         )
     inside = held if name in held else held["input"]
-    inside[name] = int(value) if isinstance(value, float) and isinstance(inside[name], int) else value
+    whole = isinstance(value, float) and isinstance(inside.get(name), int)
+    inside[name] = int(value) if whole else value
     with pytest.raises(UnreadableError, match=rf"a\.json: .*{name} cannot be"):
         rebuilt(held)
 

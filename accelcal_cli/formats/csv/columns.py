@@ -15,7 +15,16 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats.csv.cells import Kind, acceleration_unit, microseconds_in, name_and_hint, number_of
+from accelcal_cli.formats.csv.cells import (
+    DATE_ALONE,
+    MISSING,
+    TIME_OF_DAY,
+    Kind,
+    acceleration_unit,
+    microseconds_in,
+    name_and_hint,
+    number_of,
+)
 from accelcal_cli.formats.csv.dialect import Dialect
 
 ACCELEROMETER = frozenset({"acc", "accel", "accelerometer", "acceleration", "accelerations", "a"})
@@ -75,6 +84,7 @@ class Roles:
 
     Attributes:
         time: None if the file has no time column.
+        date: where the date is, if the time column has only the time of day.
         channels: column of each of `CHANNELS` that the file has.
         hints: units of acceleration in the names of x, y and z.
         time_unit_us: microseconds in one unit of the time column, None if its name does not say.
@@ -85,6 +95,7 @@ class Roles:
     channels: dict[str, int]
     hints: frozenset[str] = frozenset()
     time_unit_us: float | None = None
+    date: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,13 +162,13 @@ def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
                 line=dialect.skipped + 1,
                 hint="name the columns of x, y and z with --columns",
             )
-    time = _time_column(dialect, titles, options, xyz, path)
+    time, date = _time_columns(dialect, titles, options, xyz, path)
     hints = frozenset(
         unit for title in titles if title.number in xyz and (unit := acceleration_unit(title.hint))
     )
     unit_us = next((microseconds_in(_time_unit(title)) for title in titles if title.number == time), None)
-    free = [title for title in titles if title.number not in (*xyz, time)]
-    return Roles(xyz, time, _channels(dialect, free), hints, unit_us)
+    free = [title for title in titles if title.number not in (*xyz, time, date)]
+    return Roles(xyz, time, _channels(dialect, free), hints, unit_us, date)
 
 
 def column_name(dialect: Dialect, column: int) -> str:
@@ -229,6 +240,8 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
         return 0, 1, 2
     if dialect.names is None and dialect.columns == 4 and all(numeric[1:]) and _may_be_time(dialect, 0):
         return 1, 2, 3
+    if dialect.names is None and dialect.columns == 5 and _date_and_time(dialect, [0, 1]):
+        return 2, 3, 4
     what = (
         f"columns {', '.join(dialect.names)}" if dialect.names else f"{dialect.columns} columns without names"
     )
@@ -258,12 +271,40 @@ def _may_be_time(dialect: Dialect, column: int) -> bool:
     return rising and (len(values) < 2 or values[-1] > values[0])
 
 
-def _time_column(
+def _time_columns(
     dialect: Dialect, titles: list[Title], options: ReadOptions, xyz: tuple[int, int, int], path: Path
-) -> int | None:
+) -> tuple[int | None, int | None]:
+    """The column of the times, None without any, and that of the dates if it is another."""
+    dated = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
     name = options.time_column
+    if name == "none":
+        return None, None
     if name is not None:
-        return None if name == "none" else _pick(dialect, name, "--time-column", path)
+        chosen = _pick(dialect, name, "--time-column", path)
+        others = [column for column in dated if column != chosen]
+        pairs = [pair for column in others if (pair := _date_and_time(dialect, [chosen, column]))]
+        return pairs[0] if len(pairs) == 1 else (chosen, None)
+    named = [title.number for title in titles if title.number in dated and _is_time_name(title)]
+    pair = _date_and_time(dialect, named) or _date_and_time(dialect, dated)
+    return pair or (_time_column(dialect, titles, xyz, path), None)
+
+
+def _date_and_time(dialect: Dialect, columns: list[int]) -> tuple[int, int] | None:
+    """Of two columns, the one with times of day and the one with dates; None if they are anything else."""
+    if len(columns) != 2:
+        return None
+    for time, date in (columns, columns[::-1]):
+        times, dates = (
+            [cell.strip() for cell in dialect.cells(column) if cell.strip() not in MISSING]
+            for column in (time, date)
+        )
+        found = times and dates and all(map(TIME_OF_DAY.fullmatch, times))
+        if found and all(map(DATE_ALONE.fullmatch, dates)):
+            return time, date
+    return None
+
+
+def _time_column(dialect: Dialect, titles: list[Title], xyz: tuple[int, int, int], path: Path) -> int | None:
     named = [title for title in titles if title.number not in xyz and _is_time_name(title)]
     date_columns = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
     for found in (

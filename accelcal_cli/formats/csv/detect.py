@@ -70,7 +70,8 @@ class Detected:
         notes = [f"an export of {self.export.title}"] * bool(self.export.title)
         notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
         if roles.time is not None:
-            notes.append(f"time: {column_name(dialect, roles.time)}")
+            dates = "" if roles.date is None else f"{column_name(dialect, roles.date)} and "
+            notes.append(f"time: {dates}{column_name(dialect, roles.time)}")
         notes += self.pace.notes
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
         above = dialect.skipped - self.export.preamble - headings
@@ -150,11 +151,30 @@ def _table_parser(
 ) -> TableParser:
     if roles.time is None:
         return TableParser(path, dialect, roles, None)
-    dialect = _with_date_order(block, dialect, roles.time, export, options, path)
-    cells = zip(dialect.cells(roles.time), dialect.lines, strict=True)
     rate_hz = options.rate_hz or export.rate_hz
-    time = times.find_time_format(list(cells), roles.time_unit_us, rate_hz, path)
+    if roles.date is not None:
+        order = _date_order(block, dialect, roles.date, export, options, path)
+        date = times.DateColumn(roles.date, order)
+        pairs = zip(dialect.cells(roles.date), dialect.cells(roles.time), strict=True)
+        moments = [date.moment(*pair) if all(map(str.strip, pair)) else "" for pair in pairs]
+        cells = [*zip(moments, dialect.lines, strict=True)]
+        return TableParser(path, dialect, roles, times.find_time_format(cells, None, rate_hz, path), date)
+    dialect = _with_date_order(block, dialect, roles.time, export, options, path)
+    cells = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
+    time = times.find_time_format(cells, roles.time_unit_us, rate_hz, path)
     return TableParser(path, dialect, roles, time)
+
+
+def _date_order(
+    block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
+) -> str | None:
+    """The order of the dates in a column; None if all begin with the year."""
+    cells = [f"{cell.strip()} 00:00" for cell in cells_of(block.data, dialect, column)]
+    days = [cell for cell in cells if not times.is_year_first(cell)]
+    if not days:
+        return None
+    stated = [order for order in (_order_of_start(days, export), export.date_order) if order]
+    return times.find_order(days, options.date_format, stated, path, dialect.skipped + 1)
 
 
 def _with_date_order(

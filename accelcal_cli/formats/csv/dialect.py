@@ -33,9 +33,19 @@ COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
 COLON_FRACTION = re.compile(rb":(?<=\d:)\d\d:\d\d:\d{1,9}(?!\d|:)")
+TWELVE_HOURS = re.compile(
+    rb"(?<![\d:.])(\d{1,2})(:\d\d(?::\d\d(?:[.,:]\d+)?)?)"
+    rb"(?: |\xc2\xa0|\xe2\x80\xaf)?([AaPp])\.? ?[Mm](?![A-Za-z])\.?"
+)
+"""A time of day with AM or PM behind it, after a blank of any kind or none."""
+
+SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
+"""Before an hour of one digit at the beginning of a cell."""
+
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 COLON, POINT = b":."
 TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
+NO_HOUR = 99
 TAIL_LINES = 40
 SURE_LINES = 6
 """With fewer lines to judge by, most columns must be numbers, and half of all lines agree."""
@@ -55,6 +65,8 @@ class Normaliser:
         slash_dates: dates are written 2024/03/04.
         long_fraction: seconds have more than nine decimals.
         colon_fraction: a colon stands before the decimals of seconds.
+        twelve_hours: times of day have AM or PM.
+        short_hours: times of day in a column of their own have hours of one digit.
         date_order: of day, month and year, such as `dmy`, where dates do not begin with the year.
         thorough: look at every line for what differs from the others.
     """
@@ -66,6 +78,8 @@ class Normaliser:
     slash_dates: bool = False
     long_fraction: bool = False
     colon_fraction: bool = False
+    twelve_hours: bool = False
+    short_hours: bool = False
     date_order: str | None = None
     thorough: bool = False
 
@@ -79,7 +93,11 @@ class Normaliser:
         return block.translate(self._table()) if self.decimal_comma or self.slash_dates else block
 
     def _with_times(self, block: bytes) -> bytes:
-        """The block with dates and fractions of seconds as ISO 8601 has them."""
+        """The block with dates, hours and fractions of seconds as ISO 8601 has them."""
+        if self.twelve_hours:
+            block = TWELVE_HOURS.sub(in_24_hours, block)
+        if self.short_hours or self.thorough:
+            block = SHORT_HOUR.sub(b"0", block)
         if self.date_order is not None:
             block = year_first(block, self.date_order, self.thorough)
         if self.split_date:
@@ -100,6 +118,16 @@ def collapsed(block: bytes) -> bytes:
     while b"  " in block:
         block = block.replace(b"  ", b" ")
     return block
+
+
+def in_24_hours(found: re.Match[bytes]) -> bytes:
+    """`1:05:30 PM` as `13:05:30`; a morning after 12 becomes a time that does not exist."""
+    hour, afternoon = int(found[1]), found[3] in b"pP"
+    if hour <= 12:
+        hour = hour % 12 + 12 * afternoon
+    elif not afternoon:
+        hour = NO_HOUR
+    return b"%02d%s" % (hour, found[2])
 
 
 def with_points(block: bytes) -> bytes:
@@ -339,6 +367,8 @@ def _normalisers(head: bytes) -> list[Normaliser]:
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
         long_fraction=LONG_FRACTION.search(head) is not None,
         colon_fraction=COLON_FRACTION.search(head) is not None,
+        twelve_hours=TWELVE_HOURS.search(head) is not None,
+        short_hours=SHORT_HOUR.search(head) is not None,
     )
     return [
         replace(

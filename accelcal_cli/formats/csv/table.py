@@ -23,7 +23,7 @@ from accelcal_cli.formats._stamps import IMPOSSIBLE
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
 from accelcal_cli.formats.csv.columns import Roles
 from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, Dialect, decode, split_line
-from accelcal_cli.formats.csv.times import TimeFormat, floats
+from accelcal_cli.formats.csv.times import DateColumn, TimeFormat, floats
 
 PIECE_BYTES = 1 << 18
 """Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""
@@ -35,6 +35,7 @@ CACHED_BYTES = 1 << 18
 LONGEST_LINE = 1 << 20
 LINE_END = ord("\n")
 BLANKS = (b"\n", b"\r")
+DATES = pa.dictionary(pa.int32(), pa.string())
 PADDING = frozenset(b" \t\r\n")
 SHOWN = 40
 
@@ -188,12 +189,13 @@ def count_lines(data: bytes) -> int:
 
 @dataclass(frozen=True, slots=True)
 class LineCheck:
-    """What every line of a file must be: so many columns, numbers in the used ones, a time in one."""
+    """What every line of a file must be: so many columns, numbers in the used ones, a time in one or two."""
 
     dialect: Dialect
     used: tuple[int, ...]
     time: int | None
     format: TimeFormat | None
+    date: DateColumn | None = None
 
     def bad_line(self, raw: bytes, line: int, path: Path) -> UnreadableError:
         """The error for a cleaned line that cannot be parsed."""
@@ -206,6 +208,8 @@ class LineCheck:
         if len(cells) != self.dialect.columns:
             columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
             return f"the line has {columns}, not {self.dialect.columns} ({shortened(text)!r})"
+        if self.date is not None and self.time is not None:
+            cells[self.time] = self.date.moment(cells[self.date.column], cells[self.time])
         for column in sorted(self.used):
             if not self._fits(cells[column], column):
                 what = "time" if column == self.time else "number"
@@ -252,10 +256,11 @@ class TableParser:
     dialect: Dialect
     roles: Roles
     time: TimeFormat | None
+    date: DateColumn | None = None
 
     @property
     def used(self) -> list[int]:
-        """The numbers of the columns that are read."""
+        """The numbers of the columns that are read, but for that of dates alone."""
         time = () if self.roles.time is None else (self.roles.time,)
         return [*self.roles.xyz, *time, *self.roles.channels.values()]
 
@@ -274,6 +279,8 @@ class TableParser:
         types = {str(column): pa.float64() for column in self.used}
         if kind is not None:
             types[str(self.roles.time)] = kind
+        if self.date is not None:
+            types |= {str(self.roles.time): pa.string(), str(self.date.column): DATES}
         return pa_csv.ConvertOptions(
             column_types=types,
             include_columns=list(types),
@@ -338,7 +345,7 @@ class TableParser:
         while bad - good > 1:
             middle = (good + bad) // 2
             good, bad = (middle, bad) if self._is_sound(b"".join(lines[:middle])) else (good, middle)
-        check = LineCheck(self.dialect, tuple(self.used), self.roles.time, self.time)
+        check = LineCheck(self.dialect, tuple(self.used), self.roles.time, self.time, self.date)
         return check.bad_line(lines[good].rstrip(b"\r\n"), first_line + good, self.path)
 
     def _is_sound(self, data: bytes) -> bool:
@@ -361,4 +368,13 @@ class TableParser:
         names = [str(column) for column in range(self.dialect.columns)]
         reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
         pool = pa.system_memory_pool()
-        return pa_csv.read_csv(pa.BufferReader(data), reading, self._parsing, converting, memory_pool=pool)
+        table = pa_csv.read_csv(pa.BufferReader(data), reading, self._parsing, converting, memory_pool=pool)
+        return table if self.date is None else self._with_moments(table, times_as)
+
+    def _with_moments(self, table: Any, times_as: Any) -> Any:
+        """A table with dates and times of day joined in the column of the latter."""
+        assert self.date is not None and self.time is not None
+        name = str(self.roles.time)
+        moments = self.date.moments(table[str(self.date.column)], table[name])
+        column = moments.cast(times_as or self.time.arrow_type)
+        return table.set_column(table.schema.get_field_index(name), name, column)

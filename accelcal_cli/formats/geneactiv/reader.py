@@ -17,7 +17,7 @@ import numpy as np
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, clipped_at
 from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
@@ -188,7 +188,7 @@ class Assembler:
         if len(block) and block.sequence is not None:
             self._highest = max(self._highest, int(block.sequence.max()))
             self._last_position = int(block.position[-1])
-        return marked(self._joiner.feed(part, decoded), self._scheme.settings.scale)
+        return clipped_at(self._joiner.feed(part, decoded), *self._scheme.settings.scale.clipped)
 
     def ending(self, part: Part, chunk: Chunk) -> tuple[Problem, ...]:
         """What is missing at the end of the file."""
@@ -224,16 +224,6 @@ class _Places:
     def length(self, position: int, pages: int) -> int:
         """Bytes of so many places."""
         return self.part.length(position, pages)
-
-
-def marked(chunk: Chunk, scale: Scale) -> Chunk:
-    """The chunk with rows marked that lie at the end of what the sensor can tell."""
-    low, high = scale.clipped
-    counts = chunk.counts
-    if not len(counts) or (counts.min() > low.max() and counts.max() < high.min()):
-        return chunk
-    clipped = ((counts <= low) | (counts >= high)).any(axis=1)
-    return replace(chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8))
 
 
 class GeneactivReader(Reader):

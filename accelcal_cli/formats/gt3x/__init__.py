@@ -1,8 +1,10 @@
-"""ActiGraph recordings (.gt3x), zip files with info.txt and log.bin or activity.bin: how they are recognised.
+"""ActiGraph recordings (.gt3x, .agdc), zip files with info.txt and log.bin or activity.bin: what they are.
 
 Sources: the vendor's format documents, github.com/actigraph/GT3X-File-Format and
 github.com/actigraph/NHANES-GT3X-File-Format; docs/gt3x-files.md says what was decided where they leave
-something open. Times are the device's clock: local time, or UTC where the file says so.
+something open. .agdc, of CentrePoint devices, is the same with calibration.json and the like beside it (the
+vendor's reader, github.com/actigraph/pygt3x). Times are the device's clock: local time, or UTC where the file
+says so.
 """
 
 from __future__ import annotations
@@ -12,11 +14,14 @@ import re
 from accelcal_cli.core.formats import Format, Probe
 
 INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
+CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"
 MAGIC = b"PK\x03\x04"
-NAMED = re.compile(rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin)", re.DOTALL)
+NAMED = re.compile(
+    rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin|(?:temperature_)?calibration\.json)", re.DOTALL
+)
 """A local header of one of the parts; the groups are the length of its name, and the name."""
 
-SUFFIXES = (".gt3x",)
+SUFFIXES = (".gt3x", ".agdc")
 
 
 def holds_samples(names: set[str]) -> bool:
@@ -44,7 +49,7 @@ def sniff(probe: Probe) -> int:
 
 FORMAT = Format(
     "gt3x",
-    "ActiGraph GT3X+, wGT3X-BT, GT9X and others (.gt3x)",
+    "ActiGraph GT3X+, wGT3X-BT, GT9X, LEAP and others (.gt3x, .agdc)",
     SUFFIXES,
     sniff,
     reader="accelcal_cli.formats.gt3x.reader:open_recording",

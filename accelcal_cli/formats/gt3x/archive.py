@@ -17,15 +17,24 @@ from typing import Any, BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Closing, Problem
-from accelcal_cli.formats.gt3x import ACTIVITY, INFO, LOG, MAGIC, NAMED, holds_samples
+from accelcal_cli.formats.gt3x import (
+    ACTIVITY,
+    CALIBRATION,
+    INFO,
+    LOG,
+    MAGIC,
+    NAMED,
+    TEMPERATURE_CALIBRATION,
+    holds_samples,
+)
 
-WANTED = (INFO, LOG, ACTIVITY)
+WANTED = (INFO, LOG, ACTIVITY, CALIBRATION, TEMPERATURE_CALIBRATION)
 STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
 ENCRYPTED = 99
 """Stands for any encryption; the method that zip files name for it."""
 
 _LOCAL = struct.Struct("<4s5HIIIHH")
-_LONGEST_MATCH = _LOCAL.size + len(ACTIVITY)
+_LONGEST_MATCH = _LOCAL.size + max(map(len, WANTED))
 _END = b"PK\x05\x06"
 _LONGEST_END = 22 + 0xFFFF
 _SCAN_BYTES = 1 << 20
@@ -52,6 +61,7 @@ MOST_BYTES = 1 << 19
 """Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
 
 UNKNOWN_SIZE = 1 << 62
+SMALL_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,6 +336,20 @@ class MemberStream(Closing):
 
     def _unreadable(self, error: OSError) -> UnreadableError:
         return UnreadableError(f"cannot be read ({error.strerror or error})", path=self._path)
+
+
+def small_part(archive: Archive, name: str) -> bytes | None:
+    """A part that describes the recording, all of it; None if it is damaged.
+
+    Raises:
+        KeyError: there is none.
+    """
+    try:
+        with MemberStream(archive, archive.members[name]) as stream:
+            data = stream.read(SMALL_BYTES)
+            return None if stream.fault else data
+    except UnreadableError:
+        return None
 
 
 def salvaged(inflate: Any, packed: bytes) -> bytes:

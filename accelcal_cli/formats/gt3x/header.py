@@ -18,11 +18,13 @@ import numpy as np
 
 from accelcal_cli.core.clock import WIDEST_OFFSET_H
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.factory import FactoryAcceleration, FactoryTemperature
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G, Device, Problem
 from accelcal_cli.formats.gt3x import INFO, LOG, sensors
 from accelcal_cli.formats.gt3x import records as log
-from accelcal_cli.formats.gt3x.archive import Archive, MemberStream
+from accelcal_cli.formats.gt3x.archive import Archive, MemberStream, small_part
+from accelcal_cli.formats.gt3x.factory import temperatures
 from accelcal_cli.formats.gt3x.records import Batch, Key, Span
 from accelcal_cli.formats.gt3x.sensors import Imu, Primary, Schema, Sensor
 
@@ -32,7 +34,6 @@ LATEST_US = (1 << 32) * 1_000_000
 HIGHEST_RATE_HZ = 1000
 
 ZONE = re.compile(r"([+-])?(\d\d):([0-5]\d):\d\d")
-INFO_BYTES = 1 << 20
 DAY_S = 86_400
 LONGEST_S = 366 * DAY_S
 NO_INFO = "info.txt is missing from the zip file"
@@ -41,6 +42,9 @@ BAD_INFO = "info.txt in the zip file is damaged and was not used"
 LARGEST_G = 10_000.0
 LEAST_SCALE = 10.0
 """Recordings whose info.txt says "Acceleration Scale: 1" hold counts of a scale that is given elsewhere."""
+
+LISTENED = 16
+"""Pieces of log.bin in which a first temperature is looked for: hours of samples."""
 
 IMU_ZERO_C = 21.0
 WARMEST_C = 1000.0
@@ -119,16 +123,12 @@ def _zone(text: str | None) -> str | None:
 
 def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
     """info.txt, and what is wrong with it; a damaged one is not used at all."""
-    member = archive.members.get(INFO)
-    if member is None:
+    if INFO not in archive.members:
         return Info(), (Problem("damaged_header", NO_INFO, None, 0),)
-    try:
-        with MemberStream(archive, member) as stream:
-            data = stream.read(INFO_BYTES)
-            damaged = stream.fault is not None
-    except UnreadableError:
-        damaged = True
-    return (Info(), (Problem("damaged_header", BAD_INFO, None, 0),)) if damaged else (parse_info(data), ())
+    data = small_part(archive, INFO)
+    return (
+        (Info(), (Problem("damaged_header", BAD_INFO, None, 0),)) if data is None else (parse_info(data), ())
+    )
 
 
 @dataclass(slots=True)
@@ -139,6 +139,7 @@ class Beginning:
         rate: samples that most records of the first piece with any hold; None without any.
         first_s: second of the first samples.
         imu: the device's second sensor recorded too.
+        thermometer: what its readings mean, None if they are not wanted; first_mc: the first one.
     """
 
     parameters: dict[Key, int] = field(default_factory=dict)
@@ -147,6 +148,8 @@ class Beginning:
     rate: int | None = None
     first_s: int | None = None
     imu: bool = False
+    thermometer: FactoryTemperature | None = None
+    first_mc: int | None = None
 
     def take(self, batch: Batch) -> None:
         """Look at the next records."""
@@ -158,6 +161,9 @@ class Beginning:
             usable = [schema for schema in schemas if schema and schema.axes(sensors.ACCELEROMETER)]
             self.schema = usable[0] if usable else None
         self._take_samples(batch)
+        if self.thermometer is not None and self.first_mc is None:
+            found, _ = temperatures(batch, self.thermometer)
+            self.first_mc = int(found[0]) if len(found) else None
 
     def _take_samples(self, batch: Batch) -> None:
         records = batch.records
@@ -169,17 +175,20 @@ class Beginning:
             self.first_s = int(with_samples.second[rows > 0][0])
 
 
-def look_inside(archive: Archive, *, imu: bool) -> Beginning:
+def look_inside(archive: Archive, *, imu: bool, thermometer: FactoryTemperature | None = None) -> Beginning:
     """Read log.bin until there are samples, of the second sensor with its schema if that is requested.
+
+    A temperature, where one is wanted, is waited for a while longer.
 
     Raises:
         UnreadableError: the disk fails, or log.bin is packed in an unusual way.
     """
-    beginning = Beginning()
+    beginning = Beginning(thermometer=thermometer)
     with MemberStream(archive, archive.members[LOG]) as stream:
-        for batch in log.batches(stream, log.ANY_TIME):
+        for number, batch in enumerate(log.batches(stream, log.ANY_TIME)):
             beginning.take(batch)
-            if beginning.imu and beginning.schema if imu else beginning.rate:
+            waiting = thermometer is not None and beginning.first_mc is None and number < LISTENED
+            if (beginning.imu and beginning.schema if imu else beginning.rate) and not waiting:
                 break
     return beginning
 
@@ -198,6 +207,11 @@ class Scale:
 
     lsb_per_g: float
     range_g: float | None
+
+    @property
+    def limit(self) -> int | None:
+        """The range in counts."""
+        return None if self.range_g is None else int(self.range_g * self.lsb_per_g)
 
 
 SIX_G, EIGHT_G = Scale(341.0, 6.0), Scale(256.0, 8.0)
@@ -221,8 +235,13 @@ class SensorDescription:
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
 
 
-def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Path) -> SensorDescription:
+def primary_of(
+    info: Info, beginning: Beginning, bare: FactoryAcceleration | None, options: ReadOptions, path: Path
+) -> SensorDescription:
     """The main accelerometer.
+
+    Args:
+        bare: what its counts still need, None where they are calibrated.
 
     Raises:
         UnreadableError: it recorded nothing, or nothing says its scale.
@@ -231,7 +250,7 @@ def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Pat
         hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
         raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
     parameter = log.number_of(beginning.parameters, log.ACCEL_SCALE)
-    scale = scale_of(info, parameter, options, path)
+    scale = scale_of(info, parameter, bare, options, path)
     turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
     notes = [TURNED] if turned else []
     notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(log.SENSOR_CONFIGURATION) else []
@@ -241,8 +260,10 @@ def primary_of(info: Info, beginning: Beginning, options: ReadOptions, path: Pat
     return SensorDescription(Primary(beginning.rate, turned), scale, tuple(notes))
 
 
-def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Path) -> Scale:
-    """The main accelerometer's scale.
+def scale_of(
+    info: Info, parameter: float | None, bare: FactoryAcceleration | None, options: ReadOptions, path: Path
+) -> Scale:
+    """The main accelerometer's scale; of a bare sensor about what its counts are.
 
     Raises:
         UnreadableError: nothing says it.
@@ -251,6 +272,8 @@ def scale_of(info: Info, parameter: float | None, options: ReadOptions, path: Pa
     scales = [value for value in stated if value is not None and value >= LEAST_SCALE]
     model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
     lsb_per_g = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
+    if bare is not None:
+        return Scale(lsb_per_g or 1 / bare.g_per_count[0][0], info.range_g)
     if lsb_per_g is None:
         raise UnreadableError(
             "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Problem, Reader, Recording
 from accelcal_cli.formats._problems import ProblemLog
 from accelcal_cli.formats.gt3x import ACTIVITY, LOG, header
 from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream, open_archive
+from accelcal_cli.formats.gt3x.factory import OLDER_KIND, Applied, Beside, acceleration_of, temperature_of
 from accelcal_cli.formats.gt3x.header import COPY_AGAIN, Info
 from accelcal_cli.formats.gt3x.records import Span, batches
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
@@ -41,6 +42,7 @@ UNPACK = "unpack the .gz; a .gt3x is a zip file already"
 NO_START = "info.txt does not tell when the recording began: times count from its start"
 
 MOST_ROWS = 1 << 18
+NOTHING = Applied()
 
 
 class Gt3xReader(Reader):
@@ -83,29 +85,36 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         UnreadableError: it holds no samples, or nothing says their scale.
         UsageError: the rates contradict each other, or the requested sensor did not record.
     """
-    beginning = header.look_inside(archive, imu=options.sensor == IMU)
-    if options.sensor == IMU:
+    imu = options.sensor == IMU
+    beside = Beside() if imu else Beside.of(archive)
+    line = temperature_of(beside.temperature)
+    beginning = header.look_inside(archive, imu=imu, thermometer=line)
+    bare = None
+    if imu:
         description = header.imu_of(beginning, options, archive.path)
     else:
-        description = header.primary_of(info, beginning, options, archive.path)
-    file = LogFile(
-        archive, archive.members[LOG], description.sensor, header.span_of(info, beginning), problems
-    )
+        if options.lsb_per_g is None and beginning.rate is not None:
+            bare = acceleration_of(beside.acceleration, info.rate_hz or beginning.rate, archive.path)
+        description = header.primary_of(info, beginning, bare, options, archive.path)
+    applied = Applied(bare, description.scale.limit, line, beginning.first_mc)
+    member, span = archive.members[LOG], header.span_of(info, beginning)
+    file = LogFile(archive, member, description.sensor, span, problems + beside.problems, applied)
     start_us = first_time(file)
     recording = Recording(
         path=archive.path,
         format="gt3x",
         rate_hz=agreed_rate(options, float(description.sensor.rate), archive.path),
-        lsb_per_g=description.scale.lsb_per_g,
+        lsb_per_g=description.scale.lsb_per_g if bare is None else FLOAT_LSB_PER_G,
         total_bytes=archive.size,
         device=info.device,
         range_g=description.scale.range_g,
         start_us=start_us,
         timezone="UTC" if beginning.utc else info.zone,
         duration_s=lasted_s(info, start_us),
-        has_temperature=description.has_temperature,
+        has_temperature=description.has_temperature or beginning.first_mc is not None,
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
-        notes=description.notes,
+        factory=applied.factory,
+        notes=description.notes + beside.notes(applied),
     )
     return Gt3xReader(recording, file)
 
@@ -142,6 +151,7 @@ def open_activity_bin(
         timezone=info.zone,
         samples=file.samples,
         duration_s=None if file.samples is None else file.samples / rate,
+        notes=(OLDER_KIND,) if Beside.of(archive).acceleration.is_open else (),
     )
     return Gt3xReader(recording, file)
 
@@ -182,6 +192,7 @@ class LogFile:
 
     Attributes:
         problems: what was found before any sample.
+        applied: the maker's calibration.
     """
 
     archive: Archive
@@ -189,6 +200,7 @@ class LogFile:
     sensor: Sensor
     span: Span
     problems: tuple[Problem, ...] = ()
+    applied: Applied = NOTHING
 
     def stream(self, chunk_samples: int) -> Generator[Chunk, None, None]:
         """All chunks, of at least a second.
@@ -197,7 +209,8 @@ class LogFile:
             UnreadableError: the disk fails.
         """
         most = max(chunk_samples, self.sensor.rate)
-        timeline, log = Timeline(self.sensor, self.span), ProblemLog(self.problems)
+        timeline = Timeline(self.sensor, self.span, self.applied.thermometer())
+        log = ProblemLog(self.problems)
         rows = 0
         with MemberStream(self.archive, self.member) as source:
             for batch in batches(source, self.span):
@@ -210,7 +223,7 @@ class LogFile:
                 place = ChunkPlace(rows, source.disk_position, batch.records.framed_bytes())
                 for chunk in chunks_of(spans, samples, place, problems):
                     rows += len(chunk)
-                    yield from cut(chunk, most)
+                    yield from cut(self.applied.to(chunk), most)
 
 
 def chunks_of(

@@ -12,7 +12,7 @@ devices leave the writing to the reader.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -23,6 +23,7 @@ from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity, cut_channels
 from accelcal_cli.formats._problems import Event, Kind
 from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
+from accelcal_cli.formats.gt3x.factory import Thermometer
 from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
 
@@ -283,11 +284,14 @@ class DecodedBatch:
         return pairwise(bounds)
 
 
-def decode_batch(batch: Batch, sensor: Sensor) -> DecodedBatch:
-    """Decode a batch."""
+def decode_batch(batch: Batch, sensor: Sensor, thermometer: Thermometer | None = None) -> DecodedBatch:
+    """Decode a batch, with the temperatures that a thermometer of its own recorded among the samples."""
     holds = sensor.holds(batch)
     records = batch.records.select(holds)
     samples, whole = sensor.decode(batch, records), sensor.whole(records)
+    if thermometer is not None:
+        heat = thermometer.beside(batch, records, samples.rows)
+        samples = replace(samples, channels=samples.channels | {"temperature_mc": heat})
     doubtful = batch.doubtful[holds]
     even = whole & (samples.rows == sensor.rate) & ~doubtful
     joined = even.copy()
@@ -357,9 +361,9 @@ class Timeline:
         rows: how many rows have been given.
     """
 
-    def __init__(self, sensor: Sensor, span: Span) -> None:
+    def __init__(self, sensor: Sensor, span: Span, thermometer: Thermometer | None = None) -> None:
         self.position = 0
-        self._sensor = sensor
+        self._sensor, self._thermometer = sensor, thermometer
         self._idle = IdleWatch(span)
         self._slept: tuple[Asleep, _Where] | None = None
         self._last: _Last | None = None
@@ -377,7 +381,7 @@ class Timeline:
         Sleep is given when it is known what follows it.
         """
         self._spans, self._events = [], []
-        decoded, begin = decode_batch(batch, self._sensor), 0
+        decoded, begin = decode_batch(batch, self._sensor, self._thermometer), 0
         for number, log_event in log_events(batch):
             self._add_records(decoded, begin, number)
             begin = number

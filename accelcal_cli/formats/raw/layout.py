@@ -10,12 +10,12 @@ import math
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
-from accelcal_cli.core.clock import FIRST_US, LAST_US
+from accelcal_cli.core.clock import StartTime, start_of
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G
 from accelcal_cli.core.text_files import read_toml
@@ -51,7 +51,6 @@ T = TypeVar("T")
 
 LARGEST_BYTES = 1 << 40
 
-EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 HINT = 'write it as "2024-03-04T00:00:00", with an offset such as +01:00 if it is known'
 
 LARGEST_NUMBER = 1e12
@@ -110,15 +109,6 @@ class Checksum:
     type: str
     start: int
     stop: int
-
-
-@dataclass(frozen=True, slots=True)
-class StartTime:
-    """Time of the first sample [us since 1970]; `timezone` is UTC if the layout gave Z or an offset."""
-
-    start_us: int
-    timezone: str | None
-    had_offset: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,12 +360,10 @@ def parse_start(dump: Keys) -> StartTime | None:
             raise dump.error("start_time", f"is {value!r}, which is not a date and time", HINT) from None
     if not isinstance(value, datetime):
         raise dump.error("start_time", f"is {value}, which is not a date and time", HINT)
-    known = value.tzinfo is not None
-    moment = value if known else value.replace(tzinfo=UTC)
-    start_us = (moment - EPOCH) // timedelta(microseconds=1)
-    if not FIRST_US <= start_us <= LAST_US:
+    start = start_of(value)
+    if start is None:
         raise dump.error("start_time", f"is {value}, which in UTC lies outside the years 1 to 9999", HINT)
-    return StartTime(start_us, "UTC" if known else None, bool(moment.utcoffset()))
+    return start
 
 
 def plain_layout(rate_hz: float, lsb_per_g: float) -> Layout:

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from accelcal_cli.core.clock import StartTime
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats.raw import find_layout, named_layout
-from accelcal_cli.formats.raw.layout import Checksum, Field, Sequence, Stamp, StartTime, load_layout
+from accelcal_cli.formats.raw.layout import Checksum, Field, Sequence, Stamp, load_layout
 
 FULL = """
 [dump]

@@ -1,0 +1,279 @@
+"""The maker's calibration beside log.bin: calibration.json and temperature_calibration.json, and its values.
+
+`isCalibrated` false says that the records hold counts of the bare sensor. Method 2 of calibration.json has,
+for each sampling rate, offsets in counts, sensitivities of the axes in hundredths of a count per g, and those
+across the axes, which are alike both ways: 1 / (250 + s / 100) - 1 / 250 g per count. Method 1 of
+temperature_calibration.json is a line through two points of each thermometer. Source: the vendor's reader,
+github.com/actigraph/pygt3x 0.7.1, reader.py and calibration.py.
+
+Calibrated values are rounded to the grid of decimal fractions (`FLOAT_LSB_PER_G`). They are computed number
+by number, in one order, so that every machine gives the same.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.factory import FactoryAcceleration, FactoryCalibration, FactoryTemperature
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Problem, clipped_at
+from accelcal_cli.formats.gt3x import CALIBRATION, TEMPERATURE_CALIBRATION
+from accelcal_cli.formats.gt3x import records as log
+from accelcal_cli.formats.gt3x.archive import Archive, small_part
+from accelcal_cli.formats.gt3x.records import Batch, Records
+
+MATRIX, LINE, IN_DEGREES = 2, 1, 0
+"""Methods that are known: of the acceleration, and of the temperature (ours for one that is in degrees)."""
+
+LEAST_COUNTS, MOST_COUNTS = 10.0, 1e6
+"""Per g, of an axis."""
+
+FARTHEST_OFFSET = 32_768.0
+LARGEST_G = 127.0
+"""Calibrated values beyond it have no place on the grid; they are cut off there, and marked as clipped."""
+
+COLDEST_C, WARMEST_C = -100.0, 200.0
+READING_BYTES, ACCELEROMETER = 3, 1
+"""In records of temperatures: a thermometer's number, and 16 bits. 0 is the processor's; this is within the
+accelerometer."""
+
+AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
+DAMAGED = "{} in the zip file is damaged: what it says of the sensor was not applied"
+NOT_APPLIED = "the maker's calibration (calibration.json) was not applied, as --lsb-per-g is given"
+OLDER_KIND = "the maker's calibration (calibration.json) was not applied: it is not for activity.bin"
+NO_TEMPERATURE = (
+    "no temperatures were read: there are none, or temperature_calibration.json does not say what they are"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Stated:
+    """What one of the two parts says.
+
+    Attributes:
+        values: None where there is no such part, or a damaged one.
+    """
+
+    values: dict[str, Any] | None = None
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it says that the calibration is still to be applied."""
+        return self.values is not None and not self.values.get("isCalibrated", True)
+
+
+def stated(archive: Archive, name: str) -> Stated:
+    """Read one of the two parts."""
+    if name not in archive.members:
+        return Stated()
+    try:
+        values = json.loads(small_part(archive, name) or b"")
+    except (ValueError, RecursionError):
+        values = None
+    if isinstance(values, dict):
+        return Stated(values)
+    return Stated(None, (Problem("damaged_header", DAMAGED.format(name), None, 0),))
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """What both parts say of the main sensor."""
+
+    acceleration: Stated = Stated()
+    temperature: Stated = Stated()
+
+    @classmethod
+    def of(cls, archive: Archive) -> Beside:
+        """Read both."""
+        return cls(stated(archive, CALIBRATION), stated(archive, TEMPERATURE_CALIBRATION))
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """What is wrong with them."""
+        return self.acceleration.problems + self.temperature.problems
+
+    def notes(self, done: Applied) -> tuple[str, ...]:
+        """What is done with them, for people."""
+        notes = () if done.factory is None else done.factory.notes()
+        if self.acceleration.is_open and done.acceleration is None:
+            notes += (NOT_APPLIED,)
+        if self.temperature.values is not None and done.first_mc is None:
+            notes += (NO_TEMPERATURE,)
+        return notes
+
+
+@dataclass(frozen=True, slots=True)
+class Applied:
+    """What is applied to the samples of a recording.
+
+    Attributes:
+        acceleration: None where counts stay as they are.
+        limit: rows that reach it, in raw counts, are marked as clipped; None if it is not known.
+        temperature: how the thermometer's counts are read; first_mc: its first reading. None without any.
+    """
+
+    acceleration: FactoryAcceleration | None = None
+    limit: int | None = None
+    temperature: FactoryTemperature | None = None
+    first_mc: int | None = None
+
+    @property
+    def factory(self) -> FactoryCalibration | None:
+        """The maker's calibration, as far as there was something to apply."""
+        line = self.temperature if self.first_mc is not None else None
+        if line is not None and not line.method:
+            line = None
+        return FactoryCalibration(self.acceleration, line) if self.acceleration or line else None
+
+    def thermometer(self) -> Thermometer | None:
+        """A new one, for one pass over the recording."""
+        if self.temperature is None or self.first_mc is None:
+            return None
+        return Thermometer(self.temperature, self.first_mc)
+
+    def to(self, chunk: Chunk) -> Chunk:
+        """A chunk of raw counts, with those that the calibration gives."""
+        return chunk if self.acceleration is None else calibrated(chunk, self.acceleration, self.limit)
+
+
+def acceleration_of(said: Stated, rate: int, path: Path) -> FactoryAcceleration | None:
+    """The calibration for a sampling rate; None if there is none to apply.
+
+    Raises:
+        UnreadableError: it is of an unknown method, not for this rate, or makes no sense.
+    """
+    if not said.is_open:
+        return None
+    values = said.values or {}
+    method = values.get("calibrationMethod")
+    if method != MATRIX or isinstance(method, bool):
+        raise _unusable(f"is of the unknown method {str(method)[:40]!r}", path)
+    pairs = [a + b for a, b in combinations_with_replacement("XYZ", 2)]
+    offset = [_number(values.get(f"offset{axis}_{rate}")) for axis in "XYZ"]
+    found = {pair: _number(values.get(f"sensitivity{pair}_{rate}")) for pair in pairs}
+    if None in offset or None in found.values():
+        raise _unusable(f"does not say what {rate} Hz needs", path)
+    return _sensible(rate, [value or 0.0 for value in offset], {k: v or 0.0 for k, v in found.items()}, path)
+
+
+def _sensible(
+    rate: int, offset: list[float], sensitivity: dict[str, float], path: Path
+) -> FactoryAcceleration:
+    along = [sensitivity[axis + axis] * 0.01 for axis in "XYZ"]
+    across = [sensitivity[pair] * 0.01 + 250 for pair in ("XY", "XZ", "YZ")]
+    if not all(LEAST_COUNTS <= value <= MOST_COUNTS for value in along + across) or any(
+        abs(value) > FARTHEST_OFFSET for value in offset
+    ):
+        raise _unusable("makes no sense", path)
+    x, y, z = (1.0 / value for value in along)
+    xy, xz, yz = (1.0 / value - 0.004 for value in across)
+    matrix = ((x, xy, xz), (xy, y, yz), (xz, yz, z))
+    return FactoryAcceleration(CALIBRATION, MATRIX, rate, (offset[0], offset[1], offset[2]), matrix)
+
+
+def _unusable(what: str, path: Path) -> UnreadableError:
+    text = f"calibration.json in it, which its counts need, {what}"
+    return UnreadableError(text, path=path, hint=AS_COUNTS)
+
+
+def _number(value: Any) -> float | None:
+    """A number, as JSON or as text; None for anything else."""
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return None
+    try:
+        number = float(value)
+    except (ValueError, OverflowError):
+        return None
+    return number if isfinite(number) else None
+
+
+def calibrated(chunk: Chunk, factory: FactoryAcceleration, limit: int | None) -> Chunk:
+    """The chunk with calibrated counts, `FLOAT_LSB_PER_G` in one g.
+
+    Args:
+        limit: rows that reach it, in raw counts, are marked as clipped; None if it is not known.
+    """
+    if limit is not None:
+        chunk = clipped_at(chunk, -limit, limit - 1)
+    most = int(LARGEST_G * FLOAT_LSB_PER_G)
+    steps = [value.clip(-most, most) for value in _steps(chunk.counts, factory)]
+    counts = np.stack(steps, axis=1).astype(np.int32)
+    return clipped_at(replace(chunk, counts=counts), -most, most)
+
+
+def _steps(counts: NDArray[Any], factory: FactoryAcceleration) -> list[NDArray[np.float64]]:
+    """Calibrated x, y and z in steps of the grid, (n,) each, of raw counts (n, 3)."""
+    x, y, z = (counts[:, axis] - factory.offset_counts[axis] for axis in range(3))
+    rows = [[value * FLOAT_LSB_PER_G for value in row] for row in factory.g_per_count]
+    return [np.rint(x * row[0] + y * row[1] + z * row[2]) for row in rows]
+
+
+def temperature_of(said: Stated) -> FactoryTemperature | None:
+    """How counts of the accelerometer's thermometer become degrees; None if nothing says it.
+
+    What is calibrated already is in degrees, as the vendor's reader takes it.
+    """
+    values = said.values
+    if values is None or "isCalibrated" not in values:
+        return None
+    if not said.is_open:
+        return FactoryTemperature(TEMPERATURE_CALIBRATION, IN_DEGREES, (0.0, 1.0), (0.0, 1.0))
+    names = ("adxlTempLow", "adxlTempHigh", "tempLow", "tempHigh")
+    low, high, cold, warm = (_number(values.get(name)) for name in names)
+    if values.get("calibrationMethod") != LINE or low is None or high is None or cold is None or warm is None:
+        return None
+    if low == high or not COLDEST_C <= min(cold, warm) <= max(cold, warm) <= WARMEST_C:
+        return None
+    return FactoryTemperature(TEMPERATURE_CALIBRATION, LINE, (low, high), (cold, warm))
+
+
+def temperatures(batch: Batch, factory: FactoryTemperature) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Thousandths of a degree C (k,) of the accelerometer's thermometer, and where their records begin.
+
+    Readings that are no temperature are left out.
+    """
+    found: list[tuple[int, int]] = []
+    for number in np.flatnonzero(batch.records.kind == log.TEMPERATURE).tolist():
+        for value in _readings(log.payload(batch, number))[-1:]:
+            found.append((value, int(batch.records.start[number])))
+    counts, places = np.array(found, np.int64).reshape(-1, 2).T
+    (low, high), (cold, warm) = factory.counts, factory.celsius
+    celsius = (counts - low) * ((warm - cold) / (high - low)) + cold
+    usable = (celsius >= COLDEST_C) & (celsius <= WARMEST_C)
+    return np.rint(1000 * celsius[usable]).astype(np.int32), places[usable]
+
+
+def _readings(data: bytes) -> list[int]:
+    """Counts of the accelerometer's thermometer in a record's payload."""
+    return [
+        int.from_bytes(data[at + 1 : at + READING_BYTES], "little", signed=True)
+        for at in range(0, len(data) - READING_BYTES + 1, READING_BYTES)
+        if data[at] == ACCELEROMETER
+    ]
+
+
+class Thermometer:
+    """Gives samples the last temperature recorded before them.
+
+    Args:
+        first_mc: of samples before any.
+    """
+
+    def __init__(self, factory: FactoryTemperature, first_mc: int) -> None:
+        self._factory, self._last = factory, first_mc
+
+    def beside(self, batch: Batch, records: Records, rows: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Temperatures of all samples of these records, which have `rows` each; batches in file order."""
+        found, places = temperatures(batch, self._factory)
+        known = np.concatenate((np.array([self._last], np.int32), found))
+        self._last = int(known[-1])
+        return np.asarray(np.repeat(known[np.searchsorted(places, records.start)], rows))
