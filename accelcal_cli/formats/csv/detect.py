@@ -180,10 +180,11 @@ def _scale(
     """The scale, and whether gravity alone decided the unit."""
     stated = stated_unit(options, set(roles.hints))
     if stated is None and export.unit is not None:
-        scale = scale_for(export.unit, export.lsb_per_g)
+        scale = scale_for(export.unit, export.lsb_per_g, export.zero)
         check_unit(cells.values, scale, path)
         return scale, False
-    return scale_for(stated or guess_unit(cells.values, path), options.lsb_per_g), stated is None
+    unit = stated or guess_unit(cells.values, path)
+    return scale_for(unit, options.lsb_per_g, export.zero), stated is None
 
 
 def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
@@ -198,7 +199,8 @@ def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, p
         raise UnreadableError(
             "no column is known to hold the time",
             path=path,
-            hint="name it with --time-column, or give the sampling rate with --rate",
+            hint="name it with --time-column, or give the sampling rate with --rate; means of still "
+            "windows are fitted with `accelcal fit`",
         )
     return Pace(options.rate_hz)
 

@@ -78,7 +78,8 @@ class ExportDescription:
         title: whose export this is, for people.
         preamble: lines before the names of the columns, or before the first row.
         names: of the columns, where no line of the file names them.
-        unit: of the acceleration, as in `--unit`; `lsb_per_g` where they are counts.
+        unit: of the acceleration, as in `--unit`; `lsb_per_g` where they are counts, and `zero`, the count
+            that stands for 0 g.
         rate_hz: sampling rate.
         start: of the recording; used where rows carry no times.
         timezone: of its clock.
@@ -95,6 +96,7 @@ class ExportDescription:
     names: tuple[str, ...] | None = None
     unit: str | None = None
     lsb_per_g: float | None = None
+    zero: int = 0
     rate_hz: float | None = None
     start: Start | None = None
     timezone: str | None = None
