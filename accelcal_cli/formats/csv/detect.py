@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace
 from accelcal_cli.formats.csv import times
+from accelcal_cli.formats.csv.bids import bids_description
 from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
@@ -80,17 +81,16 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     """
     _refuse_not_positive(options)
     head = _head(path, False)
-    export = export_description(head) or ExportDescription()
+    export = bids_description(path) or export_description(head) or ExportDescription()
     _refuse_doubtful(export, options, path)
     dialect = find_dialect(head, export.preamble)
     if dialect is None:
         raise _no_rows(path, head)
     if dialect.bare_returns:
         head = _head(path, True)
-    if dialect.names is None and len(export.names or ()) == dialect.columns:
-        dialect = replace(dialect, names=export.names)
+    dialect = _named(dialect, export, path)
     block = _head_block(head, dialect)
-    roles = find_roles(dialect, options, path)
+    roles = find_roles(dialect, options, path, export.xyz, export.time)
     parser = _table_parser(block, dialect, roles, export, options, path)
     cells = parser.cells(block)
     scale, guessed = _scale(cells, roles, export, options, path)
@@ -100,6 +100,24 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         start_us = export.start.us(options.date_format or export.date_order, path)
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
     return Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed)
+
+
+def _named(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:
+    """The layout with the names that the export gives to columns without.
+
+    Raises:
+        UnreadableError: a file beside it describes another number of columns.
+    """
+    names = export.names or ()
+    if export.companion is not None and len(names) != dialect.columns:
+        raise UnreadableError(
+            f"has {dialect.columns} columns, and {printable(export.companion.name)} describes {len(names)}",
+            path=path,
+            line=dialect.names_line,
+            hint="correct that file, or take it away",
+        )
+    unnamed = dialect.names is None and len(names) == dialect.columns
+    return replace(dialect, names=export.names) if unnamed else dialect
 
 
 def _refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:
@@ -144,6 +162,8 @@ def _table_parser(
     cells = zip(dialect.cells(roles.time), dialect.lines, strict=True)
     rate_hz = options.rate_hz or export.rate_hz
     time = times.find_time_format(list(cells), roles.time_unit_us, rate_hz, path)
+    if export.companion is not None and export.start is not None:
+        time = time.counted_from(export.start.us(None, path))
     return TableParser(path, dialect, roles, time)
 
 
