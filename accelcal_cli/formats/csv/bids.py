@@ -10,7 +10,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,42 +17,17 @@ from typing import Any
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.text_files import read_text
+from accelcal_cli.formats.csv import CHANNELS, MOTION, channels_beside
 from accelcal_cli.formats.csv.vendors import ExportDescription, Start
 
-ENDING = "_motion.tsv"
+ABOUT = "_motion.json"
 LARGEST_SIDECAR = 1 << 20
-AXES = ("x", "y", "z")
+ACCEL, AXES = "ACCEL", ("x", "y", "z")
 CELSIUS = ("oC", "\u00b0C", "degC")
 FASTEST_HZ = 100_000.0
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 Table = list[dict[str, str]]
-
-
-@dataclass(frozen=True, slots=True)
-class Sidecars:
-    """What lies beside a file: names with all that comes before `motion.tsv`."""
-
-    stem: str
-    folder: Path
-
-    @property
-    def channels(self) -> Path:
-        """Describes the columns."""
-        return self.folder / f"{self.stem}_channels.tsv"
-
-    @property
-    def about(self) -> Path:
-        """Describes the recording."""
-        return self.folder / f"{self.stem}_motion.json"
-
-    def scans(self) -> Path | None:
-        """Lists the recordings of the subject, or of a session, with their times."""
-        parts = [part for part in self.stem.split("_") if part.startswith(("sub-", "ses-"))]
-        name = f"{'_'.join(parts)}_scans.tsv"
-        return next(
-            (path for path in (self.folder.parent / name, self.folder / name) if path.is_file()), None
-        )
 
 
 def bids_description(path: Path) -> ExportDescription | None:
@@ -63,29 +37,26 @@ def bids_description(path: Path) -> ExportDescription | None:
         UnreadableError: a sidecar is damaged, or its channels have no accelerometer, or several.
         UsageError: a sidecar cannot be read.
     """
-    name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
-    if not name.endswith(ENDING):
+    beside = channels_beside(path)
+    if beside is None or not beside.is_file():
         return None
-    beside = Sidecars(name.removesuffix(ENDING), path.parent)
-    if not beside.channels.is_file():
-        return None
-    channels, about = _table(beside.channels), _object(beside.about)
-    rates = {channel.get("sampling_frequency", "") for channel in channels} | {
-        str(about.get("SamplingFrequency"))
-    }
-    rate_hz = next((rate for rate in map(_positive, sorted(rates)) if rate is not None), None)
-    written = _acquired(beside.scans(), name)
+    stem = beside.name.removesuffix(CHANNELS)
+    channels, about = _table(beside), _object(beside.with_name(stem + ABOUT))
+    rates = [one.get("sampling_frequency", "") for one in channels if one.get("type") == ACCEL]
+    rates.append(str(about.get("SamplingFrequency")))
+    rate_hz = next((rate for rate in map(_positive, rates) if rate is not None), None)
+    written = _acquired(path.parent, stem)
     model, serial = (about.get(key) for key in ("ManufacturersModelName", "DeviceSerialNumber"))
     return ExportDescription(
         title="Motion-BIDS",
         device=Device(model if isinstance(model, str) else None, serial if isinstance(serial, str) else None),
         names=tuple(_title(channel) for channel in channels),
-        xyz=_axes(channels, beside.channels),
+        xyz=_axes(channels, beside),
         time=next((at for at, one in enumerate(channels) if one.get("type") == "LATENCY"), None),
         rate_hz=rate_hz,
         start=_start(written),
         timezone="UTC" if written.endswith("Z") else None,
-        companion=beside.channels,
+        companion=beside,
     )
 
 
@@ -129,7 +100,7 @@ def _axes(channels: Table, path: Path) -> tuple[int, int, int] | None:
     points: dict[str, dict[str, int]] = {}
     for number, channel in enumerate(channels):
         axis = channel.get("component", "").lower()
-        if channel.get("type", "").upper() == "ACCEL" and axis in AXES:
+        if channel.get("type") == ACCEL and axis in AXES:
             points.setdefault(channel.get("tracked_point", ""), {})[axis] = number
     whole = [axes for axes in points.values() if len(axes) == len(AXES)]
     if not whole:
@@ -138,10 +109,12 @@ def _axes(channels: Table, path: Path) -> tuple[int, int, int] | None:
     return (whole[0]["x"], whole[0]["y"], whole[0]["z"]) if len(whole) == 1 else None
 
 
-def _acquired(scans: Path | None, name: str) -> str:
-    """The time that the list of scans gives: local, or with Z in UTC; empty if it gives none."""
-    rows = [] if scans is None else _table(scans)
-    times = (row.get("acq_time", "") for row in rows if Path(row.get("filename", "")).name == name)
+def _acquired(folder: Path, stem: str) -> str:
+    """The time in the list of scans of a subject or session: local, or with Z in UTC; empty if none."""
+    whose = "_".join(part for part in stem.split("_") if part.startswith(("sub-", "ses-")))
+    lists = (place / f"{whose}_scans.tsv" for place in (folder.parent, folder))
+    rows = next((_table(path) for path in lists if path.is_file()), [])
+    times = (row.get("acq_time", "") for row in rows if Path(row.get("filename", "")).name == stem + MOTION)
     return next(times, "")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.studies.discovery import Where, files
 from tests.formats.make_csv import GRID, Read, read
 
 STEM = "sub-01_ses-a_task-rest_tracksys-imu"
@@ -133,6 +134,17 @@ def test_a_damaged_sidecar_is_named(tmp_path: Path) -> None:
             read(path)
     sidecar.unlink()
     assert np.array_equal(read(path).counts, COUNTS)
+
+
+def test_a_study_notices_that_the_channels_changed(tmp_path: Path) -> None:
+    path = laid_out(tmp_path / "in")
+    where = Where((tmp_path / "in",), tmp_path / "out")
+    (before,) = [item for item in files(where) if item.source.name == path.name]
+    channels = path.with_name(f"{STEM}_channels.tsv")
+    channels.write_text(channels.read_text() + "\n")
+    (after,) = [item for item in files(where) if item.source.name == path.name]
+    assert before.stamps[0] == after.stamps[0]
+    assert before.stamps != after.stamps
 
 
 def test_without_sidecars_it_is_a_table_like_any_other(tmp_path: Path) -> None:

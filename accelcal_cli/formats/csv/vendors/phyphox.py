@@ -2,8 +2,8 @@
 
 Columns are `"Time (s)","Acceleration x (m/s^2)",...`, from the start of the measurement, between commas,
 semicolons or tabs, with points or commas as decimals; those of the experiment without gravity are called
-`Linear Acceleration x (m/s^2)` (github.com/phyphox/phyphox-experiments, `acceleration.phyphox` and
-`linear_acceleration.phyphox`).
+`Linear Acceleration x (m/s^2)` (github.com/phyphox/phyphox-experiments, `accelerometer.phyphox` and
+`linear_accelerometer.phyphox`).
 """
 
 from __future__ import annotations
