@@ -11,7 +11,9 @@ from accelcal_cli.core.formats import Format, Probe
 
 EDF_MAGIC = b"0       "
 BDF_MAGIC = b"\xffBIOSEMI"
-START = re.compile(rb"\d\d\.\d\d\.\d\d\d\d\.\d\d\.\d\d[ \d]{8}", re.ASCII)
+START = re.compile(
+    rb"[\dX]{2}\.[\dX]{2}\.[\dXy]{2}[\dX]{2}\.[\dX]{2}\.[\dX]{2}[ \d]{8}", re.ASCII | re.IGNORECASE
+)
 START_AT = 168
 
 

@@ -183,12 +183,13 @@ def _signals(table: dict[str, list[str]], count: int, path: Path) -> tuple[Signa
 def _start_us(date: str, time: str, recording: str) -> int | None:
     """Of `02.08.51` and `20.15.00`; the year as EDF+ gives it, where it does."""
     try:
-        day, month, year = map(int, date.split("."))
         hour, minute, second = map(int, time.split("."))
-        year += 1900 if year >= PIVOT else 2000
         match = EDF_PLUS_DATE.match(recording)
         if match is not None and match[2] in MONTHS:
             day, month, year = int(match[1]), MONTHS.index(match[2]) + 1, int(match[3])
+        else:
+            day, month, year = map(int, date.split("."))
+            year += 1900 if year >= PIVOT else 2000
         start = datetime(year, month, day, hour, minute, second, tzinfo=UTC)
     except ValueError:
         return None

@@ -139,10 +139,10 @@ def test_a_damaged_sidecar_is_named(tmp_path: Path) -> None:
 def test_a_study_notices_that_the_channels_changed(tmp_path: Path) -> None:
     path = laid_out(tmp_path / "in")
     where = Where((tmp_path / "in",), tmp_path / "out")
-    (before,) = [item for item in files(where) if item.source.name == path.name]
+    (before,) = [item for item in files(where, []) if item.source.name == path.name]
     channels = path.with_name(f"{STEM}_channels.tsv")
     channels.write_text(channels.read_text() + "\n")
-    (after,) = [item for item in files(where) if item.source.name == path.name]
+    (after,) = [item for item in files(where, []) if item.source.name == path.name]
     assert before.stamps[0] == after.stamps[0]
     assert before.stamps != after.stamps
 

@@ -119,13 +119,18 @@ def test_axes_of_different_scales_share_a_step(tmp_path: Path) -> None:
 
 def test_scales_without_a_common_step_are_rounded_to_the_grid_of_decimals(tmp_path: Path) -> None:
     limits = [("-8.00123", "8", -2048, 2047), ("-7.98765", "8", -2047, 2047), ("-8", "7.99991", -2043, 2039)]
-    signals = [replace(one, limits=limit) for one, limit in zip(AXES, limits, strict=True)]
+    axes = zip(AXES, limits, strict=True)
+    signals = [replace(one, limits=limit, values=one.values.copy()) for one, limit in axes]
     found = read(tmp_path, written(signals))
     low, high = (np.array([float(limit[place]) for limit in limits]) for place in (0, 1))
     first, last = (np.array([limit[place] for limit in limits]) for place in (2, 3))
     truth = low + (COUNTS - first) * (high - low) / (last - first)
     assert np.abs(found.g - truth).max() <= 0.5 / 2**24 + 1e-12
     assert any("0.06 micro-g" in note for note in found.about.notes)
+    signals[0].values[1, 3] = -32768
+    again = read(tmp_path, written(signals))
+    assert np.array_equal(again.counts, np.delete(found.counts, SAMPLES + 3, axis=0)), "128 g have no count"
+    assert (again.breaks, again.codes) == ([SAMPLES + 3], ["missing_value"])
 
 
 def test_gyroscope_and_temperature_come_along(tmp_path: Path) -> None:
@@ -206,8 +211,8 @@ def test_a_record_of_edf_plus_d_without_a_time_is_left_out_and_told(tmp_path: Pa
 
 
 def test_the_first_annotation_has_the_fraction_of_the_start(tmp_path: Path) -> None:
-    found = read(tmp_path, written([*AXES, onsets(["+0.25", *NUMBERS[1:]])], reserved="EDF+C"))
-    assert found.times[0] == found.about.start_us == START_US + 250_000
+    found = read(tmp_path, written([*AXES, onsets(["+0.2500006", *NUMBERS[1:]])], reserved="EDF+C"))
+    assert found.times[0] == found.about.start_us == START_US + 250_001
 
 
 @pytest.mark.parametrize(
@@ -215,13 +220,16 @@ def test_the_first_annotation_has_the_fraction_of_the_start(tmp_path: Path) -> N
     [
         (("01.01.70", "00.00.01"), "", 3_155_760_001_000_000),
         (("02.03.99", "00.00.00"), "", 920_332_800_000_000),
-        (("yy.03.99", "00.00.00"), "", None),
+        (("99.03.99", "00.00.00"), "", None),
         (("29.02.63", "00.00.00"), "", None),
         (("02.03.63", "01.00.00"), "Startdate 02-MAR-2063 X X X", 2_940_022_800_000_000),
+        (("02.03.yy", "01.00.00"), "Startdate 02-MAR-2163 X X X", 6_095_696_400_000_000),
+        (("XX.XX.XX", "01.00.00"), "Startdate X X X X", None),
     ],
 )
 def test_dates(tmp_path: Path, start: tuple[str, str], recording: str, us: int | None) -> None:
     found = read(tmp_path, written(AXES, start=start, recording=recording))
+    assert FORMAT.sniff(probe_file(tmp_path / "a.edf", ReadOptions())) == 100
     assert found.about.start_us == us
     assert found.codes == ([] if us is not None else ["no_start_time"])
 
