@@ -50,6 +50,9 @@ NOT_COMPARED = ("provenance", "accelcal_version")
 SAYS_TIME_ZONE = "0.2.0"
 """Parquet files of versions before this one do not say what their times are in."""
 
+DUMP = "raw"
+"""The format whose recordings `--layout` describes; sidecars of others are found by their names."""
+
 _ABSENT = object()
 
 
@@ -171,8 +174,9 @@ def reproduced(
     if isinstance(settings, Settings) and document.report["recording"].get("format") == POINTS:
         return fit_points(recording, settings), None
     layout = _unchanged(made_with.layout, recording, options.layout, "layout")
+    is_dump = document.report["recording"].get("format") == DUMP
     request = Request(
-        options=replace(made_with.options, layout=layout or options.layout),
+        options=replace(made_with.options, layout=(layout if is_dump else None) or options.layout),
         settings=settings,
         poses=_unchanged(made_with.poses, recording, options.poses, "poses"),
         chunk_samples=options.chunk_samples,

@@ -46,6 +46,8 @@ SHORT = {
     "cli/evaluate.py": "one file a command",
     "cli/gravity.py": "one file a command",
     "cli/report.py": "one file a command",
+    "formats/csv/vendors/metawear.py": "one file a vendor",
+    "formats/csv/vendors/phyphox.py": "one file a vendor",
     "core/text_files.py": "for layouts and lists of poses, which lie in different layers",
     "optimize/float32.py": "one file an optimizer",
     "optimize/float64.py": "one file an optimizer",

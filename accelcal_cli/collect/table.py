@@ -8,6 +8,7 @@ then weighs as much as its rows together.
 
 from __future__ import annotations
 
+import re
 import warnings
 import zlib
 from dataclasses import dataclass, replace
@@ -54,6 +55,10 @@ WINDOWS = {"samples", "counts_per_g", "spread_x", "spread_y", "spread_z"}
 
 WIDEST_SPREAD = 1 << 20
 """The spread of the window behind another tool's mean is not known: none is taken for a constant one."""
+
+DECIMAL_COMMA = re.compile(r"\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*")
+IN_G = re.compile(r"\s*[\[(]g[\])]$")
+"""The unit that a column's name may state."""
 
 _HINT = "give a CSV file with a header line and columns x, y, z in g, or a Parquet file with these"
 _CORRECT = "correct or remove this line"
@@ -160,7 +165,11 @@ def _frame(path: Path) -> pd.DataFrame:
         options: dict[str, Any] = {"dtype": str, "keep_default_na": False, "skip_blank_lines": False}
         with warnings.catch_warnings():
             warnings.simplefilter("error", pd.errors.ParserWarning)  # what is cut off is none of ours to lose
-            held = pd.read_csv(path, sep=_delimiter(path), index_col=False, **options)
+            mark = _delimiter(path)
+            options |= {"sep": r"\s+"} if mark == " " else {"sep": mark}
+            held = pd.read_csv(path, index_col=False, encoding="utf-8-sig", **options)
+        if mark != ",":
+            held = held.map(_with_point)
         return held.set_index(held.index + 2)
     except pd.errors.ParserWarning as error:
         raise UnreadableError(
@@ -191,13 +200,18 @@ def _parquet(path: Path) -> pd.DataFrame:
 
 
 def _delimiter(path: Path) -> str:
-    """The first of semicolon and tab that the header line holds; else a comma."""
-    head = probe_file(path, ReadOptions()).head.split(b"\n", 1)[0]
-    return next((mark for mark in ";\t" if mark.encode() in head), ",")
+    """The first of semicolon, tab, bar, comma and blank that the header line holds."""
+    head = probe_file(path, ReadOptions()).head.split(b"\n", 1)[0].strip()
+    return next((mark for mark in ";\t|, " if mark.encode() in head), ",")
+
+
+def _with_point(cell: Any) -> Any:
+    """A number with a point for its decimal comma; any other cell as it is."""
+    return cell.replace(",", ".") if isinstance(cell, str) and DECIMAL_COMMA.fullmatch(cell) else cell
 
 
 def _names(path: Path, columns: list[str]) -> dict[str, str]:
-    lower = {str(name).strip().lower(): name for name in columns}
+    lower = {IN_G.sub("", str(name).strip(" #").lower()): name for name in columns}
     named = {
         key: next(lower[name] for name in names if name in lower)
         for key, names in ALIASES.items()

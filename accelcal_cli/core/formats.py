@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
-from accelcal_cli.core.errors import UnreadableError, UsageError, listed, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.retime import Retiming, retimed
 from accelcal_cli.core.settings import Option, setting, setting_of

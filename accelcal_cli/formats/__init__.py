@@ -29,6 +29,10 @@ from accelcal_cli.core.formats import (
 from accelcal_cli.core.parts import ARCHIVES, files_of, may_be_archive, set_of
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
+from accelcal_cli.formats._others import refuse_others
+
+SIGNED = 90
+"""The confidence from which on a sniffer has seen a signature."""
 
 LOOKED_AT = 8
 """Members of an archive whose names are looked at."""
@@ -50,7 +54,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
     """The format of a file, by its content, or as the user named it.
 
     Raises:
-        UnreadableError: no format fits, or the file cannot be read.
+        UnreadableError: no format fits, it is known to be no recording, or it cannot be read.
         UsageError: the named format does not exist.
     """
     probe = probe_file(path, options)
@@ -58,6 +62,8 @@ def find_format(path: Path, options: ReadOptions) -> Format:
         return named_format(options.format)
     scored = [(item.sniff(probe), item.name, item) for item in all_formats()]
     best = max(scored, key=lambda score: (score[0], score[1]))
+    if best[0] < SIGNED:
+        refuse_others(probe)
     if best[0] == 0:
         raise NoFormatError(
             "its content matches no known format",

@@ -22,6 +22,7 @@ from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file
 from accelcal_cli.core.parts import ANY, files_of, is_never, set_of
 from accelcal_cli.formats import all_formats, holds_parts, named_format
+from accelcal_cli.formats.csv import channels_beside
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline import jobs
@@ -265,7 +266,9 @@ def _plain(path: Path) -> bool:
 
 
 def _item(where: Where, path: Path, name: str) -> Item:
-    stamps = tuple(map(jobs.file_stamp, (path, named_layout(path), folder_layout(path))))
+    channels = channels_beside(path)
+    beside = (named_layout(path), folder_layout(path), *(() if channels is None else (channels,)))
+    stamps = tuple(map(jobs.file_stamp, (path, *beside)))
     return Item(name, _job(path, (where.out / name).parent / jobs.stem(path)), stamps)
 
 

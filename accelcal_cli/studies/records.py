@@ -23,8 +23,8 @@ class Item:
 
     Attributes:
         name: its place under OUT with its full file name, `/` between folders: what it is known by.
-        stamps: its own stamp, and those of the layout files that may describe it; None for none. Then that of
-            what files state of how it is read, where they state something.
+        stamps: its own stamp, and those of the files beside it that may describe it; None for none. Then
+            that of what files state of how it is read, where they state something.
         refusal: why nothing can be done with it, found before any work.
         aside: not to be started now, since `--include` does not name it.
         choices: what files state of how it is read.

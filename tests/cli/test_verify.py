@@ -215,6 +215,22 @@ def test_the_layout_must_be_the_same(tmp_path: Path, capsys: Capture) -> None:
     assert verify(capsys, report, path, "--layout", moved)[0].code == 2
 
 
+def test_sidecars_must_be_the_same(tmp_path: Path, capsys: Capture) -> None:
+    rows = still_counts(directions(4)) / 256 * 9.80665
+    path = tmp_path / "sub-1_task-a_tracksys-b_motion.tsv"
+    np.savetxt(path, rows, "%.6f", "\t")
+    channels = tmp_path / "sub-1_task-a_tracksys-b_channels.tsv"
+    lines = [f"acc_{axis}\t{axis}\tACCEL\twrist\tm/s^2\t25" for axis in "xyz"]
+    head = "name\tcomponent\ttype\ttracked_point\tunits\tsampling_frequency"
+    channels.write_text("\n".join([head, *lines, ""]))
+    assert run(capsys, "calibrate", path).code in (0, 4)
+    report = tmp_path / "sub-1_task-a_tracksys-b_motion.calibration.json"
+    ran, found = verify(capsys, report, path)
+    assert (ran.code, found["result"]) == (0, "identical")
+    channels.write_text(channels.read_text().replace("wrist", "ankle"))
+    assert verify(capsys, report, path)[0].code == 2
+
+
 def test_reports_of_apply_are_verified_with_their_coefficients(tmp_path: Path, capsys: Capture) -> None:
     coefficients, path = donor(tmp_path), tmp_path / "donor.raw"
     other = week(tmp_path / "other.raw", seed=2, poses=12, serial="B2")

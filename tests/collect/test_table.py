@@ -28,8 +28,15 @@ def written(folder: Path, text: str, name: str = "points.csv") -> Path:
         '"","sdx","meanx","meany","meanz"\n"1",9,1,0.5,-0.25\n"2",9,0,0,1\n',
         "z,y,x\r\n-0.25,0.5,1\r\n1,0,0\r\n",
         "x, y, z\n1, 0.5, -0.25\n 0, 0, 1e0\n",
+        "x;y;z\n1;0,5;-0,25\n0;0;1\n",
+        "\ufeffx [g]\ty [g]\tz [g]\r\n1,0\t,5\t-2,5e-1\r\n0\t0\t1\r\n",
+        "x|y|z\n1|0.5|-0.25\n0|0|1\n",
+        "x  y z\n1 0.5   -0.25\n0 0 1\n",
     ],
-    ids=["plain", "semicolons", "tabs", "as R writes it", "any order", "spaces"],
+    ids=[
+        *("plain", "semicolons", "tabs", "as R writes it", "any order", "spaces", "decimal commas"),
+        *("byte order mark, units, decimal commas", "bars", "blanks"),
+    ],
 )
 def test_positions_are_read_as_whole_counts(tmp_path: Path, text: str) -> None:
     table = read_table(written(tmp_path, text))

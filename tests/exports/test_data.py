@@ -12,8 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.exports.data import Wanted, Written, export_data, outputs_of
 from accelcal_cli.exports.rows import calibrated_rows
+from accelcal_cli.formats import open_recording
 from tests.device_recordings import donor
 
 MOTION = "sub-01_task-freeliving_tracksys-wrist_motion.tsv"
@@ -134,6 +136,11 @@ def test_motion_bids(tmp_path: Path) -> None:
     for place, axis in enumerate("xyz", 1):
         assert table[place].to_numpy() == pytest.approx(9.80665 * expected[axis], abs=1e-5)
     assert len(table.columns) == len(channels) == sidecar["MotionChannelCount"]
+    with open_recording(output, ReadOptions()) as reader:
+        chunks = list(reader.chunks(10_000))
+        again = np.concatenate([chunk.counts for chunk in chunks]) / reader.recording.lsb_per_g
+        assert reader.recording.rate_hz == RATE_HZ
+    assert np.abs(again - expected[["x", "y", "z"]].to_numpy()).max() < 1e-6
     assert (sidecar["TaskName"], sidecar["TrackingSystemName"]) == ("freeliving", "wrist")
     assert (sidecar["SamplingFrequency"], sidecar["SamplingFrequencyEffective"]) == (RATE_HZ, RATE_HZ)
 

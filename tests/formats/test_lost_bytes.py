@@ -15,6 +15,8 @@ from accelcal_cli.formats import open_recording
 from tests.formats import (
     make_csv,
     make_cwa,
+    make_edf,
+    make_embraceplus,
     make_flash,
     make_geneactiv,
     make_gt3x,
@@ -161,3 +163,16 @@ def test_opal_rows_without_a_value(tmp_path: Path) -> None:
         for node in found:
             node[100:110] = np.nan
     assert bytes_of(made.path, made.options) == (10 * used // 1200, 1190 * used // 1200)
+
+
+def test_edf_records(tmp_path: Path) -> None:
+    path = make_edf.make(tmp_path, counts(), 50.0, 256.0).path
+    record = 2 * (3 * 50 + 16)
+    assert bytes_of(path) == (0, 24 * record)
+    path.write_bytes(path.read_bytes()[: 256 * 5 + 20 * record + 33])
+    assert bytes_of(path) == (33, 20 * record)
+
+
+def test_embraceplus_is_used_as_a_whole(tmp_path: Path) -> None:
+    path = make_embraceplus.make(tmp_path, counts(), 50.0, 256.0).path
+    assert bytes_of(path) == (0, path.stat().st_size)

@@ -170,9 +170,41 @@ def actigraph() -> Lines:
     return [head, *about, "Accelerometer X,Accelerometer Y,Accelerometer Z", *map(text_of, values())]
 
 
+def sensor_logger() -> Lines:
+    body = (
+        f"{(START_S * 1000 + k * 40) * 1_000_000},{k / RATE:.6f},{text_of(row[::-1], 9.80665)}"
+        for k, row in enumerate(values())
+    )
+    return ["time,seconds_elapsed,z,y,x", *body]
+
+
+def phyphox() -> Lines:
+    names = ["Time (s)", *(f"Acceleration {axis} (m/s^2)" for axis in "xyz")]
+    body = (f"{k / RATE:.9E},{text_of(row, 9.80665)}" for k, row in enumerate(values()))
+    return [",".join(f'"{name}"' for name in names), *body]
+
+
+def metawear() -> Lines:
+    head = "epoc (ms),timestamp (+0100),elapsed (s),x-axis (g),y-axis (g),z-axis (g)"
+    body = (
+        f"{START_S * 1000 + k * 40},{moment(k, '%Y-%m-%dT%H.%M.%S.%f')},{k / RATE},{text_of(row)}"
+        for k, row in enumerate(values())
+    )
+    return [head, *body]
+
+
+def activpal() -> Lines:
+    body = (
+        f"{45_355 + k / RATE / 86_400:.12f};{k};{';'.join(str(round(127 + 63 * value)) for value in row)}"
+        for k, row in enumerate(values())
+    )
+    return ["sep=;", "Time;Index;X;Y;Z", *body]
+
+
 OTHERS = (
     *(epoch_s, epoch_ms, semicolons, decimal_commas, tabs, blanks, days_first, zoned, milli_g, metres),
     *(actigraph, two_columns, mornings, mornings, afternoons),
+    *(sensor_logger, phyphox, metawear, activpal),
 )
 
 

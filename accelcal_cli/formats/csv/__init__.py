@@ -2,16 +2,25 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from accelcal_cli.core.formats import Format, Probe
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".log")
 VENDORS_SCORE = 90
 OTHER_TEXT = (b"Device Identity",)
+MOTION, CHANNELS = "_motion.tsv", "_channels.tsv"
 
 
 def is_text(head: bytes) -> bool:
     """Whether all bytes are such as text has."""
     return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
+
+
+def channels_beside(path: Path) -> Path | None:
+    """Where the table lies that describes the columns of a file of Motion-BIDS; None for other files."""
+    name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
+    return path.with_name(name.removesuffix(MOTION) + CHANNELS) if name.endswith(MOTION) else None
 
 
 def sniff(probe: Probe) -> int:

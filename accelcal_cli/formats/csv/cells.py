@@ -128,10 +128,11 @@ def name_and_hint(name: str) -> tuple[str, str | None]:
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How values of one unit become whole counts."""
+    """How values of one unit become whole counts; `zero` is what stands for 0 g among counts."""
 
     unit: str
     lsb_per_g: float
+    zero: int = 0
 
     @property
     def limit(self) -> float:
@@ -141,7 +142,7 @@ class Scale:
     def counts(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Values (n,) as counts (n,), rounded half to even; NaN stays NaN."""
         if self.unit == "counts":
-            return values
+            return values - self.zero if self.zero else values
         in_g = values if self.per_g == 1.0 else values / self.per_g
         with np.errstate(over="ignore"):
             return np.rint(in_g * self.lsb_per_g)
@@ -152,8 +153,8 @@ class Scale:
         return {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}.get(self.unit, self.lsb_per_g)
 
 
-def scale_for(unit: str, lsb_per_g: float | None) -> Scale:
-    """The scale of a unit.
+def scale_for(unit: str, lsb_per_g: float | None, zero: int = 0) -> Scale:
+    """The scale of a unit; `zero` is that of counts.
 
     Raises:
         UsageError: counts whose number in one g is not known.
@@ -162,7 +163,7 @@ def scale_for(unit: str, lsb_per_g: float | None) -> Scale:
         return Scale(unit, FLOAT_LSB_PER_G)
     if lsb_per_g is None:
         raise UsageError("counts need their scale", hint="give --lsb-per-g, the counts in one g")
-    return Scale(unit, float(lsb_per_g))
+    return Scale(unit, float(lsb_per_g), zero)
 
 
 def stated_unit(options: ReadOptions, hints: set[str]) -> str | None:
@@ -216,7 +217,7 @@ def check_unit(values: NDArray[np.float64], scale: Scale, path: Path) -> None:
     Raises:
         UnreadableError: in it, values (n, 3) are far from the length of gravity.
     """
-    length = usual_length(values) / scale.per_g
+    length = usual_length(values - scale.zero) / scale.per_g
     if length and not USUAL_G[0] < length < USUAL_G[1]:
         raise UnreadableError(
             f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt",

@@ -145,15 +145,22 @@ def _is_unit(word: str) -> bool:
     return known or any(word in rule.units for rule in CHANNELS.values())
 
 
-def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
-    """What each column is.
+def find_roles(
+    dialect: Dialect,
+    options: ReadOptions,
+    path: Path,
+    known_xyz: tuple[int, int, int] | None = None,
+    known_time: int | None = None,
+) -> Roles:
+    """What each column is; x, y, z and the time may be known, unless the options say otherwise.
 
     Raises:
         UnreadableError: it is not clear, or a column that is needed holds no numbers.
         UsageError: --columns or --time-column names no column of the file.
     """
     titles = _titles(dialect)
-    xyz = _chosen_axes(dialect, options, path) or _named_axes(titles, path) or _placed_axes(dialect, path)
+    xyz = _chosen_axes(dialect, options, path) or known_xyz
+    xyz = xyz or _named_axes(titles, path) or _placed_axes(dialect, path)
     for column in xyz:
         if dialect.kinds[column] is not Kind.NUMBER:
             raise UnreadableError(
@@ -162,7 +169,8 @@ def find_roles(dialect: Dialect, options: ReadOptions, path: Path) -> Roles:
                 line=dialect.skipped + 1,
                 hint="name the columns of x, y and z with --columns",
             )
-    time, date = _time_columns(dialect, titles, options, xyz, path)
+    known = (known_time, None) if known_time is not None and options.time_column is None else None
+    time, date = known or _time_columns(dialect, titles, options, xyz, path)
     hints = frozenset(
         unit for title in titles if title.number in xyz and (unit := acceleration_unit(title.hint))
     )

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace
 from accelcal_cli.formats.csv import times
+from accelcal_cli.formats.csv.bids import bids_description
 from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
@@ -90,17 +91,16 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     """
     _refuse_not_positive(options)
     head = _head(path, False)
-    export = export_description(head, path.name) or ExportDescription()
+    export = bids_description(path) or export_description(head, path.name) or ExportDescription()
     _refuse_doubtful(export, options, path)
     dialect = find_dialect(head, export.preamble)
     if dialect is None:
         raise _no_rows(path, head)
     if dialect.bare_returns:
         head = _head(path, True)
-    if dialect.names is None and len(export.names or ()) == dialect.columns:
-        dialect = replace(dialect, names=export.names)
+    dialect = _named(dialect, export, path)
     block = RepeatedHeads(head[: dialect.offset]).without(_head_block(head, dialect))
-    roles = find_roles(dialect, options, path)
+    roles = find_roles(dialect, options, path, export.xyz, export.time)
     parser = _table_parser(block, dialect, roles, export, options, path)
     cells = parser.cells(block)
     scale, guessed = _scale(cells, roles, export, options, path)
@@ -111,6 +111,24 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
     above = head[: dialect.offset]
     return Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed, above)
+
+
+def _named(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:
+    """The layout with the names that the export gives to columns without.
+
+    Raises:
+        UnreadableError: a file beside it describes another number of columns.
+    """
+    names = export.names or ()
+    if export.companion is not None and len(names) != dialect.columns:
+        raise UnreadableError(
+            f"has {dialect.columns} columns, and {printable(export.companion.name)} describes {len(names)}",
+            path=path,
+            line=dialect.names_line,
+            hint="correct that file, or take it away",
+        )
+    unnamed = dialect.names is None and len(names) == dialect.columns
+    return replace(dialect, names=export.names) if unnamed else dialect
 
 
 def _refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:
@@ -162,6 +180,8 @@ def _table_parser(
     dialect = _with_date_order(block, dialect, roles.time, export, options, path)
     cells = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
     time = times.find_time_format(cells, roles.time_unit_us, rate_hz, path)
+    if export.companion is not None and export.start is not None:
+        time = time.counted_from(export.start.us(None, path))
     return TableParser(path, dialect, roles, time)
 
 
@@ -210,10 +230,11 @@ def _scale(
     """The scale, and whether gravity alone decided the unit."""
     stated = stated_unit(options, set(roles.hints))
     if stated is None and export.unit is not None:
-        scale = scale_for(export.unit, export.lsb_per_g)
+        scale = scale_for(export.unit, export.lsb_per_g, export.zero)
         check_unit(cells.values, scale, path)
         return scale, False
-    return scale_for(stated or guess_unit(cells.values, path), options.lsb_per_g), stated is None
+    unit = stated or guess_unit(cells.values, path)
+    return scale_for(unit, options.lsb_per_g, export.zero), stated is None
 
 
 def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
@@ -228,7 +249,8 @@ def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, p
         raise UnreadableError(
             "no column is known to hold the time",
             path=path,
-            hint="name it with --time-column, or give the sampling rate with --rate",
+            hint="name it with --time-column, or give the sampling rate with --rate; means of still "
+            "windows are fitted with `accelcal fit`",
         )
     return Pace(options.rate_hz)
 

@@ -143,6 +143,7 @@ def _recording(path: Path, detected: Detected, first_us: int | None, last_us: in
         stamped=written is not None and written.since_1970,
         duration_s=length if length is not None and length > 0 else None,
         has_temperature="temperature_mc" in detected.first_values,
+        companion=export.companion,
         notes=detected.notes(),
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from itertools import pairwise
 from pathlib import Path
@@ -89,6 +89,7 @@ class TimeFormat:
         since_1970: False if the numbers count from the start of the recording.
         epoch_day: the number of 1970-01-01 where days are counted from another date.
         has_offsets: the ISO times end in an offset such as +01:00, not in Z.
+        dated: the numbers count from a start that is a local time.
     """
 
     unit_us: float | None
@@ -96,6 +97,7 @@ class TimeFormat:
     since_1970: bool = True
     epoch_day: float = 0.0
     has_offsets: bool = False
+    dated: bool = False
 
     @property
     def is_utc(self) -> bool:
@@ -103,7 +105,14 @@ class TimeFormat:
 
         Days are what spreadsheets count, and those show a clock.
         """
-        return self.zoned or (self.unit_us is not None and self.since_1970 and self.unit_us != DAY_US)
+        moments = self.unit_us is not None and self.since_1970 and self.unit_us != DAY_US
+        return self.zoned or (moments and not self.dated)
+
+    def counted_from(self, start_us: int) -> TimeFormat:
+        """The same of numbers that count from the start of the recording, where that is known."""
+        if self.unit_us is None or self.since_1970:
+            return self
+        return replace(self, since_1970=True, epoch_day=-start_us / self.unit_us, dated=True)
 
     @property
     def arrow_type(self) -> Any:

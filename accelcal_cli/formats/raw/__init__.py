@@ -40,8 +40,17 @@ def find_layout(path: Path, options: ReadOptions) -> Path | None:
     return next((found for found in (named_layout(path), folder_layout(path)) if is_file(found)), None)
 
 
+def _is_of_a_dump(path: Path) -> bool:
+    """Whether the layout beside a file is that of a dump with a usual suffix."""
+    name = named_layout(path).name.removesuffix(SUFFIX)
+    return any(is_file(path.with_name(name + end + gz)) for end in DUMP_SUFFIXES for gz in ("", ".gz"))
+
+
 def sniff(probe: Probe) -> int:
     """A dump is known by its layout alone: 100 named by the user, 95 its own, 40 its folder's.
+
+    Beside a file of another suffix its own scores 35, so that whatever else its content shows comes first;
+    its folder's is for the usual suffixes alone.
 
     Below 100 unless the user names it, so that a dump with a signature is read as that format. A
     `.raw` file for which rate and counts per g are given, but no layout, scores 30.
@@ -50,7 +59,7 @@ def sniff(probe: Probe) -> int:
     if options.layout is not None:
         return 100
     if probe.suffix not in DUMP_SUFFIXES:
-        return 0
+        return 35 if is_file(named_layout(probe.path)) and not _is_of_a_dump(probe.path) else 0
     if is_file(named_layout(probe.path)):
         return 95
     if is_file(folder_layout(probe.path)):

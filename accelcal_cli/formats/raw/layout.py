@@ -275,8 +275,9 @@ class Keys:
             raise self.error(key, "is missing")
         return value
 
-    def finish(self) -> None:
-        """Refuse keys that nothing asked for."""
+    def finish(self, *also: str) -> None:
+        """Refuse keys that nothing asked for, except these."""
+        self._known.update(also)
         for key in self._table:
             if key not in self._known:
                 near = difflib.get_close_matches(key, self._known, 1)
@@ -389,8 +390,9 @@ def parse_layout(document: Mapping[str, Any], path: Path) -> Layout:
         UsageError: see `load_layout`.
     """
     top = Keys(document, path, "")
-    dump, fields, page = top.table("dump"), top.table("fields"), top.optional_table("page")
-    top.finish()
+    page = top.optional_table("page")
+    top.finish("dump", "fields")
+    dump, fields = top.table("dump"), top.table("fields")
     parsed = {name: parse_field(fields.table(name)) for name in FIELD_NAMES if name in fields}
     fields.finish()
     check_fields(parsed, fields)

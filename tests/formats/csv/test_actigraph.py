@@ -227,3 +227,18 @@ def test_real_export_sleeps_when_the_device_says_so(real_data: Path) -> None:
     assert repeated == 182_200 + 100 + 1
     assert found.recording.rate_hz == 100.0
     assert found.recording.device.serial == "TAS1H30182785"
+
+
+def test_verisense_has_the_same_header_and_rates_that_are_not_whole(tmp_path: Path) -> None:
+    header = HEADER.replace("ActiGraph GT3X+ ActiLife", "Verisense IMU Verisense").replace(
+        "30 Hz", "26.041667 Hz"
+    )
+    found = read(written(tmp_path, header + NAMES + "0,0,1\n" * 60))
+    about = found.recording
+    assert (about.rate_hz, about.device.model, about.device.serial) == (
+        26.041667,
+        "Verisense IMU",
+        "NEO1D00000017",
+    )
+    assert about.notes[0] == "an export of Verisense"
+    assert (found.problems, found.validity.any()) == ([], False)

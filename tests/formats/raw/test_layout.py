@@ -10,8 +10,8 @@ import pytest
 
 from accelcal_cli.core.clock import StartTime
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats.raw import find_layout, named_layout
+from accelcal_cli.core.formats import ReadOptions, probe_file
+from accelcal_cli.formats.raw import FORMAT, find_layout, named_layout
 from accelcal_cli.formats.raw.layout import Checksum, Field, Sequence, Stamp, load_layout
 
 FULL = """
@@ -149,7 +149,7 @@ SEQUENCE = 'sequence = { offset = 0, type = "uint32" }'
         ("covers = [0, 508]", "cover = [0, 508]", "page.crc.covers is missing"),
         ('type = "crc32"', 'type = "md5"', "allowed: crc32, crc16-ccitt"),
         ("[page]", "[pages]", "[pages] is not a known key; did you mean page"),
-        ("[fields]", "[field]", "[fields] is missing"),
+        ("[fields]", "[field]", "[field] is not a known key; did you mean fields?"),
         ("[dump]", "[dump", "line 2"),
     ],
 )  # fmt: skip
@@ -224,7 +224,11 @@ def inspected(layout: Path, megabytes: int) -> subprocess.CompletedProcess[str]:
             "line 2: the layout has a line of more than 1000 characters",
             marks=pytest.mark.nightly,
         ),
-        pytest.param("a" + ".a" * 490 + "=1\n", "[dump] is missing", marks=pytest.mark.nightly),
+        pytest.param(
+            "a" + ".a" * 490 + "=1\n",
+            "[a] is not a known key; valid keys: dump, fields, page",
+            marks=pytest.mark.nightly,
+        ),
         ("#\n" * 40_000, "the layout is too large, more than 65536 bytes"),
     ],
 )
@@ -288,3 +292,14 @@ crc = {{ offset = {size}, type = "crc16-ccitt", covers = [0, {size}] }}
         .replace(f"page_bytes = {size + 2}", f"page_bytes = {size + 4}")
     )
     assert load_layout(path).checksum is not None
+
+
+@pytest.mark.parametrize("name", ["night.dmp", "night", "night.001.gz"])
+def test_a_layout_of_its_own_lies_beside_a_file_of_any_suffix(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(bytes(range(250)) * 10)
+    assert FORMAT.sniff(probe_file(path, ReadOptions())) == 0
+    (tmp_path / named_layout(path).name).touch()
+    assert FORMAT.sniff(probe_file(path, ReadOptions())) == 35
+    (tmp_path / f"{Path(name.removesuffix('.gz')).stem}.bin").touch()
+    assert FORMAT.sniff(probe_file(path, ReadOptions())) == 0

@@ -78,7 +78,9 @@ class ExportDescription:
         title: whose export this is, for people.
         preamble: lines before the names of the columns, or before the first row.
         names: of the columns, where no line of the file names them.
-        unit: of the acceleration, as in `--unit`; `lsb_per_g` where they are counts.
+        xyz, time: numbers of the columns, where the names need not tell.
+        unit: of the acceleration, as in `--unit`; `lsb_per_g` where they are counts, and `zero`, the count
+            that stands for 0 g.
         rate_hz: sampling rate.
         start: of the recording; used where rows carry no times.
         timezone: of its clock.
@@ -86,6 +88,7 @@ class ExportDescription:
         date_order: of day, month and year, such as `mdy`.
         repeats_idle: rows that only repeat the one before, for a second or more, were written by
             the device while it slept, and so were zeros.
+        companion: the file beside it that says all this, if it is not in the file itself.
         doubt: why it cannot be calibrated as it is; None for raw data.
     """
 
@@ -93,14 +96,18 @@ class ExportDescription:
     device: Device = NO_DEVICE
     preamble: int = 0
     names: tuple[str, ...] | None = None
+    xyz: tuple[int, int, int] | None = None
+    time: int | None = None
     unit: str | None = None
     lsb_per_g: float | None = None
+    zero: int = 0
     rate_hz: float | None = None
     start: Start | None = None
     timezone: str | None = None
     range_g: float | None = None
     date_order: str | None = None
     repeats_idle: bool = False
+    companion: Path | None = None
     doubt: Doubt | None = None
 
 

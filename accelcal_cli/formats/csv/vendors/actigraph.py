@@ -1,9 +1,12 @@
-"""ActiGraph: raw CSV as ActiLife and its imitators write it, behind a header of ten lines.
+"""ActiGraph: raw CSV as ActiLife and its imitators write it, behind a header of ten lines; Verisense too.
 
 The first line states the model, the firmware, how dates are written, and the rate; the others the
 serial number and the start. Rows are x, y, z in g, with or without a time stamp before them, with or
 without a line of names. While it sleeps, the device repeats its last sample at the usual rate, or
 writes zeros (ActiGraph, "Idle Sleep Mode Explained"; github.com/actigraph/agcounts, issue 19).
+
+Shimmer's Verisense has the same header with its own name in place of ActiGraph's, and rates that are no
+whole number (github.com/wadpac/GGIR, `g.inspectfile` and `g.extractheadervars`); it has no idle sleep.
 """
 
 from __future__ import annotations
@@ -18,8 +21,8 @@ from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Sta
 HEADER_LINES = 15
 FASTEST_HZ = 1000.0
 
-FIRST = re.compile(r"Data\s+(?:Table\s+)?File\s+Created\s+By\s+ActiGraph\s+(\S+)", re.IGNORECASE)
-RATE = re.compile(r"\bat\s*(\d{1,4}(?:[.,]\d{1,4})?)\s*Hz", re.IGNORECASE)
+FIRST = re.compile(r"Data\s+(?:Table\s+)?File\s+Created\s+By\s+(ActiGraph|Verisense)\s+(\S+)", re.I)
+RATE = re.compile(r"\bat\s*(\d{1,4}(?:[.,]\d{1,9})?)\s*Hz", re.IGNORECASE)
 FIRMWARE = re.compile(r"Firmware\s+v?(\S+)")
 DATES = re.compile(r"date\s+format\s+(\S.{3,10}?\S)\s+(?:at\s*\d|Filter|-{3})", re.IGNORECASE)
 KEY = re.compile(r"\W*(?:(?:Serial|Start|Epoch|Window|Cycle|Download|Current)\b|-{5,})")
@@ -34,17 +37,20 @@ def recognise(head: Head) -> bool:
 def describe(head: Head) -> ExportDescription:
     """All that the header says; ActiLife writes raw acceleration in g."""
     first = head[0]
-    model, firmware, dates = (_group(pattern, first) for pattern in (FIRST, FIRMWARE, DATES))
+    made_by = FIRST.search(first)
+    verisense = made_by is not None and made_by[1].lower() == "verisense"
+    maker, model = "Verisense" if verisense else "ActiGraph", made_by[2].rstrip(",;") if made_by else ""
+    firmware, dates = (_group(pattern, first) for pattern in (FIRMWARE, DATES))
     return ExportDescription(
-        title="ActiGraph",
-        device=Device(f"ActiGraph {model}", _value(head, "Serial Number:?"), firmware),
+        title=maker,
+        device=Device(f"{maker} {model}", _value(head, "Serial Number:?"), firmware),
         preamble=_preamble(head),
         unit="g",
         rate_hz=_rate(first),
         start=_start(head),
         date_order=None if dates is None else order_in(dates),
-        repeats_idle=True,
-        doubt=_doubt(head),
+        repeats_idle=not verisense,
+        doubt=_doubt(head, maker),
     )
 
 
@@ -93,15 +99,16 @@ def _start(head: Head) -> Start | None:
     return Start(seconds * MICROSECONDS, day, line)
 
 
-def _doubt(head: Head) -> Doubt | None:
+def _doubt(head: Head, maker: str) -> Doubt | None:
     """Tables of counts have an epoch; raw data has one of zero length."""
     match = CLOCK.match(_value(head, r"(?:Epoch|Window|Cycle) \w+ \(hh:mm:ss\)") or "")
     epoch = 0 if match is None else int(match[1]) * 3600 + int(match[2]) * 60 + int(match[3])
     if not epoch:
         return None
+    source = " from ActiLife" if maker == "ActiGraph" else ""
     return Doubt(
         f"it holds counts of {epoch} s each, not raw acceleration",
-        "export the raw data from ActiLife; or give --unit to read it anyway",
+        f"export the raw data{source}; or give --unit to read it anyway",
     )
 
 

@@ -1,0 +1,129 @@
+"""Files of studies that are no recordings: epochs and counts of many devices, and tables of still windows.
+
+They are recognised by their content, so that the answer says what they are and what to give instead.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import Probe
+
+NOT_RAW = "epochs, not raw acceleration"
+LOOKED_AT = 4096
+HEADER_LINES = 200
+INSIST = "; or give --unit and --columns to read it anyway"
+FIT = "fit them with `accelcal fit`; or give --columns to read them as samples"
+
+SEPARATORS = re.compile(r"[,;\t|]")
+AXIS = re.compile(r"(?:.*[^a-z])?[xyz](?:[^a-z].*)?|a(?:cc)?[xyz]")
+EPOCH_NAMES = frozenset(
+    {
+        *(
+            "activity",
+            "activity counts",
+            "activiteit",
+            "activit\u00e9",
+            "aktivit\u00e4t",
+            "counts",
+            "vector magnitude",
+        ),
+        *(
+            "axis1",
+            "steps",
+            "activityminute",
+            "activityhour",
+            "calories",
+            "mets",
+            "met",
+            "pim",
+            "zcm",
+            "enmo",
+        ),
+        *("moderate-vigorous", "atividade", "enmo_t", "anglez"),
+    }
+)
+"""Names of columns, in lower case, that tables of epochs have, without x, y and z beside them."""
+
+MEANS = ({"x", "y", "z"}, {"meanx", "meany", "meanz"}, {"mean_x", "mean_y", "mean_z"})
+OF_WINDOWS = {"weight", "posture", "counts_per_g", "spread_x", "meanx", "mean_x"}
+"""What tables of still windows have beside the means, or as their names (`collect/table.py`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Other:
+    """What a file is, after "holds", and what to do."""
+
+    what: str
+    hint: str
+
+
+def _epochs(device: str, hint: str) -> Other:
+    return Other(f"{device} {NOT_RAW}", hint)
+
+
+NO_RAW = "no raw acceleration can be exported from it"
+SIGNS: tuple[tuple[re.Pattern[bytes], Other], ...] = (
+    (re.compile(rb'\s*\[\s*\{\s*"(?:dateTime|logId)"'), _epochs("Fitbit's", NO_RAW)),
+    (re.compile(rb"[^<]{0,8}<\?xml[^>]*>\s*<motionfile"), _epochs("a MotionWatch's", NO_RAW)),
+    (re.compile(rb"(?s).{0,2000}?Motion(?:Watch|Ware)"), _epochs("a MotionWatch's", NO_RAW)),
+    (re.compile(rb"(?s).{0,2000}?Acti(?:ware|watch)"), _epochs("an Actiwatch's", NO_RAW)),
+    (
+        re.compile(rb"[^\n]*\n\s*\d\d-\w{3}-\d{4}\s*\n\s*\d\d?:\d\d(?::\d\d)?\s*\n\s*\d+\s*\n"),
+        _epochs("an Actiwatch's", NO_RAW),
+    ),
+    (re.compile(rb"\W*Actical List Export"), _epochs("an Actical's", NO_RAW)),
+    (re.compile(rb"\W*Condor Instruments Report"), _epochs("an ActTrust's", NO_RAW)),
+    (re.compile(rb"(?s).{0,1000}?Store rate:.{0,200}?Binning mode:"), _epochs("a Daqtometer's", NO_RAW)),
+)
+"""How they begin, as in the test files of github.com/wadpac/GGIRread and github.com/ghammad/pyActigraphy."""
+
+SQLITE = b"SQLite format 3\0"
+PARQUET = b"PAR1"
+AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
+DATABASE = Other("an SQLite database", "export the recording as text (CSV)")
+TABLE = _epochs("a table of", "export the raw data" + INSIST)
+WINDOWS = Other("means of still windows, not samples", FIT)
+PARQUET_TABLE = Other(
+    "a Parquet table",
+    "calibrated samples need no calibration; still-window means are fitted with `accelcal fit`",
+)
+
+
+def refuse_others(probe: Probe) -> None:
+    """Raise UnreadableError for what is known to be no recording, unless the user says how to read it."""
+    options = probe.options
+    found = _other(probe)
+    if found is not None and options.columns is None and options.unit is None:
+        raise UnreadableError(f"holds {found.what}", path=probe.path, hint=found.hint)
+
+
+def _other(probe: Probe) -> Other | None:
+    head = probe.head
+    if head.startswith(SQLITE):
+        return AGD if probe.suffix == ".agd" or b"epochlength" in head or b"inclineOff" in head else DATABASE
+    if head.startswith(PARQUET):
+        return PARQUET_TABLE
+    if b"\0" in head[:LOOKED_AT]:
+        return None
+    signed = next((other for sign, other in SIGNS if sign.match(head[:LOOKED_AT])), None)
+    return _by_names(head, signed)
+
+
+def _by_names(head: bytes, signed: Other | None) -> Other | None:
+    """A table of epochs or of still windows, by the names of its columns; else what its beginning says.
+
+    A table with columns of x, y and z may be raw whatever its beginning says.
+    """
+    for line in head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]:
+        names = {cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)}
+        plain = {re.sub(r"\s*[\[(].*", "", name) for name in names}
+        if any(means <= plain for means in MEANS) and OF_WINDOWS & plain:
+            return WINDOWS
+        if sum(map(bool, map(AXIS.fullmatch, plain))) >= len("xyz"):
+            return None
+        if len(names) > 1 and EPOCH_NAMES & names and not any(map(AXIS.fullmatch, names)):
+            return signed or TABLE
+    return signed

@@ -1,0 +1,226 @@
+"""An open EDF or BDF file: its data records as pages, with the times of records that EDF+D gives."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import MICROSECONDS, StampClock, rate_fraction
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.formats._pages import pages as paged
+from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
+from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
+from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, Spacing, Timeline
+from accelcal_cli.formats.edf.header import ANNOTATIONS, COPY_AGAIN, Header, Signal, read_header
+from accelcal_cli.formats.edf.signals import Chosen, choose
+
+ONSET = re.compile(rb"([+-])(\d{1,9})(?:\.(\d{0,9}))?\x14", re.ASCII)
+"""Where a record begins, in seconds after the start, as the first annotation of each record says."""
+
+RATES_HZ = (0.001, 100_000.0)
+NO_START = "the header has no date; times count from 1970-01-01"
+MILLIKELVIN_ZERO = -273_150
+HOTTEST = 1_000_000
+
+
+class RecordDecoder:
+    """Decodes blocks of data records.
+
+    Attributes:
+        seen: the number of the record behind the last one of any block so far.
+    """
+
+    def __init__(self, header: Header, chosen: Chosen, start_us: int) -> None:
+        self._header = header
+        self._chosen = chosen
+        self._start_us = start_us
+        self._annotations = annotations_of(header)
+        sensors = [axes for axes in (chosen.accel, chosen.gyro) if axes is not None]
+        self._may_fail = any(axes.may_fail(header.sample_bytes) for axes in sensors)
+        self.seen = 0
+
+    def __call__(self, raw: RawBlock) -> Decoded:
+        """The records of a block; of EDF+D, those whose time can be read."""
+        self.seen = max(self.seen, raw.next_position)
+        pages, position = raw.pages, raw.first_position + np.arange(len(raw.pages))
+        bad: list[paged.BadRun] = []
+        stamps = None
+        if self._header.plus == "D" and self._annotations is not None:
+            onsets = [self.onset_us(page) for page in pages]
+            status = np.array([paged.GOOD if onset is not None else paged.TEXT for onset in onsets], np.uint8)
+            bad = paged.bad_runs(status, raw.first_position)
+            pages, position = pages[status == paged.GOOD], position[status == paged.GOOD]
+            stamps = np.array([self._start_us + onset for onset in onsets if onset is not None], np.int64)
+        return Decoded(self._block(pages, position, stamps), bad, raw.tail)
+
+    def onset_us(self, page: NDArray[np.uint8]) -> int | None:
+        """Microseconds from the header's start to a record's, None if it does not say."""
+        if self._annotations is None:
+            return None
+        match = ONSET.match(self._bytes(page[np.newaxis], self._annotations).tobytes())
+        if match is None:
+            return None
+        fraction = int((match[3] or b"").ljust(9, b"0")) + 500
+        onset = int(match[2]) * MICROSECONDS + fraction // 1000
+        return -onset if match[1] == b"-" else onset
+
+    def _block(
+        self, pages: NDArray[np.uint8], position: NDArray[np.int64], stamps: NDArray[np.int64] | None
+    ) -> PageBlock:
+        chosen, rows = self._chosen, self._chosen.accel.signals[0].samples
+        faulty = np.zeros(len(pages) * rows, np.bool_) if self._may_fail else None
+        counts = chosen.accel.counts([self._digital(pages, one) for one in chosen.accel.signals], faulty)
+        channels: dict[str, NDArray[Any]] = {}
+        if chosen.gyro is not None:
+            turning = [self._digital(pages, one) for one in chosen.gyro.signals]
+            channels["gyro_counts"] = chosen.gyro.counts(turning, faulty)
+        if chosen.temperature is not None:
+            channels["temperature_mc"] = self._temperature(pages, rows)
+        return PageBlock(
+            position=position,
+            rows=np.full(len(pages), rows, np.int64),
+            counts=counts,
+            time_us=stamps,
+            faulty=faulty,
+            channels=channels,
+        )
+
+    def _bytes(self, pages: NDArray[np.uint8], signal: Signal) -> NDArray[np.uint8]:
+        size = self._header.sample_bytes
+        start = signal.offset * size
+        return np.ascontiguousarray(pages[:, start : start + signal.samples * size])
+
+    def _digital(self, pages: NDArray[np.uint8], signal: Signal) -> NDArray[Any]:
+        """A signal's digital values, (n,): int16, or int32 of BDF."""
+        data = self._bytes(pages, signal)
+        if self._header.sample_bytes == 2:
+            return data.view("<i2").reshape(-1).astype(np.int16)
+        low, middle, high = data.reshape(-1, 3).T.astype(np.int32)
+        return np.asarray(low | middle << 8 | (high ^ 0x80) - 0x80 << 16)
+
+    def _temperature(self, pages: NDArray[np.uint8], rows: int) -> NDArray[np.int32]:
+        """Of each row the last value before its end, (n,) thousandths of a degree C."""
+        assert self._chosen.temperature is not None
+        signal, gain, zero = self._chosen.temperature
+        values = np.rint(self._digital(pages, signal) * gain + zero)
+        measured = (values >= MILLIKELVIN_ZERO) & (values <= HOTTEST)
+        milli = np.where(measured, values, paged.MISSING).astype(np.int32)
+        place = np.arange(rows) * signal.samples // rows
+        return milli.reshape(len(pages), signal.samples)[:, place].reshape(-1)
+
+
+def annotations_of(header: Header) -> Signal | None:
+    """The signal whose first annotation is the time of a record."""
+    return next((one for one in header.signals if one.label in ANNOTATIONS and one.samples), None)
+
+
+class EdfReader(PagedReader):
+    """Streams data records; says at the end if they are not as many as the header claims."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        scheme: PageScheme,
+        opening: Opening,
+        problems: tuple[Problem, ...],
+        decoder: RecordDecoder,
+        records: int | None,
+    ) -> None:
+        super().__init__(recording, scheme, opening, problems)
+        self._file = scheme.file
+        self._decoder, self._records = decoder, records
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order, whole records, at least one."""
+        chunk = None
+        for chunk in super().chunks(chunk_samples):
+            yield chunk
+        seen = self._decoder.seen
+        if chunk is not None and self._records not in (None, seen):
+            yield self._miscounted(chunk, seen)
+
+    def _miscounted(self, last: Chunk, seen: int) -> Chunk:
+        text = f"the header says {self._records} data records, and the file holds {seen}"
+        end = self._file.offset(seen)
+        problem = Problem("truncated", text, end, last.first_sample + len(last))
+        return Chunk(
+            last.first_sample + len(last),
+            last.counts[:0],
+            StampClock(np.empty(0, np.int64)),
+            last.end_byte,
+            temperature_mc=None if last.temperature_mc is None else last.temperature_mc[:0],
+            gyro_counts=None if last.gyro_counts is None else last.gyro_counts[:0],
+            problems=(problem,),
+        )
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open an EDF or BDF file.
+
+    Raises:
+        UnreadableError: the header is damaged, no accelerometer is found in it, or there is no record.
+        UsageError: an option names no signal, or contradicts the file.
+    """
+    header = read_header(path)
+    chosen = choose(header, options, path)
+    rate_hz = float(chosen.accel.signals[0].samples / header.seconds)
+    if not RATES_HZ[0] <= rate_hz <= RATES_HZ[1]:
+        what = f"a sampling rate of {rate_hz:g} Hz is impossible"
+        raise UnreadableError(what, path=path, byte_offset=244, hint=COPY_AGAIN)
+    rate = rate_fraction(agreed_rate(options, rate_hz, path))
+    file = paged.paged_file(path, header.header_bytes, header.record_bytes, proved=False)
+    decoder = RecordDecoder(header, chosen, header.start_us or 0)
+    spacing = Spacing(rate, chosen.accel.signals[0].samples)
+    timed = header.plus == "D" and annotations_of(header) is not None
+    start_us = (header.start_us or 0) + (0 if timed else first_onset_us(file, decoder))
+
+    def timeline() -> Timeline:
+        return ExactTimeline(spacing) if timed else NominalTimeline(spacing, start_us)
+
+    scheme = PageScheme(file, spacing, decoder, timeline)
+    opening = look_inside(scheme)
+    if opening is None:
+        what = "has no usable data record" + (" whose time can be read" if timed else "")
+        raise UnreadableError(what, path=path, byte_offset=header.header_bytes, hint=COPY_AGAIN)
+    problems = () if header.start_us is not None else (Problem("no_start_time", NO_START, 168, 0),)
+    about = recording(scheme, header, chosen, opening)
+    return EdfReader(about, scheme, opening, problems, decoder, header.records)
+
+
+def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
+    """The fraction of a second that EDF+ adds to the header's start, 0 for other files."""
+    first = next(file.blocks(1))
+    onset = decoder.onset_us(first.pages[0]) if len(first.pages) else None
+    return onset if onset is not None and 0 <= onset < MICROSECONDS else 0
+
+
+def recording(scheme: PageScheme, header: Header, chosen: Chosen, opening: Opening) -> Recording:
+    """The file's description."""
+    samples, duration_s = extent(scheme, opening)
+    labels = ", ".join(f"{one.label} [{one.dimension}]" for one in chosen.accel.signals)
+    notes = [f"x, y, z: {labels}"]
+    if chosen.accel.on_grid:
+        notes.append("x, y and z have scales without a common step; they were rounded to 0.06 micro-g")
+    gyro = None if chosen.gyro is None else float(chosen.gyro.step)
+    return Recording(
+        path=scheme.file.path,
+        format="edf",
+        rate_hz=float(scheme.spacing.rate),
+        lsb_per_g=chosen.accel.per_unit,
+        total_bytes=scheme.file.size,
+        device=header.device,
+        range_g=chosen.range_g,
+        start_us=None if header.start_us is None else opening.start_us,
+        samples=samples,
+        duration_s=duration_s,
+        has_temperature=opening.first_values.get("temperature_mc") is not None,
+        gyro_dps_per_lsb=None if gyro is None else (gyro, gyro, gyro),
+        notes=tuple(notes),
+    )

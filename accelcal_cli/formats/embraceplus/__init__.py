@@ -1,0 +1,23 @@
+"""Empatica EmbracePlus: raw data as Avro files of half an hour each, and how they are recognised."""
+
+from __future__ import annotations
+
+from accelcal_cli.core.formats import Format, Probe
+
+AVRO_MAGIC = b"Obj\x01"
+OURS = (b"empatica", b"rawData")
+
+
+def sniff(probe: Probe) -> int:
+    """100 for an Avro file whose schema speaks of Empatica or of raw data."""
+    return 100 if probe.head.startswith(AVRO_MAGIC) and any(word in probe.head for word in OURS) else 0
+
+
+FORMAT = Format(
+    "embraceplus",
+    "Empatica EmbracePlus raw data (Avro)",
+    (".avro",),
+    sniff,
+    reader="accelcal_cli.formats.embraceplus.reader:open_recording",
+    ignores=("unit", "lsb_per_g", "columns", "time_column", "date_format", "layout", "sensor"),
+)

@@ -1,0 +1,91 @@
+"""Files that are no recordings: each is told for what it is, with what to give instead."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats import find_format
+
+EPOCHS = {
+    "fitbit.json": '[{\n  "dateTime" : "06/24/95 16:00:00",\n  "value" : "0"\n},{\n',
+    "watch.mtn": '\ufeff<?xml version="1.0" encoding="UTF-8"?><motionfile><log2 major="2" minor="1">\r\n',
+    "motionware.csv": "MotionWatch 8 data\nDate,Time,Activity\n01/02/2020,00:00:00,4\n",
+    "actiware.csv": '\ufeff"Actiware Export File  (Version 05.00 )"\r\n"Filename:",""\r\n',
+    "dutch.csv": "\ufeffActiware-exportbestand (versie 05.00),,,\nBestandsnaam:,C:\\a.csv,,\n",
+    "watch.AWD": "NAME\n01-Jan-2018\n08:30\n4\n0\nV00000\nF\n0\n0\n",
+    "old.AWD": "tempdemo\r\n30-Jan-2001\r\n18:11:00 \r\n 4 \r\n00\r\nT4460210140\r\n",
+    "actical.csv": "Actical List Export File  (Version 03.00),,,\nFilename:,,,\n",
+    "trust.txt": "+---+ Condor Instruments Report +---+\r\nSOFTWARE_VERSION : 1.0.13\r\n",
+    "daqtix.csv": "Start: 2000-01-27 19:00:00 GMT\nStore rate:,1,1\nBinning mode:,Sum,Average\n",
+    "mesa.csv": "mesaid,line,linetime,offwrist,activity,marker\n1,1,00:00:00,1,3,0\n",
+    "biobank.csv": "time,acc,light,moderate-vigorous,sedentary\n2014-05-07 13:29:50+0100,63.1,0.0,0.0,1.0\n",
+    "tal.txt": "Data; Hora; Evento; Luminosidade; Atividade\n2000/1/1; 00:00:00; 1; 0; 0;\n",
+    "fitabase.csv": "Id,ActivityMinute,Steps\n1,4/12/2016 12:00:00 AM,0\n2,4/12/2016 12:01:00 AM,0\n",
+    "agd.csv": "Date,Time,Axis1,Axis2,Axis3,Steps\n6/27/2012,10:54:00,1,2,3,0\n" * 9,
+    "counts.agd": "SQLite format 3\0" + "\0" * 400 + "CREATE TABLE data (dataTimestamp INTEGER, axis1 REAL)",
+    "renamed.db": "SQLite format 3\0" + "\0" * 400 + "epochcount5394\nepochlength10",
+}
+
+
+def error_of(folder: Path, name: str, text: str, **options: object) -> UnreadableError:
+    path = folder / name
+    path.write_text(text, "utf-8", newline="")
+    with pytest.raises(UnreadableError) as caught:
+        find_format(path, ReadOptions(**options))  # type: ignore[arg-type]
+    assert str(path) in str(caught.value)
+    return caught.value
+
+
+@pytest.mark.parametrize("name", EPOCHS)
+def test_epochs_are_told_in_one_line(tmp_path: Path, name: str) -> None:
+    error = error_of(tmp_path, name, EPOCHS[name])
+    assert error.message.endswith("epochs, not raw acceleration")
+    assert error.hint
+    assert "\n" not in str(error)
+
+
+def test_counts_of_actigraph_name_the_file_to_give(tmp_path: Path) -> None:
+    assert ".gt3x" in str(error_of(tmp_path, "counts.agd", EPOCHS["counts.agd"]))
+
+
+def test_another_database_is_told_too(tmp_path: Path) -> None:
+    assert "an SQLite database" in str(error_of(tmp_path, "a.sqlite", "SQLite format 3\0" + "\0" * 99))
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "x,y,z,weight",
+        "x;y;z;temperature_c;posture",
+        "meanx,meany,meanz",
+        "time,x,y,z,samples,counts_per_g,spread_x",
+    ],
+)
+def test_a_table_of_points_names_fit(tmp_path: Path, header: str) -> None:
+    row = header.replace(",", "0.1,").replace(";", "0.1;")
+    assert "accelcal fit" in str(error_of(tmp_path, "points.csv", f"{header}\n{row}\n{row}\n"))
+
+
+def test_a_parquet_table_names_fit(tmp_path: Path) -> None:
+    assert "accelcal fit" in str(error_of(tmp_path, "points.parquet", "PAR1 and more"))
+
+
+@pytest.mark.parametrize(
+    "header",
+    ["time,x,y,z", "time,acc_x,acc_y,acc_z,steps", "Activity,X [g],Y [g],Z [g]", "ax,ay,az,activity"],
+)
+def test_columns_of_x_y_and_z_are_samples(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "raw.csv"
+    path.write_text(f"Recorded with a MotionWatch\n{header}\n" + "0,0,1,0\n" * 30)
+    assert find_format(path, ReadOptions()).name == "csv"
+
+
+@pytest.mark.parametrize("options", [{"unit": "mg"}, {"columns": ("2", "3", "4")}, {"format": "csv"}])
+def test_who_says_how_to_read_it_is_heard(tmp_path: Path, options: dict[str, object]) -> None:
+    path = tmp_path / "agd.csv"
+    path.write_text(EPOCHS["agd.csv"])
+    assert find_format(path, ReadOptions(**options)).name == "csv"  # type: ignore[arg-type]
