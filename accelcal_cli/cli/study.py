@@ -14,7 +14,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import FILE, Positive, calibrating_options, precision_option, request_of
+from accelcal_cli.cli.options import FILE, OneOf, Positive, calibrating_options, precision_option, request_of
 from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
@@ -140,7 +140,7 @@ class TerminalObserver:
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
 @click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
-    "--pool", type=click.Choice(["device"]),
+    "--pool", type=OneOf(["device"]),
     help="Calibrate all recordings of a device together, and apply the result to each of them.",
 )  # fmt: skip
 @click.option(
