@@ -181,7 +181,7 @@ def _doubts(row: dict[str, Any]) -> list[str]:
     high = row.get("sphere_high_mg" if sphere else "ci95_high_mg")
     good = row["outcome"] == Outcome.ALREADY_GOOD
     before = None if good else row.get("sphere_before_mg" if sphere else "before_mg")
-    return advice.doubts(high, before)
+    return advice.doubts(high, before, everywhere=sphere)
 
 
 @contextlib.contextmanager

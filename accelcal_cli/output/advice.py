@@ -33,7 +33,9 @@ RIGHT_G = (0.7, 1.4)
 
 def cautions(report: Report) -> tuple[str, ...]:
     """What speaks against trusting a result without a look."""
-    found, change = list(doubts(*_interval(report))), report.get("change") or {"kind": "none"}
+    everywhere = report.get("sphere_mg") is not None
+    found = doubts(*_interval(report), everywhere=everywhere)
+    change = report.get("change") or {"kind": "none"}
     calibration = report["calibration"] or {}
     if change["kind"] != "none" and calibration.get("course") is None:
         found.append(
@@ -67,20 +69,21 @@ def _interval(report: Report) -> tuple[float | None, float | None, float]:
     return None, None, limit
 
 
-def doubts(high: float | None, before: float | None, limit: float = LIMIT_MG) -> list[str]:
+def doubts(
+    high: float | None, before: float | None, limit: float = LIMIT_MG, *, everywhere: bool = True
+) -> list[str]:
     """What a 95 % interval says against a result [mg].
 
     Args:
         high: its upper end; before: the error of the raw values, where there is one to compare with.
+        everywhere: it is of the whole sphere, not of the recording's own postures only.
     """
     if high is None:
         return []
     found = []
     if high >= limit:
-        found.append(
-            f"The error may reach {_mg(high)} in postures that are not in the recording: "
-            "do not rely on it where a few mg matter."
-        )
+        where = "in postures that are not in the recording" if everywhere else "on average"
+        found.append(f"The error may reach {_mg(high)} {where}: do not rely on it where a few mg matter.")
     if before is not None and high >= before:
         found.append(
             f"This may be no better than the raw values: their {_mg(before)} lie within the interval."

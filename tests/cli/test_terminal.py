@@ -27,7 +27,7 @@ ROW = {
     "improvement_percent": 137.8,
 }
 UNCERTAIN = "Caution: This may be no better than the raw values: their 13.5 mg lie within the interval."
-REACH = "Caution: The error may reach {} mg in postures that are not in the recording: do not rely on it"
+REACH = "Caution: The error may reach {} mg {}: do not rely on it where a few mg matter."
 SPHERE = {
     "sphere_mg": 4.1,
     "sphere_low_mg": 1.5,
@@ -54,7 +54,7 @@ def test_an_interval_that_holds_the_raw_error_is_said(shown: Shown) -> None:
     sentence, *cautions = shown(ROW, Path("a.parquet")).splitlines()
     start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out, 95 % 5.4-14.3; "
     assert sentence == f"{start}written to a.parquet"
-    assert cautions == [f"  {REACH.format(14.3)} where a few mg matter.", f"  {UNCERTAIN}"]
+    assert cautions == [f"  {REACH.format(14.3, 'on average')}", f"  {UNCERTAIN}"]
     assert UNCERTAIN not in shown(ROW | {"ci95_high_mg": 13.4})
     assert shown(ROW | {"ci95_high_mg": 9.9}).count("\n") == 1
 
@@ -71,6 +71,8 @@ def test_with_a_prior_the_interval_is_that_of_the_sphere(shown: Shown) -> None:
     """The raw error on postures left out, 13.5 mg, lies in their own interval, which is not shown."""
     start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out; "
     assert shown(ROW | SPHERE) == f"{start}4.1 mg over the whole sphere, 95 % 1.5-9.9\n"
+    wide = shown(ROW | SPHERE | {"sphere_high_mg": 12.0})
+    assert wide.endswith(f"  {REACH.format(12, 'in postures that are not in the recording')}\n")
     doubtful = shown(ROW | SPHERE | {"sphere_before_mg": 9.5})
     assert doubtful.endswith(f"\n  {UNCERTAIN.replace('13.5', '9.5')}\n")
     assert "no better" not in shown(ROW | SPHERE | {"sphere_before_mg": 9.5, "outcome": "already_good"})
