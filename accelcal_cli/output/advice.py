@@ -112,7 +112,7 @@ def ways_on(report: Report) -> tuple[str, ...]:
     if rest and not RIGHT_G[0] < rest["median_g"] < RIGHT_G[1]:
         return (UNIT,)
     if report["settings"].get("input", {}).get("format") == "points":
-        return _postures(report)
+        return _postures(report) if coverage["cells"] else ()
     if not coverage["cells"]:
         again = "Record again: the device has to lie still for some seconds, in different postures."
         return again, BY_OTHERS, OF_ANOTHER

@@ -169,3 +169,12 @@ def test_no_stillness_is_told_with_its_numbers(
 def test_windows_longer_than_the_recording_are_told(tmp_path: Path, capsys: Capture) -> None:
     ran = run(capsys, "calibrate", good_raw(tmp_path), "--segment-seconds", 3000)
     assert "nowhere were 3000 s measured without a gap; give a smaller --segment-seconds" in ran.err
+
+
+def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path, terminal: Seen) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("x,y,z\n5,5,5\n")
+    assert len(terminal("fit", path)) == 1  # it says that x, y and z must be in g
+    path.write_text("x,y,z\n0,0,1\n")
+    _, *ways = terminal("fit", path)
+    assert len(ways) == 2 and "with -x, +x, -y, +y and -z pointing up" in ways[1]
