@@ -35,9 +35,9 @@ from accelcal_cli.pipeline.windows import refuse_impossible
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate each RECORDING; `-` reads standard input.
 
-    Writes STEM.calibrated.parquet and STEM.calibration.json beside the recording and prints one
-    tab-separated line: path, outcome, model, error before and after in mg on held-out postures,
-    error before / after x 100, and the Parquet file.
+    Writes STEM.calibrated.parquet and STEM.calibration.json beside the recording. Prints a sentence at a
+    terminal, else (or with --tsv) one tab-separated line: path, outcome, model, error before and after in mg
+    on held-out postures, error before / after x 100, and the Parquet file.
     """
     jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:

@@ -199,14 +199,10 @@ def _shown(reviewed: Review, devices: tuple[DeviceReview, ...], values: dict[str
         return json.dumps(as_json(reviewed, devices))
     if values["as_csv"]:
         rows = [row(reviewed, device, index) for device in devices for index in device.rows]
-        return csv_text(columns(), [list(map(_cell, one.values())) for one in rows]).rstrip("\n")
+        return csv_text(columns(), [list(one.values()) for one in rows]).rstrip("\n")
     if values["device"] is not None:
         return "\n\n".join(detail(reviewed, device) for device in devices)
     return overview(devices)
-
-
-def _cell(value: Any) -> Any:
-    return printable(value) if isinstance(value, str) else value
 
 
 def _summary(reviewed: Review, devices: tuple[DeviceReview, ...]) -> str:

@@ -11,7 +11,7 @@ import click
 
 from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Positive, Within, gravity_options
+from accelcal_cli.cli.options import METHOD, Positive, Within, gravity_options
 from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
@@ -31,7 +31,8 @@ from accelcal_cli.pipeline.given import gravity
               help="Number of calibration points, shared by nine subsets.")  # fmt: skip
 @click.option("--noise-mg", type=Positive(100), default=1.0, show_default=True,
               help="Noise on each axis, standard deviation.")  # fmt: skip
-@click.option("--optimizer", "label", default="fixed32", show_default=True, metavar="NAME[:paper]",
+@click.option("--optimizer", "label", default="fixed32", type=METHOD, show_default=True,
+              metavar="NAME[:paper]",
               help="Optimizer, with the paper's settings for NAME:paper.")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
               help="Seed for all random numbers.")  # fmt: skip

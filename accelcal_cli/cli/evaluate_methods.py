@@ -24,7 +24,9 @@ PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before m
 
 @click.command("methods")
 @click.argument("recordings", nargs=-1, required=True, type=options.FILE)
-@click.option("--only", metavar="A,B", help="Compare only these optimizers.  [default: all]")
+@click.option(
+    "--only", type=options.OPTIMIZERS, metavar="A,B", help="Compare only these optimizers.  [default: all]"
+)
 @click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
 @click.option("-q", "--quiet", is_flag=True, help="No progress bar.")

@@ -9,7 +9,7 @@ from typing import Any, get_args
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import Listed
+from accelcal_cli.cli.options import METHOD, Listed, OneOf
 from accelcal_cli.cli.output import aligned, figure, number, progress_bars
 from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES
@@ -98,9 +98,9 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
               metavar="N[,N...]", help="Numbers of calibration points.")  # fmt: skip
 @click.option("--noise-mg", type=Listed(float, 1e-3, 100), default="1,5", show_default=True,
               metavar="MG[,MG...]", help="Noise on each axis, standard deviation.")  # fmt: skip
-@click.option("--selection", type=click.Choice(get_args(Selection)), default="subsets", show_default=True,
+@click.option("--selection", type=OneOf(get_args(Selection)), default="subsets", show_default=True,
               help="subsets: chosen by the paper's collector; random: any points.")  # fmt: skip
-@click.option("--optimizer", "labels", multiple=True, metavar="NAME[:paper]",
+@click.option("--optimizer", "labels", multiple=True, type=METHOD, metavar="NAME[:paper]",
               help=f"May be repeated; `all` for all optimizers.  [default: {' '.join(USUAL)}]")  # fmt: skip
 @click.option("--seed", type=click.IntRange(0, 2**32 - 1), default=1, show_default=True,
               help="Seed for all random numbers.")  # fmt: skip

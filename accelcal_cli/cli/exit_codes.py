@@ -118,6 +118,8 @@ def _open_standard_files() -> None:
     os.close(handle)
     if sys.stdout is None:
         sys.stdout = _Lost("standard output is closed", lines=False)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a terminal's encoding may lack characters
 
 
 def _output_failed(error: OSError) -> int:

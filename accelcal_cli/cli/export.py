@@ -20,7 +20,7 @@ DATA = ("csv", "npz", "mhealth", "bids")
 
 @click.command("export")
 @click.argument("files", nargs=-1, required=True, type=options.FILE)
-@click.option("--to", "form", required=True, type=click.Choice([*COEFFICIENTS, *DATA]),
+@click.option("--to", "form", required=True, type=options.OneOf([*COEFFICIENTS, *DATA]),
               help="The tool, or the form.")  # fmt: skip
 @click.option("-o", "--output", type=options.FILE, help="The new file; coefficients are printed without it.")
 @click.option("--resample", "resample_hz", type=options.Positive(100_000), metavar="HZ",

@@ -11,8 +11,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, fitting_options
-from accelcal_cli.cli.output import show_result
-from accelcal_cli.core.errors import printable
+from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.given import fitting_settings
@@ -54,6 +53,6 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     else:
         show_result(report, points, shown, values)
     if refused:
-        exit_codes.say(f"{printable(points)}: refused: {report['message']}")
+        say_refused(report["message"], points, values, shown=not as_json)
         return exit_codes.REFUSED
     return exit_codes.OK

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import difflib
 import gc
 import importlib
 import sys
 from typing import Any, NoReturn
 
 import click
+from click.shell_completion import CompletionItem
 
 from accelcal_cli import __version__
 from accelcal_cli.cli.exit_codes import run_safely
+from accelcal_cli.core.errors import near
 from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory
 
 
@@ -40,10 +41,16 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find a command; one that does not exist may be a slip."""
-        near = difflib.get_close_matches(args[0], self.parts, 3)
-        if near and args[0] not in self.parts:
-            ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, near))}?")
+        if args[0] not in self.parts and (meant := near(args[0], self.parts, 3)):
+            ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, meant))}?")
         return super().resolve_command(ctx, args)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names and one-line helps of commands, without importing any; else options."""
+        if incomplete.startswith("-"):
+            return super().shell_complete(ctx, incomplete)
+        begun = [name for name in self.parts if name.startswith(incomplete)]
+        return [CompletionItem(name, help=self.parts[name]) for name in begun]
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Show the one-line helps without importing anything."""

@@ -6,21 +6,31 @@ The options of settings are made from what core/settings.py declares of each: na
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
+from accelcal_cli.core.errors import did_you_mean
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parts import may_be_archive, pattern_of
 from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
+from accelcal_cli.formats import all_encoders, all_formats
+from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request
 from accelcal_cli.pipeline.stated import Rules, folder_rules, read_rules
 
 Command = TypeVar("Command", bound=Callable[..., Any])
+
+if TYPE_CHECKING:
+    AnyType = click.ParamType[Any]
+    AnyChoice = click.Choice[Any]
+else:  # older versions of click know no kinds of these
+    AnyType, AnyChoice = click.ParamType, click.Choice
 
 
 class Within(click.FloatRange):
@@ -43,7 +53,56 @@ class Positive(Within):
         super().__init__(0, int(largest), min_open=True)
 
 
-class ColumnNames(click.ParamType[tuple[str, str, str]]):
+class OneOf(AnyChoice):
+    """One of some words; a slip is pointed out."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Look it up."""
+        try:
+            return super().convert(value, param, ctx)
+        except click.BadParameter as error:
+            meant = did_you_mean(str(value), map(str, self.choices))
+            if not meant:
+                raise
+            self.fail(f"{error.message} {meant[0].upper()}{meant[1:]}", param, ctx)
+
+
+class Name(AnyType):
+    """A name that is looked up later; a shell completes those that are known.
+
+    Args:
+        known: makes the list, when a shell asks for it.
+        several: whether names may be joined by commas.
+    """
+
+    name = "name"
+
+    def __init__(self, known: Callable[[], Iterable[str]], *, several: bool = False) -> None:
+        self.known = known
+        self.several = several
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The known names that begin so."""
+        before, comma, begun = incomplete.rpartition(",") if self.several else ("", "", incomplete)
+        return [CompletionItem(f"{before}{comma}{name}") for name in self.known() if name.startswith(begun)]
+
+
+def _zones() -> list[str]:
+    from zoneinfo import available_timezones
+
+    return ["UTC", *sorted(zone for zone in available_timezones() if "/" in zone)]
+
+
+FORMAT = Name(lambda: [item.name for item in all_formats()])
+OPTIMIZER = Name(lambda: [item.name for item in all_optimizers()])
+METHOD = Name(lambda: [f"{item.name}{end}" for item in all_optimizers() for end in ("", ":paper")])
+OPTIMIZERS = Name(lambda: [item.name for item in all_optimizers()], several=True)
+ENCODER = Name(lambda: [item.name for item in all_encoders()])
+
+
+class ColumnNames(AnyType):
     """Three names separated by commas."""
 
     name = "X,Y,Z"
@@ -60,7 +119,7 @@ class ColumnNames(click.ParamType[tuple[str, str, str]]):
         return parts[0], parts[1], parts[2]
 
 
-class Listed(click.ParamType[tuple[Any, ...]]):
+class Listed(AnyType):
     """Different numbers of one kind within bounds, separated by commas."""
 
     name = "numbers"
@@ -110,9 +169,9 @@ def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], C
     return click.option(option.name, name, **given)
 
 
-def _type_of(declared: Setting, option: Option) -> click.ParamType[Any] | None:
+def _type_of(declared: Setting, option: Option) -> AnyType | None:
     if declared.choices:
-        return click.Choice(declared.choices)
+        return OneOf(declared.choices)
     low, high = option.bounds or (declared.low, declared.high)
     if option.above is not None:
         return Within(option.above, high, min_open=True)
@@ -123,7 +182,9 @@ def _settings_options(*names: str) -> list[Callable[[Any], Any]]:
     return [setting_option(Settings, name) for name in names]
 
 
-_READ_TYPES: dict[str, Any] = {"columns": ColumnNames(), "layout": FILE}
+_READ_TYPES: dict[str, Any] = {
+    "columns": ColumnNames(), "layout": FILE, "format": FORMAT, "timezone": Name(_zones),
+}  # fmt: skip
 """Types of reading options that their Settings do not state."""
 
 _PLACES = [
@@ -150,7 +211,10 @@ _READING = [
 _METHOD = _settings_options(
     "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g", "longest_gap_s"
 )
-_FITTING = _settings_options("optimizer", "model", "prior", "temperature")
+_FITTING = [
+    setting_option(Settings, "optimizer", type=OPTIMIZER),
+    *_settings_options("model", "prior", "temperature"),
+]
 _GRAVITY = _settings_options("latitude", "altitude_m")
 
 _CHUNK = click.option(

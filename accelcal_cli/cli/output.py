@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output import advice
 from accelcal_cli.output.report import sphere_columns
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
@@ -22,6 +23,9 @@ WORDS = {
     Outcome.BORROWED: "calibrated with another recording's coefficients",
 }
 """Outcomes for people, where their names are no words."""
+
+NUMBERS = {"3": "three", "6": "six", "9": "nine", "12": "twelve"}
+"""Parameters of models."""
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -49,7 +53,7 @@ def number(value: float | None, form: str) -> str:
 
 
 def show_result(report: dict[str, Any], source: Path, written: Path | None, values: dict[str, Any]) -> None:
-    """Print the line of one recording's report; see `show_row`."""
+    """Print the line of one recording's report, see `show_row`; at a terminal also what to be aware of."""
     holdout, calibration = report["holdout"] or {}, report["calibration"] or {}
     before, after = (holdout.get(f"{when}_mg", {}).get("mean") for when in ("before", "after"))
     low, high = holdout.get("ci95_mg", (None, None))
@@ -61,18 +65,56 @@ def show_result(report: dict[str, Any], source: Path, written: Path | None, valu
         "improvement_percent": holdout.get("improvement_percent"),
         **sphere_columns(report),
     }
-    show_row(row | (judged if calibration else dict.fromkeys(judged)), source, written, values)
+    row |= {"message": report["message"]} | (judged if calibration else dict.fromkeys(judged))
+    quiet = values.get("quiet", False)
+    show_row(row, source, written, values, () if quiet else _remarks(report))
 
 
-def show_row(row: dict[str, Any], source: Path, written: Path | None, values: dict[str, Any]) -> None:
+def _remarks(report: dict[str, Any]) -> tuple[str, ...]:
+    """What to be aware of in a result, and what to do about a refusal."""
+    if report["outcome"] == Outcome.REFUSED:
+        return tuple(f"What to do: {one}" for one in advice.ways_on(report))
+    found = (*advice.cautions(report), *filter(None, (advice.unchecked(report),)))
+    return tuple(f"Caution: {one}" for one in found)
+
+
+def show_row(
+    row: dict[str, Any],
+    source: Path,
+    written: Path | None,
+    values: dict[str, Any],
+    remarks: Sequence[str] | None = None,
+) -> None:
     """Print one recording's row of a study's summary: a sentence at a terminal, else fields.
 
     Args:
         written: its output, if there is one.
-        values: the option `tsv`: fields at a terminal, too.
+        values: the option `tsv`: fields at a terminal, too; and `verbose`: the remarks on stderr then.
+        remarks: sentences to follow; None: what the row itself tells.
     """
-    words = sys.stdout.isatty() and not values["tsv"]
-    exit_codes.show((_sentence if words else _fields)(row, source, written))
+    if remarks is None:
+        remarks = [f"Caution: {one}" for one in _doubts(row)]
+    if _in_words(values):
+        exit_codes.show("\n".join([_sentence(row, source, written), *(f"  {one}" for one in remarks)]))
+        return
+    exit_codes.show(_fields(row, source, written))
+    for one in remarks if values.get("verbose") else ():
+        exit_codes.say(f"{printable(source)}: {one}")
+
+
+def _in_words(values: dict[str, Any]) -> bool:
+    """Whether results are told in sentences."""
+    return sys.stdout.isatty() and not values["tsv"] and not values.get("as_json")
+
+
+def say_refused(message: str, source: Path, values: dict[str, Any], *, shown: bool = True) -> None:
+    """Say why a recording was refused, unless the same terminal shows it already.
+
+    Args:
+        shown: whether the recording's line was printed.
+    """
+    if not (shown and _in_words(values) and sys.stderr is not None and sys.stderr.isatty()):
+        exit_codes.say(f"{printable(source)}: refused: {message}")
 
 
 def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
@@ -90,28 +132,56 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
 
 def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """What became of a recording, and how certain the error is that was left."""
-    parts = [f"{source}: {WORDS.get(row['outcome'], row['outcome'])}"]
-    before, after, high = row["before_mg"], row["after_mg"], row["ci95_high_mg"]
-    sphere = row.get("sphere_mg")
-    if row["model"] is not None:
-        parts[0] += f" (model {row['model']})"
-    if after is not None and sphere is not None:
-        shown = f"{figure(row['sphere_low_mg'])} to {figure(row['sphere_high_mg'])}"
-        parts.append(f"{figure(before)} mg before, {figure(after)} mg after on postures left out of the fit")
-        parts.append(f"{figure(sphere)} mg over the whole sphere (95 % interval {shown})")
-        high, before = row["sphere_high_mg"], row["sphere_before_mg"]
+    outcome, before, after = row["outcome"], row["before_mg"], row["after_mg"]
+    told = f"{source}: {WORDS.get(outcome, outcome)}"
+    parts = []
+    if row["model"] is not None and outcome != Outcome.ALREADY_GOOD:
+        parameters = _parameters(row["model"])
+        told += f" ({parameters})" if outcome == Outcome.BORROWED else f" with {parameters}"
+    if outcome == Outcome.REFUSED and row.get("message"):
+        parts.append(row["message"])
     elif after is not None:
-        low = figure(row["ci95_low_mg"])
-        parts.append(
-            f"{figure(before)} mg before, {figure(after)} mg after (95 % interval {low} to {figure(high)})"
-        )
-    if after is None:
-        parts += [f"the raw data are off by {figure(before)} mg"] * (before is not None)
-    elif high >= before and row["outcome"] != Outcome.ALREADY_GOOD:
-        parts.append(f"this may be no better than the raw data, whose {figure(before)} mg lie within it")
+        parts += _errors(row)
+    elif before is not None:
+        parts.append(f"the raw data are off by {_mg(before)} mg")
     if written is not None:
         parts.append(f"written to {written}")
-    return printable("; ".join(parts))
+    return printable(": ".join(filter(None, (told, "; ".join(parts)))))
+
+
+def _errors(row: dict[str, Any]) -> list[str]:
+    """Errors before and after [mg], and the interval of the one to quote."""
+    before, after, sphere = row["before_mg"], row["after_mg"], row.get("sphere_mg")
+    held_out = "on its own still windows" if row["outcome"] == Outcome.BORROWED else "held out"
+    change = f"{_mg(after)} mg" if after == before else f"{_mg(before)} -> {_mg(after)} mg"
+    if sphere is None:
+        return [f"{change} {held_out}, 95 % {_mg(row['ci95_low_mg'])}-{_mg(row['ci95_high_mg'])}"]
+    interval = f"95 % {_mg(row['sphere_low_mg'])}-{_mg(row['sphere_high_mg'])}"
+    return [f"{change} {held_out}", f"{_mg(sphere)} mg over the whole sphere, {interval}"]
+
+
+def _mg(value: float | None) -> str:
+    """A number of three digits, without zeros at its end."""
+    return "-" if value is None else f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
+def _parameters(model: str) -> str:
+    """A model for people: `nine parameters and temperature`."""
+    number_of = NUMBERS.get(model.removesuffix("T"))
+    if number_of is None:
+        return f"model {model}"
+    return f"{number_of} parameters{' and temperature' if model.endswith('T') else ''}"
+
+
+def _doubts(row: dict[str, Any]) -> list[str]:
+    """What the interval of a row says against it."""
+    if row["outcome"] == Outcome.REFUSED:
+        return []
+    sphere = row.get("sphere_mg") is not None
+    high = row.get("sphere_high_mg" if sphere else "ci95_high_mg")
+    good = row["outcome"] == Outcome.ALREADY_GOOD
+    before = None if good else row.get("sphere_before_mg" if sphere else "before_mg")
+    return advice.doubts(high, before, everywhere=sphere)
 
 
 @contextlib.contextmanager
@@ -220,7 +290,7 @@ def bytes_of(recording: Path) -> Iterator[Path]:
 def _comment(result: Result, values: dict[str, Any]) -> None:
     report, name = result.report, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
-        exit_codes.say(f"{name}: refused: {report['message']}")
+        say_refused(report["message"], result.job.source, values)
     if result.outcome is Outcome.BORROWED:
         from accelcal_cli.pipeline.apply import warning
 
@@ -236,7 +306,8 @@ def _comment(result: Result, values: dict[str, Any]) -> None:
         more = f" (and {omitted} more; see the report)" if omitted else ""
         exit_codes.say(f"{name}: {problem['code']}: {problem['message']}{more}")
     if values["verbose"]:
-        exit_codes.say(f"{name}: {report['message']}")
+        if result.outcome is not Outcome.REFUSED:
+            exit_codes.say(f"{name}: {report['message']}")
         for trial in report["models_tried"]:
             after_mg = trial["after_mg"]
             error = trial["reason"] if after_mg is None else f"{after_mg:.3f} mg held out"

@@ -8,7 +8,7 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE
-from accelcal_cli.core.errors import AccelcalError, UsageError
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.output.files import is_page, refuse_foreign, write_text
 from accelcal_cli.output.report import load
 from accelcal_cli.output.report_reading import check_sections, read_document
@@ -69,7 +69,7 @@ def _one(report: Path, page: Path, force: bool, quiet: bool) -> int:
     except Exception:
         return exit_codes.report_bug(report)
     if not quiet:
-        exit_codes.show(str(page))
+        exit_codes.show(printable(page))
     return exit_codes.OK
 
 

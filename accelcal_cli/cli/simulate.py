@@ -10,17 +10,17 @@ import click
 import numpy as np
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import FILE, Positive, Within
+from accelcal_cli.cli.options import ENCODER, FILE, Positive, Within
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.formats import all_encoders
+from accelcal_cli.formats import named_encoder
 from accelcal_cli.pipeline.simulate import simulate
 from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
 
 
 @click.command("simulate")
 @click.argument("out", type=FILE)
-@click.option("--format", "format_name", default="flash", show_default=True, metavar="NAME",
+@click.option("--format", "format_name", type=ENCODER, default="flash", show_default=True, metavar="NAME",
               help="flash, raw (with its layout file), csv, hdf5, cwa, geneactiv or gt3x.")  # fmt: skip
 @click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length in days.")
 @click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True, metavar="HZ",
@@ -53,11 +53,7 @@ def command(out: Path, **values: Any) -> None:
     quantisation. Scale, misalignment and offset errors are drawn at random, from a seed.
     """
     plan = _plan(values)
-    known = {encoder.name for encoder in all_encoders()}
-    if values["format_name"] not in known:
-        raise UsageError(
-            f"cannot write format {values['format_name']!r}", hint=f"use one of {', '.join(sorted(known))}"
-        )
+    named_encoder(values["format_name"])
     with progress_bars(out.name, quiet=values["quiet"], unit="samples") as bars:
         shown = bars("writing", plan.samples)
         path, truth = simulate(out, values["format_name"], plan, force=values["force"], progress=shown)

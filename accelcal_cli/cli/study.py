@@ -14,8 +14,8 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import FILE, Positive, calibrating_options, precision_option, request_of
-from accelcal_cli.cli.output import show_row
+from accelcal_cli.cli.options import FILE, OneOf, Positive, calibrating_options, precision_option, request_of
+from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
@@ -109,7 +109,7 @@ class TerminalObserver:
             text = row["message"] if name in row["message"] else f"{name}: {row['message']}"
             exit_codes.say(f"{text}{kept or ''}")
         elif row["outcome"] == Outcome.REFUSED:
-            exit_codes.say(f"{name}: refused: {row['message']}")
+            say_refused(row["message"], item.source, self._values, shown=not self._values["quiet"])
         if self._values["quiet"]:
             return
         for problem in result.problems if self._values["verbose"] else result.problems[:1]:
@@ -140,7 +140,7 @@ class TerminalObserver:
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
 @click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
-    "--pool", type=click.Choice(["device"]),
+    "--pool", type=OneOf(["device"]),
     help="Calibrate all recordings of a device together, and apply the result to each of them.",
 )  # fmt: skip
 @click.option(

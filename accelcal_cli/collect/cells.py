@@ -204,6 +204,7 @@ class CellCollector:
         self.spreads.add(widest)
         keys = self._keys(windows, widest == 0)
         unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+        inverse = inverse.reshape(-1)  # numpy 2.0.0 makes it a column
         values = np.zeros((len(unique), 8), np.int64)
         np.add.at(values[:, 0], inverse, windows.samples)
         np.add.at(values[:, 1:4], inverse, windows.sums)

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import UsageError, did_you_mean
 
 _EPOCH = datetime(1970, 1, 1)
 WIDEST_OFFSET_H = 14
@@ -62,16 +62,17 @@ def _place_of(zone: str) -> tzinfo:
     if fixed is not None and int(fixed[2]) <= WIDEST_OFFSET_H and int(fixed[3] or 0) < 60:
         ahead = timedelta(hours=int(fixed[2]), minutes=int(fixed[3] or 0))
         return timezone(-ahead if fixed[1] == "-" else ahead)
-    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError  # few recordings name a region and place
+    from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones  # few name a region and place
 
     try:
         if "/" not in zone:
             raise ZoneInfoNotFoundError(zone)
         return ZoneInfo(zone)
     except (ZoneInfoNotFoundError, ValueError, OSError) as error:
+        meant = did_you_mean(zone, available_timezones())
         raise UsageError(
             f"unknown time zone {zone!r}",
-            hint="give a name such as Europe/Berlin, or an offset such as +01:00",
+            hint=meant or "give a name such as Europe/Berlin, or an offset such as +01:00",
         ) from error
 
 

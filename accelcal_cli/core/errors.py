@@ -6,7 +6,7 @@ Names of files as text that any terminal, table and JSON file can hold, and numb
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +46,19 @@ def counted(number: int, what: str) -> str:
 def listed(items: Sequence[str]) -> str:
     """`x`, `x and y`, `x, y and z`."""
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
+
+
+def near(word: str, known: Iterable[str], most: int = 1) -> list[str]:
+    """Known words that a word may be a slip for, the nearest first; case does not count."""
+    import difflib  # few words are slips
+
+    names = {name.lower(): name for name in known}
+    return [names[name] for name in difflib.get_close_matches(word.lower(), names, most)]
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """`did you mean 'both'?`; empty where nothing is near."""
+    return "".join(f"did you mean {name!r}?" for name in near(word, known))
 
 
 def came_of(error: BaseException | None, *kinds: type[BaseException]) -> BaseException | None:

@@ -9,7 +9,7 @@ from functools import cache
 from types import ModuleType
 from typing import Any, Protocol, TypeVar
 
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import UsageError, did_you_mean, printable
 
 
 class Named(Protocol):
@@ -60,5 +60,8 @@ def named_plugin(name: str, items: tuple[T, ...], what: str) -> T:
     for item in items:
         if item.name == name:
             return item
-    known = ", ".join(item.name for item in items)
-    raise UsageError(f"unknown {what} {name!r}", hint=f"use one of {known}")
+    known = [item.name for item in items]
+    meant = did_you_mean(name, known)
+    raise UsageError(
+        f"unknown {what} {printable(name)!r}", hint=f"{meant and meant + ' '}use one of {', '.join(known)}"
+    )

@@ -138,6 +138,18 @@ class WindowCounts:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Quietest:
+    """The window of a recording that moves least, in counts.
+
+    Attributes:
+        spread: max - min on the axis where it is largest; deviation: the same of the standard deviation.
+    """
+
+    spread: int
+    deviation: float
+
+
 class Role(IntEnum):
     """What became of a still window.
 

@@ -9,7 +9,7 @@ from typing import Literal
 
 from accelcal_cli.core.course import Course
 from accelcal_cli.core.daylight import ZoneChange
-from accelcal_cli.core.points import Calibration, Fit, Penalty, Saturated
+from accelcal_cli.core.points import Calibration, Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.recording import Problem
 
 
@@ -373,6 +373,7 @@ class Facts:
             were made of.
         zone_change: the zone changed its offset from UTC during the recording; None if not, or unknown.
         gone_over: short jumps of its times that did not end a window.
+        windows: complete ones, still or not; quietest: the one that moves least; None if none was measured.
     """
 
     samples: int
@@ -392,6 +393,8 @@ class Facts:
     jumps: Jumps = Jumps()
     zone_change: ZoneChange | None = None
     gone_over: int = 0
+    windows: int = 0
+    quietest: Quietest | None = None
 
     def lost_percent(self) -> float:
         """Share of the recording's bytes that damage has taken."""

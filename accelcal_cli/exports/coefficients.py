@@ -92,7 +92,7 @@ class Handed:
     @property
     def file_name(self) -> str:
         """The recording's name with its suffix."""
-        kind = PureWindowsPath if "\\" in self.recording else PurePosixPath
+        kind = PurePosixPath if "/" in self.recording else PureWindowsPath
         return kind(self.recording).name
 
     def axes(self) -> PerAxis:

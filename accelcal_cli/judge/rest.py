@@ -6,8 +6,10 @@ how a recording is not like that, and what would explain it: said instead of the
 
 from __future__ import annotations
 
-from accelcal_cli.core.errors import listed
-from accelcal_cli.core.results import Rest
+from accelcal_cli.core.errors import counted, listed
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.results import Facts, Rest
+from accelcal_cli.core.settings import Settings
 
 NEAR_ONE_G = (0.7, 1.4)
 """Between these is the median of |a| at rest [g] for any sensor whose unit and counts per g are right."""
@@ -28,6 +30,34 @@ UNITS = {
 
 UNIT_TOLERANCE = 0.15
 """Rest that is nearer than this share to an entry of UNITS is explained by it."""
+
+ONE_G = "instead of 1 g"
+"""Words of a picture that tells what rest measures."""
+
+NOISE_TIMES = 4
+"""A quietest window that scatters by so many times the limit may be rest, measured by a noisy sensor."""
+
+
+def why_nothing_still(facts: Facts, recording: Recording, settings: Settings) -> tuple[str, str]:
+    """What the quietest window of a recording without stillness measures, and advice, ending in `or`."""
+    quietest, length = facts.quietest, f"{settings.segment_seconds:g} s"
+    if quietest is None:
+        return (
+            f"nowhere were {length} measured without a gap",
+            "give a smaller --segment-seconds or a larger --longest-gap, or ",
+        )
+    spread_g = quietest.spread / recording.lsb_per_g
+    deviation_g = quietest.deviation / recording.lsb_per_g
+    range_g, limit_g = settings.stillness_threshold_g, settings.stillness_deviation_g
+    if range_g is not None and spread_g >= range_g:
+        measured = f"moves by {spread_g:.3g} g (max - min), {range_g:g} g is the limit"
+    else:
+        measured = f"has a standard deviation of {1000 * deviation_g:.3g} mg"
+        measured += "" if limit_g is None else f", {1000 * limit_g:g} mg is the limit"
+    found = f"the quietest of {counted(facts.windows, 'window')} of {length} {measured}"
+    if limit_g is not None and deviation_g < NOISE_TIMES * limit_g:
+        return found, "if that is the sensor's noise, use --stillness adaptive, else "
+    return found, "if it rested for shorter times only, give a smaller --segment-seconds, else "
 
 
 def picture(rest: Rest, lsb_per_g: float, *, decimal: bool) -> str | None:
@@ -76,7 +106,7 @@ def _size(median_g: float | None, what: str, lsb_per_g: float, decimal: bool) ->
         return None
     if not median_g:
         return f"{what} 0 g: check that the columns or fields are those of the sensor"
-    text = f"{what} {median_g:.3g} g instead of 1 g"
+    text = f"{what} {median_g:.3g} g {ONE_G}"
     unit = next((why for g, why in UNITS.items() if abs(median_g / g - 1) < UNIT_TOLERANCE), None)
     if unit is not None:
         return f"{text}, {unit}; check the unit (--unit)"

@@ -43,7 +43,7 @@ from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
 from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against
-from accelcal_cli.judge.rest import picture
+from accelcal_cli.judge.rest import ONE_G, picture, why_nothing_still
 from accelcal_cli.judge.simpler import SIMPLER, calibration_of_fit, with_simpler, with_simpler_of_paper
 from accelcal_cli.judge.sphere import sphere_errors
 
@@ -54,8 +54,10 @@ FEWEST_CONTROL_POINTS = 2
 
 LONGER = "record longer, with more turns of the wrist"
 DISAGREE = "check that the device is sound, and that what is taken for rest is rest (--stillness)"
-NO_STILLNESS = f"no still window was found; {LONGER}"
-FAR_FROM_1_G = "still windows measure far from 1 g; check the unit with --unit and --lsb-per-g"
+NOTHING_STILL = "no still window was found"
+NO_STILLNESS = f"{NOTHING_STILL}; {LONGER}"
+FAR_OFF = "still windows measure far from 1 g"
+FAR_FROM_1_G = f"{FAR_OFF}; check the unit with --unit and --lsb-per-g"
 
 CUT_SHORT = "truncated"
 """Code of the problem that all readers report for a file that breaks off."""
@@ -395,16 +397,28 @@ def damage_verdict(facts: Facts, max_percent: float, coverage: Coverage) -> Judg
     return Judgement(Outcome.REFUSED, text, coverage, ())
 
 
-def advised(verdict: Judgement, facts: Facts, recording: Recording) -> Judgement:
-    """A refusal with advice that fits: rest that is none, or a file that was cut short."""
+def advised(verdict: Judgement, facts: Facts, recording: Recording, settings: Settings) -> Judgement:
+    """A refusal with its numbers and advice that fits: rest that is none, or a file that was cut short."""
     if verdict.outcome is not Outcome.REFUSED:
         return verdict
     odd = picture(facts.rest, recording.lsb_per_g, decimal=recording.lsb_per_g >= FLOAT_LSB_PER_G)
+    if odd is None or ONE_G not in odd:
+        verdict = replace(verdict, message=_with_numbers(verdict.message, facts, recording, settings))
     if odd is not None:
         return replace(verdict, message=f"{verdict.message.split('; ')[0]}; {odd}")
     if all(problem.code != CUT_SHORT for problem in facts.problems):
         return verdict
     return replace(verdict, message=verdict.message.replace(LONGER, f"{COPY_AGAIN}, or {LONGER}"))
+
+
+def _with_numbers(message: str, facts: Facts, recording: Recording, settings: Settings) -> str:
+    """A refusal for want of stillness near 1 g with what was measured instead, and its limit."""
+    if message == NO_STILLNESS:
+        found, advice = why_nothing_still(facts, recording, settings)
+        return f"{NOTHING_STILL}: {found}; {advice}{LONGER}"
+    if message == FAR_FROM_1_G:
+        return message.replace(FAR_OFF, f"{FAR_OFF} (typically {facts.rest.median_g:.3g} g)")
+    return message
 
 
 def with_errors_before(followed: Judgement, raw: Judgement) -> Judgement:

@@ -19,7 +19,7 @@ from math import isfinite
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-from accelcal_cli.core.errors import OutputError, spreadsheet_cell
+from accelcal_cli.core.errors import OutputError, printable, spreadsheet_cell
 from accelcal_cli.core.system import host, lives
 
 LONG_NAME = 160
@@ -249,12 +249,16 @@ def _parts(value: Any) -> Iterable[Any]:
 
 
 def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """CSV with a header line for spreadsheets; None is an empty cell, and no text is a formula."""
+    """CSV with a header line for spreadsheets; None is an empty cell, and no text acts."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
     table.writerow(head)
-    table.writerows(map(spreadsheet_cell, row) for row in rows)
+    table.writerows(map(_cell, row) for row in rows)
     return text.getvalue()
+
+
+def _cell(value: object) -> object:
+    return spreadsheet_cell(printable(value) if isinstance(value, str) else value)
 
 
 def metadata_of(path: Path) -> dict[str, Any]:

@@ -5,14 +5,15 @@ The same two files make the same bytes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.pages import figures, words
 from accelcal_cli.pages.along import Along, UnfitError, along
-from accelcal_cli.pages.figures import NEAR, WORDS, Figure
+from accelcal_cli.pages.figures import NEAR, Figure
+from accelcal_cli.pages.hours import hours
 from accelcal_cli.pages.rendering import rendered
 from accelcal_cli.pages.svg import number
 from accelcal_cli.pages.words import Report
@@ -20,6 +21,9 @@ from accelcal_cli.pages.words import Report
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
 NO_FILE = f"There is no STEM.quality.json beside the report: {AGAIN}"
 MOST_PROBLEMS = 20
+LONGEST_TEXT = 2000
+"""Of what may be of any length, such as a command that names thousands of recordings."""
+
 WINDOWS = {
     "complete": "windows in all",
     "used": "used",
@@ -70,7 +74,7 @@ def page(report: Report, quality: Mapping[str, Any] | None = None) -> str:
         facts=_facts(report),
         figures=_drawn(report, data),
         subsets=_subsets(report),
-        hours=None if data is None else _hours(data),
+        hours=None if data is None else Table(*hours(data)),
         coefficients=_coefficients(report),
         models=_models(report),
         misfits=_misfits(report),
@@ -119,6 +123,13 @@ def _facts(report: Report) -> list[tuple[str, str]]:
     return [(name, value) for name, value in facts if value]
 
 
+def _begun(text: str) -> str:
+    """A text, or how it begins if it is as long as no line."""
+    if len(text) <= LONGEST_TEXT:
+        return text
+    return f"{text[:LONGEST_TEXT]} ... ({len(text) - LONGEST_TEXT} more characters are in the report)"
+
+
 def _duration(seconds: float) -> str:
     """A length of time in the two largest units."""
     days, hours, minutes = seconds / 86_400, seconds / 3600, seconds / 60
@@ -137,32 +148,6 @@ def _subsets(report: Report) -> Table:
     ]
     caption = "Points of the fit in the nine subsets of Farago et al. (a point counts on every axis)"
     return Table(caption, ["", "x", "y", "z"], rows)
-
-
-def _hours(data: Along) -> Table:
-    """All that the figures along time show."""
-    head = ["Start", "Worn", "Still", "Moving"]
-    columns: list[Sequence[str]] = [
-        [one.partition(".")[0].replace("T", " ").removesuffix(":00") for one in data.times],
-        [{True: "yes", False: "no", None: "–"}[one] for one in data.worn],
-        *([f"{one:g}" for one in data.rows[name]] for name in ("still", "moving")),
-    ]
-    tables = [(data.errors, {"mean": "mean", "p95": "95 %"}), (data.off, {"p50": "median"})]
-    for held, names in tables:
-        for when, table in held.items():
-            for name, title in names.items():
-                what = "error" if held is data.errors else "|a| − 1 g"
-                head.append(f"{what} {WORDS[when].split()[0]}, {title} [mg]")
-                columns.append([number(one) for one in table[name]])
-    head.append("°C")
-    columns.append([number(one, 4) for one in data.temperature])
-    for name, title in (("gap_s", "Gaps [s]"), ("filled", "Filled"), ("clipped", "Clipped"),
-                        ("recovered", "Recovered"), ("lost_bytes", "Lost bytes")):  # fmt: skip
-        if any(data.rows[name]):
-            head.append(title)
-            columns.append([f"{one:g}" for one in data.rows[name]])
-    rows = [list(row) for row in zip(*columns, strict=True)]
-    return Table("Hour by hour: all that the figures along time show", head, rows)
 
 
 def _coefficients(report: Report) -> Table | None:
@@ -273,7 +258,7 @@ def _problems(report: Report) -> Table | None:
     rows = [
         [
             one["code"],
-            one["message"],
+            _begun(one["message"]),
             "–" if one["byte_offset"] is None else str(one["byte_offset"]),
             str(one["count"]),
         ]
@@ -291,7 +276,7 @@ def _origin(report: Report) -> list[tuple[str, str]]:
     versions = made.get("versions") or {}
     facts = [
         ("accelcal", report["accelcal_version"]),
-        ("Command", " ".join(made.get("command") or ())),
+        ("Command", _begun(" ".join(made.get("command") or ()))),
         ("Time", made.get("time")),
         ("Computer", " ".join(filter(None, (made.get("host"), made.get("platform"))))),
         ("Versions", ", ".join(f"{name} {version}" for name, version in versions.items())),

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from accelcal_cli.core.errors import counted, listed
+from accelcal_cli.core.errors import counted
+from accelcal_cli.output import advice
 from accelcal_cli.pages.svg import number
 
 Level = Literal["good", "care", "bad"]
@@ -63,17 +64,17 @@ class Verdict:
 
 def verdict(report: Report) -> Verdict:
     """The verdict on a recording."""
-    outcome, cautions = report["outcome"], _cautions(report)
+    outcome, cautions = report["outcome"], advice.cautions(report)
     if outcome == "refused":
         headline = "Refused: this recording could not be calibrated."
-        return Verdict("bad", headline, report["message"], (TO_DO[outcome], *_missing(report)))
+        return Verdict("bad", headline, report["message"], (TO_DO[outcome], *advice.ways_on(report)))
     good = not cautions and outcome != "borrowed"
     opening = f"{'Good' if good else 'Use with care'}: {OPENING[outcome]}"
     return Verdict(
         "good" if good else "care",
         f"{opening}. {_error(report)}",
         report["message"],
-        (TO_DO[outcome], *cautions),
+        (TO_DO[outcome], *cautions, *filter(None, (advice.unchecked(report),))),
     )
 
 
@@ -99,70 +100,6 @@ def _error(report: Report) -> str:
     return "Its error is not known."
 
 
-def _cautions(report: Report) -> tuple[str, ...]:
-    """What the report says that speaks against trusting the result without a look."""
-    found, limit = [], _setting(report, "max_error_mg", 10.0)
-    sphere, change = report.get("sphere_mg"), report.get("change") or {"kind": "none"}
-    calibration = report["calibration"] or {}
-    if sphere is not None and sphere["ci95"][1] >= limit:
-        found.append(
-            f"The error may reach {number(sphere['ci95'][1])} mg in postures that are not in the recording: "
-            "do not rely on it where a few mg matter."
-        )
-    if change["kind"] != "none" and calibration.get("course") is None:
-        found.append(
-            "The sensor changed while it recorded, and the calibration does not follow it: "
-            "see the error by the hour."
-        )
-    elif change["kind"] != "none":
-        found.append(
-            "The sensor changed while it recorded; the calibration follows it. Have the device checked."
-        )
-    if any(one["found"] for one in report.get("misfits") or ()):
-        found.append(
-            "The sensor does something that coefficients cannot put right (below): have the device checked."
-        )
-    if report["coverage"].get("saturated"):
-        found.append("An axis stops measuring short of its range: have the device checked.")
-    return tuple(found)
-
-
-def _missing(report: Report) -> tuple[str, ...]:
-    """What would make a refused recording one that can be calibrated, as far as its points tell."""
-    coverage, reach = report["coverage"], _setting(report, "coverage_g", 0.3)
-    if not coverage["cells"]:
-        return ("Record again: the device has to lie still for some seconds, in different postures.",)
-    number_of = coverage.get("distinct_orientations")
-    said = []
-    if number_of is not None:
-        said.append(
-            f"Stillness was found in {counted(number_of, 'posture')}. "
-            "More turns of the wrist, and a longer recording, help."
-        )
-    faces = [
-        f"{sign}{axis}"
-        for axis, low, high in zip("xyz", coverage["axis_min_g"], coverage["axis_max_g"], strict=True)
-        for sign, there in (("−", low <= -reach), ("+", high >= reach))
-        if not there
-    ]
-    if faces:
-        said.append(
-            f"The device never rested with {listed(faces)} pointing up. "
-            "Take it off and leave it for a minute on "
-            f"{'that side' if len(faces) == 1 else 'each of these sides'}."
-        )
-    said.append(
-        "A study can help a recording that is too short: study --prior device, --borrow or --pool device."
-    )
-    return tuple(said)
-
-
-def _setting(report: Report, name: str, default: float) -> float:
-    """A number among the settings; the usual one where a report has none."""
-    value = report["settings"].get(name)
-    return value if type(value) in (int, float) else default
-
-
 def model_name(model: str) -> str:
     """What a model corrects."""
     base = MODELS.get(model.removesuffix("T"), model)
@@ -176,7 +113,7 @@ def methods(report: Report) -> str:
     used = f"{windows} " if isinstance(windows, int) else ""
     parts = [
         f"Raw acceleration was calibrated with accelcal {version} from {used}windows of "
-        f"{_setting(report, 'segment_seconds', 5.0):g} s without movement, "
+        f"{advice.setting(report, 'segment_seconds', 5.0):g} s without movement, "
         f"averaged to {counted(report['coverage']['cells'], 'orientation')}."
     ]
     if calibration is None:

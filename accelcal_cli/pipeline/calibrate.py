@@ -165,7 +165,7 @@ class OwnCalibration(Judge):
         if found.damage is not None:
             return Verdict(found.damage, sections)
         fitter = survey.fitting(self.settings, None if learnt is None else learnt.prior)
-        judgement = advised(found.method.procedure.judge(fitter), found.facts, found.recording)
+        judgement = advised(found.method.procedure.judge(fitter), found.facts, found.recording, self.settings)
         if learnt is not None:
             judgement = replace(judgement, message=f"{judgement.message}; {learnt.told()}")
         if repeated := found.method.segmenter.counts.repeated:
@@ -321,7 +321,7 @@ class RecordingRun:
         chunks = self.reader.chunks(SURVEYED_AT_ONCE * request.chunk_samples)
         survey.survey(chunks, method.segmenter, observers, shown, request.threads)
         give_back_freed_memory()
-        return replace(facts.result(), gone_over=method.segmenter.gone_over)
+        return method.completed(facts.result())
 
     def write(self, found: FirstPass, integers: dict[str, Any] | None = None) -> Result:
         """Parquet first, the report last: it is the commit mark.

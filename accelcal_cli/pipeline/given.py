@@ -6,7 +6,6 @@ have been checked by click, or by `values_of`; here is what goes together and wh
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import fields, replace
 from datetime import date
@@ -16,7 +15,7 @@ from typing import Any, TypeVar, get_type_hints
 
 import numpy as np
 
-from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.errors import UsageError, did_you_mean, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import (
@@ -59,8 +58,8 @@ def values_of(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
     known, values = keywords(*kinds), {}
     for keyword, value in options.items():
         if keyword not in known:
-            near = difflib.get_close_matches(keyword, known, 1)
-            raise TypeError(f"there is no option {keyword!r}{f'; is it {near[0]!r}?' if near else ''}")
+            meant = did_you_mean(keyword, known)
+            raise TypeError("; ".join([f"there is no option {keyword!r}", *filter(None, [meant])]))
         if value is not None:
             kind, name = known[keyword]
             values["no_temperature" if keyword == "no_temperature" else name] = _checked(

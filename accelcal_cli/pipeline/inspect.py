@@ -124,12 +124,12 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
         observer = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)
         values = ValuesObserver(recording.lsb_per_g)
         survey(pieces, method.segmenter, (observer, values, method.procedure))
-    facts = replace(observer.result(), gone_over=method.segmenter.gone_over)
+    facts = method.completed(observer.result())
     whole = full or facts.samples == recording.samples
     points = method.procedure.result()
     covered = coverage(points, postures(points, settings.posture_degrees))
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
-    prediction = damage or advised(method.procedure.judge(fitter), facts, recording)
+    prediction = damage or advised(method.procedure.judge(fitter), facts, recording, settings)
     facts = facts if whole else _to_its_end(facts, recording)
     return Inspection(recording, facts, method.segmenter.counts, prediction, whole, values.result())
 

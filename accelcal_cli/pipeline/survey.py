@@ -34,7 +34,7 @@ from accelcal_cli.core.points import (
 )
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import Chunk, Reader, Recording, clipped_at
-from accelcal_cli.core.results import Change, Judgement
+from accelcal_cli.core.results import Change, Facts, Judgement
 from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.change import ChangeSearch
@@ -155,6 +155,11 @@ class Method:
     segmenter: Segmenter
     procedure: Procedure
     rest_lsb: float
+
+    def completed(self, facts: Facts) -> Facts:
+        """The facts with what the segmenter has seen."""
+        seen = self.segmenter
+        return replace(facts, gone_over=seen.gone_over, windows=seen.counts.complete, quietest=seen.quietest)
 
     def timed(self, rate_hz: float) -> Method:
         """The same with windows that carry their times."""

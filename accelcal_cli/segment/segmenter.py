@@ -19,7 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from accelcal_cli.core.points import WindowCounts, Windows
+from accelcal_cli.core.points import Quietest, WindowCounts, Windows
 from accelcal_cli.core.recording import Chunk, Validity, joined
 
 _EXACT: tuple[tuple[int, DTypeLike], ...] = ((1 << 24, np.float32), (1 << 53, np.float64))
@@ -162,6 +162,8 @@ class Segmenter:
         self.rule = rule
         self.gaps = gaps
         self.counts = WindowCounts()
+        self.quietest: Quietest | None = None
+        """Of all windows that were measured throughout, still or not."""
         self.gone_over = 0
         """Jumps of the clock within windows that these went on over."""
         self._run_number = 0
@@ -274,7 +276,20 @@ class Segmenter:
         columns = np.ascontiguousarray(rows.counts.T).reshape(3, number, self.length)
         low, high = columns.min(axis=2).astype(np.int64), columns.max(axis=2).astype(np.int64)
         sums = exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1))
-        return Blocks(self._run_number, rows, columns, low, high, sums, self._usable(rows, number))
+        usable = self._usable(rows, number)
+        self._note_quietest(columns, (high - low).max(axis=0), usable)
+        return Blocks(self._run_number, rows, columns, low, high, sums, usable)
+
+    def _note_quietest(
+        self, columns: NDArray[Any], spread: NDArray[np.int64], usable: NDArray[np.bool_]
+    ) -> None:
+        """Keep the first of the windows with the least max - min."""
+        if not usable.any():
+            return
+        index = int(np.where(usable, spread, spread.max() + 1).argmin())
+        if self.quietest is None or spread[index] < self.quietest.spread:
+            deviation = float(columns[:, index].astype(np.float64).std(axis=1).max())
+            self.quietest = Quietest(int(spread[index]), deviation)
 
     def _usable(self, rows: Chunk, number: int) -> NDArray[np.bool_]:
         """Windows that the device measured throughout; the others are counted by their worst row."""

@@ -120,7 +120,7 @@ def test_what_two_say_differently_is_not_decided(mixed: Path, capsys: Capture) -
     [
         (
             '["*.csv"]\nunits = "mg"\n',
-            "\"*.csv\": there is no option 'units'; is it 'unit'?; reading options are",
+            "\"*.csv\": there is no option 'units'; did you mean 'unit'?; reading options are",
         ),
         ('["*.csv"]\nunit = "stone"\n', "\"*.csv\": unit cannot be 'stone'; possible: g, mg, m/s2, counts"),
         ('["*.csv"]\nrate = "fast"\n', "\"*.csv\": rate cannot be 'fast'"),
@@ -148,7 +148,7 @@ def test_a_recording_s_file_that_says_nonsense_costs_that_recording(mixed: Path,
     assert done.code == 1
     row = by_name(mixed.parent / "out")["g.csv"]
     assert (row["outcome"], row["exit_code"]) == ("failed", "2")
-    assert "g.toml: there is no option 'rat'; is it 'rate'?" in row["message"]
+    assert "g.toml: there is no option 'rat'; did you mean 'rate'?" in row["message"]
 
 
 def test_a_pattern_that_no_file_fits_is_told(mixed: Path, capsys: Capture) -> None:

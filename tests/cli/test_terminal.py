@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from accelcal_cli.cli.output import show_row
-from tests.cli.run import run
-from tests.recordings import good_raw
+from tests.cli.run import exit_code, run
+from tests.recordings import LSB_PER_G, directions, good_csv, good_raw, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
 Shown = Callable[..., str]
@@ -23,7 +26,8 @@ ROW = {
     "ci95_high_mg": 14.3,
     "improvement_percent": 137.8,
 }
-UNCERTAIN = "this may be no better than the raw data, whose 13.5 mg lie within it"
+UNCERTAIN = "Caution: This may be no better than the raw values: their 13.5 mg lie within the interval."
+REACH = "Caution: The error may reach {} mg {}: do not rely on it where a few mg matter."
 SPHERE = {
     "sphere_mg": 4.1,
     "sphere_low_mg": 1.5,
@@ -46,25 +50,40 @@ def shown(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> Shown:
 
 
 def test_an_interval_that_holds_the_raw_error_is_said(shown: Shown) -> None:
-    start = "a.cwa: calibrated (model 9); 13.5 mg before, 9.80 mg after (95 % interval 5.40 to 14.3); "
-    assert shown(ROW, Path("a.parquet")) == f"{start}{UNCERTAIN}; written to a.parquet\n"
+    """And one that reaches the limit of 10 mg."""
+    sentence, *cautions = shown(ROW, Path("a.parquet")).splitlines()
+    start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out, 95 % 5.4-14.3; "
+    assert sentence == f"{start}written to a.parquet"
+    assert cautions == [f"  {REACH.format(14.3, 'on average')}", f"  {UNCERTAIN}"]
     assert UNCERTAIN not in shown(ROW | {"ci95_high_mg": 13.4})
+    assert shown(ROW | {"ci95_high_mg": 9.9}).count("\n") == 1
 
 
 def test_what_has_no_error_after_has_no_interval(shown: Shown) -> None:
     nothing = dict.fromkeys(ROW) | {"outcome": "refused"}
     assert shown(nothing) == "a.cwa: refused\n"
+    assert shown(nothing | {"message": "too short"}) == "a.cwa: refused: too short\n"
     good = nothing | {"outcome": "already_good", "before_mg": 1.25}
-    assert shown(good) == "a.cwa: good as it is; the raw data are off by 1.25 mg\n"
+    assert shown(good) == "a.cwa: good as it is: the raw data are off by 1.25 mg\n"
 
 
 def test_with_a_prior_the_interval_is_that_of_the_sphere(shown: Shown) -> None:
     """The raw error on postures left out, 13.5 mg, lies in their own interval, which is not shown."""
-    start = "13.5 mg before, 9.80 mg after on postures left out of the fit; 4.10 mg over the whole sphere"
-    assert shown(ROW | SPHERE) == f"a.cwa: calibrated (model 9); {start} (95 % interval 1.50 to 9.90)\n"
+    start = "a.cwa: calibrated with nine parameters: 13.5 -> 9.8 mg held out; "
+    assert shown(ROW | SPHERE) == f"{start}4.1 mg over the whole sphere, 95 % 1.5-9.9\n"
+    wide = shown(ROW | SPHERE | {"sphere_high_mg": 12.0})
+    assert wide.endswith(f"  {REACH.format(12, 'in postures that are not in the recording')}\n")
     doubtful = shown(ROW | SPHERE | {"sphere_before_mg": 9.5})
-    assert doubtful.endswith("; this may be no better than the raw data, whose 9.50 mg lie within it\n")
+    assert doubtful.endswith(f"\n  {UNCERTAIN.replace('13.5', '9.5')}\n")
     assert "no better" not in shown(ROW | SPHERE | {"sphere_before_mg": 9.5, "outcome": "already_good"})
+
+
+def test_models_are_said_in_words(shown: Shown) -> None:
+    fine = ROW | {"ci95_high_mg": 9.9}
+    assert " with twelve parameters: " in shown(fine | {"model": "12"})
+    assert " with six parameters and temperature: " in shown(fine | {"model": "6T"})
+    borrowed = shown(fine | {"outcome": "borrowed"})
+    assert "coefficients (nine parameters): 13.5 -> 9.8 mg on its own still windows" in borrowed
 
 
 def test_fields_at_a_terminal_are_an_option(shown: Shown) -> None:
@@ -73,3 +92,89 @@ def test_fields_at_a_terminal_are_an_option(shown: Shown) -> None:
 
 def test_a_pipe_gets_fields(tmp_path: Path, capsys: Capture) -> None:
     assert len(run(capsys, "calibrate", good_raw(tmp_path), "--report-only").lines[0].split("\t")) == 7
+
+
+@pytest.fixture
+def terminal() -> Callable[..., list[str]]:
+    """What a command prints where standard output and error are a terminal."""
+
+    def ran(*words: object) -> list[str]:
+        out, err = Terminal(), Terminal()
+        with redirect_stdout(out), redirect_stderr(err):
+            exit_code(*words)
+        lines = [line for line in err.getvalue().splitlines() if line.startswith("accelcal:")]
+        return out.getvalue().splitlines() + lines
+
+    return ran
+
+
+class Terminal(StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+Seen = Callable[..., list[str]]
+
+
+def test_a_side_that_was_never_up_is_a_caution(tmp_path: Path, terminal: Seen, capsys: Capture) -> None:
+    poses = directions(60)
+    path = write_raw(tmp_path / "up.raw", still_counts(poses[poses[:, 0] > 0.35]))
+    told = "Caution: It never rested with -x pointing up: what it measures there was not checked."
+    sentence, *rest = terminal("calibrate", path, "--report-only")
+    assert sentence.startswith(f"{path}: calibrated with nine parameters: ") and rest == [f"  {told}"]
+    assert terminal("calibrate", path, "--report-only", "-q", "--force") == [sentence]
+    assert terminal("calibrate", path, "--report-only", "--tsv", "--force")[1:] == []
+    piped = run(capsys, "calibrate", path, "--report-only", "--force")
+    assert "Caution" not in piped.out + piped.err
+    assert told in run(capsys, "calibrate", path, "--report-only", "-v", "--force").err
+
+
+def test_a_refusal_is_said_once_with_a_way_on(tmp_path: Path, terminal: Seen, capsys: Capture) -> None:
+    path = write_raw(tmp_path / "three.raw", still_counts(directions(60)[:3]))
+    refusal, *ways = terminal("calibrate", path)
+    assert refusal.startswith(f"{path}: refused: what the points leave open is too much: ")
+    assert [way.split(": ")[0] for way in ways] == ["  What to do"] * 3
+    assert "with -x, +y and +z pointing up" in ways[1] and "--borrow" in ways[2] and "six-pose" in ways[2]
+    piped = run(capsys, "calibrate", path, "--force")
+    assert piped.err.count("\n") == 1 and "What to do" not in piped.err
+
+
+def test_a_wrong_unit_is_not_told_to_borrow(tmp_path: Path, terminal: Seen) -> None:
+    refusal, *ways = terminal("calibrate", good_csv(tmp_path), "--unit", "m/s2")
+    assert "rest measures 0.101 g instead of 1 g" in refusal
+    assert len(ways) == 1 and "--unit" in ways[0] and "--lsb-per-g" in ways[0] and "layout" in ways[0]
+
+
+@pytest.mark.parametrize(
+    ("noise_g", "said"),
+    [
+        (0.016, "has a standard deviation of 16.8 mg, 13 mg is the limit; if that is the sensor's noise"),
+        (0.3, "moves by 1.4 g (max - min), 0.12 g is the limit; if it rested for shorter times only"),
+    ],
+)
+def test_no_stillness_is_told_with_its_numbers(
+    tmp_path: Path, terminal: Seen, noise_g: float, said: str
+) -> None:
+    counts = still_counts(directions(60), noise_g=noise_g)
+    path = write_raw(tmp_path / "a.raw", counts)
+    refusal, *ways = terminal("calibrate", path)
+    windows = counts[: 360 * 125].reshape(360, 125, 3) / LSB_PER_G
+    quietest = windows[np.ptp(windows, axis=1).max(axis=1).argmin()]
+    numbers = np.ptp(quietest, axis=0).max(), 1000 * quietest.std(axis=0).max()
+    assert f"{numbers[noise_g < 0.1]:.3g} " in said
+    assert f"the quietest of 360 windows of 5 s {said}" in refusal
+    assert any("accelcal fit" in way for way in ways)
+
+
+def test_windows_longer_than_the_recording_are_told(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "calibrate", good_raw(tmp_path), "--segment-seconds", 3000)
+    assert "nowhere were 3000 s measured without a gap; give a smaller --segment-seconds" in ran.err
+
+
+def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path, terminal: Seen) -> None:
+    path = tmp_path / "points.csv"
+    path.write_text("x,y,z\n5,5,5\n")
+    assert len(terminal("fit", path)) == 1  # it says that x, y and z must be in g
+    path.write_text("x,y,z\n0,0,1\n")
+    _, *ways = terminal("fit", path)
+    assert len(ways) == 2 and "with -x, +x, -y, +y and -z pointing up" in ways[1]

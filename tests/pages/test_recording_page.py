@@ -377,9 +377,11 @@ def test_an_older_quality_file_lacks_two_figures_only(made: Files) -> None:
     assert drawn == [f"{name}-title" for name in ("histogram", "sphere", "error", "timeline", "temperature")]
 
 
-def fortnight(report: dict[str, Any], quality: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Two weeks with as many points as there can be, all of them in places of their own."""
-    hours, number, random = 14 * 24, 4096, np.random.RandomState(2)
+def fullest(
+    report: dict[str, Any], quality: dict[str, Any], hours: int = 14 * 24
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """So many hours with as many points as there can be, all of them in places of their own."""
+    number, random = 4096, np.random.RandomState(2)
     long = copy.deepcopy(quality)
     times = np.datetime64("2024-03-04", "us") + np.arange(hours) * np.timedelta64(3600, "s")
     spread = {name: random.uniform(-90, 90, hours).round(2).tolist() for name in ("p5", "p50", "p95")}
@@ -387,7 +389,7 @@ def fortnight(report: dict[str, Any], quality: dict[str, Any]) -> tuple[dict[str
     rows = {name: random.randint(100_000, 999_999, hours).tolist() for name in long["rows"]}
     rows |= {"start": np.datetime_as_string(times).tolist(), "samples": [360_000] * hours}
     rows |= {"before_mg": sizes, "after_mg": sizes, "before_off_mg": spread, "after_off_mg": spread}
-    rows |= {"worn": [True, False, None] * (hours // 3), "temperature_c": [31.23] * hours}
+    rows |= {"worn": random.choice([True, False, None], hours).tolist(), "temperature_c": [31.23] * hours}
     unit = random.standard_normal((3, number))
     unit = np.rint(1000 * unit / np.linalg.norm(unit, axis=0)).astype(int)
     points = {name: random.randint(1, 999, number).tolist() for name in ("windows", "weight", "posture")}
@@ -403,9 +405,56 @@ def fortnight(report: dict[str, Any], quality: dict[str, Any]) -> tuple[dict[str
 
 
 def test_two_weeks_with_all_points_make_a_page_below_250_kb(made: Files) -> None:
-    text = page(*fortnight(*made["warm"]))
+    text = page(*fullest(*made["warm"]))
     root = check(text)
     assert 150_000 < len(text.encode()) < 250_000, len(text.encode())
     assert len(root.all("tr")) > 14 * 24
     labels = [one.text for one in figure(root, "error").all("text")]
     assert {"4 Mar", "10 Mar", "18 Mar"} <= set(labels)
+
+
+@pytest.mark.parametrize("hours", [14 * 24, 14 * 24 + 1, 512])
+def test_a_page_is_never_larger_than_300_kb(made: Files, hours: int) -> None:
+    """512 rows are all that there can be: of an hour in three weeks, of four in sixty days and more."""
+    report, quality = fullest(*made["warm"], hours)
+    report = copy.deepcopy(report)
+    report["recording"] |= {"path": "p" * 4000, "gaps": _gaps(quality["rows"]["start"], 1000)}
+    problem = {"code": "checksum", "message": "m" * 200, "byte_offset": 10**12, "sample": 0, "count": 10**6}
+    report["file_health"] |= {"problems": [problem] * 1000}
+    report["provenance"]["command"] = ["accelcal", "calibrate", *["recording.cwa"] * 10_000]
+    quality["convergence"] = np.random.RandomState(1).uniform(0.1, 90, 100).round(4).tolist()
+    text = page(report, quality)
+    check(text)
+    assert 200_000 < len(text.encode()) < 300_000, len(text.encode())
+    assert "980 more are in the report" in text and "more characters are in the report" in text
+
+
+def _gaps(starts: list[str], number: int) -> list[dict[str, Any]]:
+    begin, end = np.datetime64(starts[0], "us"), np.datetime64(starts[-1], "us")
+    moments = begin + np.arange(number) * ((end - begin) // number)
+    times = np.datetime_as_string(moments).tolist()
+    return [{"sample": place, "start_time": time, "seconds": 1.0} for place, time in enumerate(times)]
+
+
+def test_rows_of_a_long_recording_have_sums_means_and_the_worst_of_their_hours(made: Files) -> None:
+    report, quality = fullest(*made["warm"], 512)
+    held = quality["rows"]
+    root = check(page(report, quality))
+    (table,) = [one for one in root.all("table") if "3 rows of STEM.quality.json in each row" in one.whole()]
+    head = [one.text for one in table.one("thead").all("th")]
+    rows = [[cell.text.replace("−", "-") for cell in row.children] for row in table.one("tbody").all("tr")]
+    assert len(rows) == 171  # of 512, the last of two
+    for place in (0, 57, 170):
+        part, row = slice(3 * place, 3 * place + 3), dict(zip(head, rows[place], strict=True))
+        assert row["Start"] == held["start"][3 * place][:16].replace("T", " ")
+        assert float(row["Still"]) == pytest.approx(sum(held["still"][part]), rel=1e-5)
+        assert float(row["Filled"]) == pytest.approx(sum(held["filled"][part]), rel=1e-5)
+        mean = np.average(held["before_mg"]["mean"][part], weights=held["windows"][part])
+        assert float(row["error before, mean [mg]"]) == pytest.approx(mean, rel=0.006)
+        worst = max(held["after_mg"]["p95"][part])
+        assert float(row["error after, largest 95 % [mg]"]) == pytest.approx(worst, rel=0.006)
+        farthest = max(held["after_off_mg"]["p50"][part], key=abs)
+        assert float(row["|a| − 1 g after, median farthest off [mg]"]) == pytest.approx(farthest, rel=0.006)
+        worn = set(held["worn"][part])
+        plain = "yes" if True in worn else "no" if False in worn else "–"
+        assert row["Worn"] == ("in part" if {True, False} <= worn else plain)

@@ -5,7 +5,6 @@ A layout is read with errors that name the key, and checked: its sizes and offse
 
 from __future__ import annotations
 
-import difflib
 import math
 import reprlib
 from collections.abc import Mapping
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from accelcal_cli.core.clock import StartTime, start_of
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import UsageError, did_you_mean
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G
 from accelcal_cli.core.text_files import read_toml
 
@@ -280,11 +279,8 @@ class Keys:
         self._known.update(also)
         for key in self._table:
             if key not in self._known:
-                near = difflib.get_close_matches(key, self._known, 1)
-                known = (
-                    f"did you mean {near[0]}?" if near else f"valid keys: {', '.join(sorted(self._known))}"
-                )
-                raise self.error(key, "is not a known key", known)
+                known = f"valid keys: {', '.join(sorted(self._known))}"
+                raise self.error(key, "is not a known key", did_you_mean(key, self._known) or known)
 
     def table(self, key: str) -> Keys:
         """A table that must be there."""
