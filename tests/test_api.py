@@ -118,7 +118,7 @@ def test_a_study_is_that_of_the_command(tmp_path: Path, capsys: Capture) -> None
 @pytest.mark.parametrize(
     ("options", "kind", "text"),
     [
-        ({"latitud": 5}, TypeError, "is it 'latitude'"),
+        ({"latitud": 5}, TypeError, "did you mean 'latitude'"),
         ({"latitude": "x"}, TypeError, "latitude cannot be 'x'"),
         ({"latitude": 91}, accelcal.AccelcalError, "latitude cannot be 91; possible: -90 to 90"),
         ({"profile": "best"}, accelcal.AccelcalError, "possible: default, paper"),

@@ -101,8 +101,14 @@ def real(path: Path) -> Path:
 
 
 def stem(path: Path) -> str:
-    """File name without `.gz` and its format suffix."""
-    name = re.sub(r"([._-]*)\*[._-]*", r"\1", path.name).strip("._-") if ANY in path.name else path.name
+    """File name without `.gz` and its format suffix; of a pattern what it names, or its folder's name."""
+    if ANY in path.name:
+        plain = re.sub(r"[._-]*\*", "", _without_suffix(path.name)).strip("._-")
+        return plain or path.parent.name or "parts"
+    return _without_suffix(path.name)
+
+
+def _without_suffix(name: str) -> str:
     if (packed := next((one for one in ARCHIVES if name.lower().endswith(one)), None)) is not None:
         return name[: -len(packed)]
     if name.lower().endswith(".gz"):
