@@ -132,6 +132,8 @@ def truth(data: bytes) -> Truth | None:
     if range_g not in (2, 4, 8, 16):
         return None
     starts = [at for at in range(524, len(data)) if data.startswith(MAGIC, at)]
+    if not starts:
+        return None
     parts, damaged, reached = [], 0, 524
     for at, follower in zip(starts, [*starts[1:], len(data)], strict=True):
         damaged += at > reached
