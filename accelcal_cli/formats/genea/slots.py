@@ -159,7 +159,7 @@ class Grouper:
         self._empty = []
 
     def _take(self, new: Group, found: Found, *, last: bool) -> PageBlock:
-        """Groups that end within the open one and new slots; all of these, save unused ones, if none follow."""
+        """Groups that end within the open one and new slots; all, save unused slots, if none follow."""
         first = self._open.first if len(self._open.slots) else new.first
         slots = np.concatenate((self._open.slots, new.slots))
         slots = slots[: used(slots)] if last else slots
