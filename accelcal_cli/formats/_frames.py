@@ -174,9 +174,9 @@ class _Rows:
             used_bytes=0,
             **self._held.fill(frames.channels),
         )
-        chunk = self._filter.apply(chunk, frames.faulty)
-        if frames.faulty is not None:
-            self._note(frames.faulty)
+        faulty = np.zeros(count, np.bool_) if frames.faulty is None else frames.faulty
+        chunk = self._filter.apply(chunk, faulty)
+        self._note(faulty)
         self.frame += count
         self._samples += len(chunk)
         problems = self._log.take(None if last else self.frame)
@@ -185,6 +185,8 @@ class _Rows:
     def _note(self, faulty: NDArray[np.bool_]) -> None:
         """Put runs of faulty rows into the log."""
         places, kind = np.flatnonzero(faulty), self._file.left_out
+        if not len(places):
+            return
         before = np.cumsum(~faulty)
         for index, count, scattered in self._log.runs(kind, places):
             place = int(places[index])
