@@ -24,6 +24,7 @@ from accelcal_cli.core.parts import ANY, files_of, is_never, set_of
 from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.csv import channels_beside
 from accelcal_cli.formats.raw import folder_layout, named_layout
+from accelcal_cli.formats.unisens import belongs_to_another
 from accelcal_cli.output.report import load
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.stated import fits
@@ -251,10 +252,10 @@ def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[I
 
 
 def _never(path: Path) -> bool:
-    """Whether a file is certainly no recording: hidden, of ours, a study's, or options and layouts."""
+    """Whether a file is certainly no recording: hidden, ours, a study's, options, layouts, or part of one."""
     name = path.name
     written = NAMES.fullmatch(name) is not None and (path.suffix not in SUMMARY or _summary(path))
-    return name.startswith(".") or name.endswith(OURS) or written
+    return name.startswith(".") or name.endswith(OURS) or written or belongs_to_another(path)
 
 
 def _plain(path: Path) -> bool:

@@ -16,7 +16,7 @@ from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
 FORMATS = "accelcal_cli.formats."
-SHARED = {"_bytes", "_idle", "_pages", "_problems", "_stamps"}
+SHARED = {"_bytes", "_frames", "_idle", "_pages", "_problems", "_stamps"}
 FOLDER = {"opal": "hdf5"}
 """The folder of a format, if it is not called like the format."""
 

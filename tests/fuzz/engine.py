@@ -1,7 +1,8 @@
 """Makes mutants by their numbers, tries each, and counts what came of it.
 
-A target is a module `tests.fuzz.mutate_<format>` (SUFFIX and `mutant(random)`), or one of our own files in
-`tests.fuzz.own`. The same seed and number make the same mutant, whichever process makes it.
+A target is a module `tests.fuzz.mutate_<format>` (SUFFIX and `mutant(random)`, and BESIDE if the file beside
+a mutant is no layout), or one of our own files in `tests.fuzz.own`. The same seed and number make the same
+mutant, whichever process makes it.
 """
 
 from __future__ import annotations
@@ -148,7 +149,7 @@ def format_target(name: str, folder: Path) -> Try:
     """Tries the mutants of a format."""
     module = importlib.import_module(f"tests.fuzz.mutate_{name}")
     path = folder / f"mutant{module.SUFFIX}"
-    layout = folder / "mutant.layout.toml"
+    layout = folder / f"mutant{getattr(module, 'BESIDE', '.layout.toml')}"
 
     def attempt(random: Random, number: int, folder: Path, tally: Tally) -> tuple[bytes, str, str | None]:
         made: Mutant = module.mutant(random)

@@ -46,7 +46,7 @@ class Mutant:
     Attributes:
         what: the changes, for people.
         truth: None where nobody can tell what the file holds.
-        layout: text of the file beside it that says how to read it.
+        layout: the file beside it, such as one that says how to read it.
         sound_lines: lines below the first in which nothing is wrong; an error names none of them.
     """
 

@@ -8,7 +8,7 @@ from accelcal_cli.core.formats import Format, Probe
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".log")
 VENDORS_SCORE = 90
-OTHER_TEXT = (b"Device Identity",)
+OTHER_TEXT = (b"Device Identity", b"<?xml", b"\xef\xbb\xbf<?xml", b"<unisens")
 MOTION, CHANNELS = "_motion.tsv", "_channels.tsv"
 
 

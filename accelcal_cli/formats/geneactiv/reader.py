@@ -19,6 +19,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, clipped_at
 from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
+from accelcal_cli.formats._pages.places import Part, PartPlaces
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
@@ -33,7 +34,7 @@ from accelcal_cli.formats.geneactiv.decode import (
     unhexed,
 )
 from accelcal_cli.formats.geneactiv.header import RESET_DATE, Header, parse_header
-from accelcal_cli.formats.geneactiv.scan import Head, Part, TextFile
+from accelcal_cli.formats.geneactiv.scan import Found, Head, TextFile
 
 PAGES = 64
 UNITS_US = (1_000_000, 500_000)
@@ -85,7 +86,7 @@ def look_inside(file: TextFile) -> FirstPages | None:
     return None
 
 
-def _right_pages(part: Part) -> list[tuple[int, Head]]:
+def _right_pages(part: Part[Found]) -> list[tuple[int, Head]]:
     """Place and text of pages that make sense by themselves."""
     found = part.found
     places = [place for place, kind in enumerate(found.status, part.first_position) if kind == GOOD]
@@ -163,7 +164,7 @@ class Scheme:
         pages = max(0, int(part.found.heads[0][1]) - self.first.sequence) if part.found.heads else 0
         return Assembler(self, pages * scan.SAMPLES, ()).feed(part)
 
-    def block(self, part: Part) -> PageBlock:
+    def block(self, part: Part[Found]) -> PageBlock:
         """The pages of a part, decoded."""
         return Decoder(self.settings)(part.found, part.first_position).block
 
@@ -173,14 +174,14 @@ class Assembler:
 
     def __init__(self, scheme: Scheme, sample: int, problems: tuple[Problem, ...]) -> None:
         self._scheme = scheme
-        self._places = _Places()
+        self._places = PartPlaces(scan.USUAL_BYTES)
         self._decode = Decoder(scheme.settings)
         timeline = CoarseTimeline(scheme.spacing, scheme.first.unit_us)
         first = scheme.first.first_values
         self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, first, problems)
         self._highest = self._last_position = -1
 
-    def feed(self, part: Part) -> Chunk:
+    def feed(self, part: Part[Found]) -> Chunk:
         """Add a part; the last one releases everything."""
         self._places.part = part
         decoded = self._decode(part.found, part.first_position)
@@ -190,7 +191,7 @@ class Assembler:
             self._last_position = int(block.position[-1])
         return clipped_at(self._joiner.feed(part, decoded), *self._scheme.settings.scale.clipped)
 
-    def ending(self, part: Part, chunk: Chunk) -> tuple[Problem, ...]:
+    def ending(self, part: Part[Found], chunk: Chunk) -> tuple[Problem, ...]:
         """What is missing at the end of the file."""
         sample, found = chunk.first_sample + len(chunk), part.found
         problems = [Problem("truncated", BROKEN_OFF, part.end, sample)] if part.broke_off else []
@@ -204,26 +205,11 @@ class Assembler:
             problems.append(Problem("truncated", text, part.end, sample, lost))
         return tuple(problems)
 
-    def _never_come(self, part: Part) -> int:
+    def _never_come(self, part: Part[Found]) -> int:
         """Pages that the header announces, without those that are reported in another way."""
         damaged = part.next_position - 1 - self._last_position
         cut = part.found.cut is not None and part.found.cut_samples == 0
         return (self._scheme.announced or 0) - (self._highest + 1) - damaged - cut
-
-
-class _Places:
-    """Where the places of the part lie that is being read."""
-
-    part: Part
-    page_bytes = scan.USUAL_BYTES
-
-    def offset(self, position: int) -> int:
-        """Bytes from the start of the (uncompressed) file."""
-        return self.part.offset(position)
-
-    def length(self, position: int, pages: int) -> int:
-        """Bytes of so many places."""
-        return self.part.length(position, pages)
 
 
 class GeneactivReader(Reader):

@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._pages import places
 from accelcal_cli.formats._pages.pages import GOOD, LENGTH, MISSING, NO_PAGE, TEXT
+from accelcal_cli.formats._pages.places import Part
 from accelcal_cli.formats.geneactiv import MARK
 
 SAMPLES = 300
@@ -101,32 +103,20 @@ def _padded(text: bytes) -> bytes:
 
 
 @dataclass(slots=True)
-class Found:
+class Found(places.Found):
     """Places of a stretch of the file in their order.
 
+    A GOOD one is a page whose text and length are right; each reaches up to the next page.
+
     Attributes:
-        status: what each place is: GOOD, a page whose text and length are right, or a key of BAD_KINDS.
-        offset: where each begins, bytes from the start of the (uncompressed) file.
-        length: bytes of each, up to the next page.
         heads, bodies: of the GOOD ones. A body has 3600 characters, fewer only in a page that the
             end of the file cuts off, whose whole samples these are.
-        cut: where a page begins that the end of the file cuts off, None without one.
-        cut_samples: whole samples of that page.
+        cut_samples: whole samples of the page that the end of the file cuts off.
     """
 
-    status: list[int] = field(default_factory=list)
-    offset: list[int] = field(default_factory=list)
-    length: list[int] = field(default_factory=list)
     heads: list[Head] = field(default_factory=list)
     bodies: list[bytes] = field(default_factory=list)
-    cut: int | None = None
     cut_samples: int = 0
-
-    def place(self, status: int, offset: int, end: int) -> None:
-        """Add one of any kind, up to byte `end`."""
-        self.status.append(status)
-        self.offset.append(offset)
-        self.length.append(end - offset)
 
     def page(self, offset: int, end: int, head: Head, body: bytes) -> None:
         """Add a GOOD one."""
@@ -232,44 +222,6 @@ def _is_whole(text: bytes, begin: int, close: int) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
-    """Consecutive places of a file; also what a PageJoiner asks of them.
-
-    Attributes:
-        first_position: number of the first place.
-        end: how far the part reaches in the (uncompressed) file, bytes.
-        end_byte: and on disk, for progress.
-        last: nothing follows.
-        broke_off: the compressed data broke off rather than ended.
-        tail, broken, undecoded: none, for the joiner; a page that is cut off stands in `found`.
-    """
-
-    first_position: int
-    found: Found
-    end: int
-    end_byte: int
-    last: bool
-    broke_off: bool = False
-    tail: bytes = b""
-    broken: bool = False
-    undecoded: int = 0
-
-    @property
-    def next_position(self) -> int:
-        """Number of the place after these."""
-        return self.first_position + len(self.found.status)
-
-    def offset(self, position: int) -> int:
-        """Where a place of this part begins, bytes from the start of the (uncompressed) file."""
-        return self.found.offset[position - self.first_position]
-
-    def length(self, position: int, pages: int) -> int:
-        """Bytes of so many places of this part."""
-        first = position - self.first_position
-        return sum(self.found.length[first : first + pages])
-
-
-@dataclass(frozen=True, slots=True)
 class TextFile:
     """Where the pages lie.
 
@@ -283,7 +235,7 @@ class TextFile:
     size: int
     compressed: bool
 
-    def parts(self, pages: int) -> Generator[Part]:
+    def parts(self, pages: int) -> Generator[Part[Found]]:
         """All places of the file, those of about `pages` pages at a time; a part may be empty.
 
         Raises:
@@ -301,7 +253,7 @@ class TextFile:
                 yield Part(position, found, end, source.disk_position(), last, source.broken)
                 position += len(found.status)
 
-    def piece(self, offset: int, length: int) -> Part:
+    def piece(self, offset: int, length: int) -> Part[Found]:
         """The places that begin within `length` bytes from `offset` on, in an uncompressed file."""
         with ByteSource(self.path) as source:
             source.seek(offset)

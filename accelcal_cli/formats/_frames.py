@@ -1,0 +1,209 @@
+"""Files of equal frames, one for each sample of an even rate: their rows, wherever the pieces end.
+
+A format says where the frames lie and what they hold. Rows that hold nothing usable are left out, and the row
+after them does not continue the one before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import UniformClock, rate_fraction
+from accelcal_cli.core.recording import Channels, Chunk, Counts, Problem, Reader, Recording
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._pages.pages import BLOCK_BYTES, HeldChannels, RowFilter
+from accelcal_cli.formats._problems import Event, Kind, ProblemLog
+
+FIRST_ROWS = 1 << 16
+
+CUT_OFF = "bytes of an incomplete sample at the end of the file, left out"
+BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sample, left out"
+NEVER_CAME = "samples that the file announces are missing at its end"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frames:
+    """Some frames as columns of n rows each.
+
+    Attributes:
+        faulty: (n,) rows that hold nothing usable; None if all do.
+        validity: as in Chunk.
+        channels: as in Chunk; one of single values may hold MISSING.
+    """
+
+    counts: Counts
+    faulty: NDArray[np.bool_] | None = None
+    validity: NDArray[np.uint8] | None = None
+    channels: Channels = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class FrameFile:
+    """Where frames lie, and what is in them.
+
+    Attributes:
+        announced: how many there should be, None if the file does not say; what follows is something else.
+        compressed: gzip; such a file is only read from its beginning.
+        origin_us: time of the first frame.
+        decode: what (n, frame_bytes) bytes hold, by them and the number of the first of these frames.
+        first_values: of channels that may lack values, the first measured one; None where none is measured.
+        left_out: code and text of faulty rows.
+        damaged: whether their bytes are lost, or only say that nothing was measured.
+    """
+
+    path: Path
+    start_byte: int
+    frame_bytes: int
+    announced: int | None
+    compressed: bool
+    origin_us: int
+    decode: Callable[[NDArray[np.uint8], int], Frames]
+    first_values: Mapping[str, int | None] = field(default_factory=dict)
+    left_out: Kind = ("missing_value", "samples without a usable value, left out")
+    damaged: bool = True
+
+    def enter(self, source: ByteSource, first: int) -> None:
+        """Go to a frame; from its beginning only, in a compressed file."""
+        if self.compressed:
+            source.read_exact(self.start_byte)
+        else:
+            source.seek(self.start_byte + first * self.frame_bytes)
+
+    def whole_frames(self) -> int:
+        """How many there are in an uncompressed file."""
+        there = max(0, self.path.stat().st_size - self.start_byte) // self.frame_bytes
+        return there if self.announced is None else min(there, self.announced)
+
+    def offset(self, frame: int) -> int:
+        """Where a frame begins, bytes from the start of the (uncompressed) file."""
+        return self.start_byte + frame * self.frame_bytes
+
+
+class FrameReader(Reader):
+    """Streams the frames; each call of `chunks` reads the file from its beginning.
+
+    Args:
+        problems: what was found while opening; reported with the first chunk.
+    """
+
+    def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...] = ()) -> None:
+        self.recording = recording
+        self._file = file
+        self._problems = problems
+
+    def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield all rows in order, `chunk_samples` at a time."""
+        for chunk in self._stream(0, self._file.announced, self._size(chunk_samples), self._problems):
+            if len(chunk) or chunk.problems:
+                yield chunk
+
+    def first_us(self) -> int | None:
+        """Time of the first row that is not left out [us], None without one."""
+        with closing(self._stream(0, self._file.announced, FIRST_ROWS, ())) as chunks:
+            return next((int(chunk.clock.times(0, 1)[0]) for chunk in chunks if len(chunk)), None)
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Enter the file at evenly spread frames; a short or gzip file gives its first chunks."""
+        size = self._size(chunk_samples)
+        total = 0 if self._file.compressed else self._file.whole_frames()
+        if total < pieces * size:
+            yield from super().preview(chunk_samples, pieces)
+            return
+        for piece in range(pieces):
+            first = piece * total // pieces
+            yield from self._stream(first, first + size, size, ())
+
+    def _size(self, chunk_samples: int) -> int:
+        return max(1, min(chunk_samples, BLOCK_BYTES // self._file.frame_bytes))
+
+    def _stream(
+        self, first: int, stop: int | None, size: int, problems: tuple[Problem, ...]
+    ) -> Generator[Chunk]:
+        """Frames first..stop-1, `size` at a time; the last chunk may be empty."""
+        file, rows = self._file, _Rows(self._file, self.recording, first, problems)
+        with ByteSource(file.path) as source:
+            file.enter(source, first)
+            last = False
+            while not last:
+                wanted = size if stop is None else min(size, stop - rows.frame)
+                data = source.read_exact(wanted * file.frame_bytes)
+                source.refuse_untrue()
+                last = len(data) < wanted * file.frame_bytes or rows.frame + wanted == stop
+                chunk = rows.feed(data, source.disk_position(), last=last)
+                if last:
+                    chunk = replace(chunk, problems=chunk.problems + rows.ending(data, stop, source))
+                yield chunk
+
+
+class _Rows:
+    """Makes chunks of the frames of a file in their order.
+
+    Attributes:
+        frame: number of the next one.
+    """
+
+    def __init__(
+        self, file: FrameFile, recording: Recording, frame: int, problems: tuple[Problem, ...]
+    ) -> None:
+        self.frame = frame
+        self._file = file
+        self._rate = rate_fraction(recording.rate_hz)
+        self._samples = frame
+        self._log = ProblemLog(problems)
+        self._held = HeldChannels(file.first_values)
+        self._filter = RowFilter()
+
+    def feed(self, data: bytes, end_byte: int, *, last: bool) -> Chunk:
+        """The next whole frames."""
+        count = len(data) // self._file.frame_bytes
+        flat = np.frombuffer(data, np.uint8, count * self._file.frame_bytes)
+        frames = self._file.decode(flat.reshape(count, self._file.frame_bytes), self.frame)
+        chunk = Chunk(
+            first_sample=self._samples,
+            counts=frames.counts,
+            clock=UniformClock(self._file.origin_us, self.frame, self._rate),
+            end_byte=end_byte,
+            validity=frames.validity,
+            problems=(),
+            used_bytes=0,
+            **self._held.fill(frames.channels),
+        )
+        faulty = np.zeros(count, np.bool_) if frames.faulty is None else frames.faulty
+        chunk = self._filter.apply(chunk, faulty)
+        self._note(faulty)
+        self.frame += count
+        self._samples += len(chunk)
+        problems = self._log.take(None if last else self.frame)
+        return replace(chunk, problems=problems, used_bytes=len(chunk) * self._file.frame_bytes)
+
+    def _note(self, faulty: NDArray[np.bool_]) -> None:
+        """Put runs of faulty rows into the log."""
+        places, kind = np.flatnonzero(faulty), self._file.left_out
+        if not len(places):
+            return
+        before = np.cumsum(~faulty)
+        for index, count, scattered in self._log.runs(kind, places):
+            place = int(places[index])
+            frame, sample = self.frame + place, self._samples + int(before[place])
+            lost = count * self._file.frame_bytes if self._file.damaged else 0
+            offset = self._file.offset(frame)
+            event = Event(frame, count, *kind, offset, sample, count, lost_bytes=lost, scattered=scattered)
+            self._log.add(event)
+
+    def ending(self, data: bytes, stop: int | None, source: ByteSource) -> tuple[Problem, ...]:
+        """What is wrong with the end of the file."""
+        left, offset, problems = len(data) % self._file.frame_bytes, self._file.offset(self.frame), []
+        if left or source.broken:
+            text = f"{BROKEN_OFF if source.broken else CUT_OFF}: {left}"
+            lost = left + source.undecoded()
+            problems.append(Problem("truncated", text, offset, self._samples, left, lost))
+        if stop is not None and stop > self.frame:
+            missing = stop - self.frame
+            problems.append(Problem("truncated", f"{NEVER_CAME}: {missing}", offset, self._samples, missing))
+        return tuple(problems)

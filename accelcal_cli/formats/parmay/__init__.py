@@ -1,0 +1,31 @@
+"""Recordings of Parmay Tech's Matrix devices (.BIN), packets with a checksum each: how they are recognised.
+
+Source: the vendor's layout as GGIRread reads it (github.com/wadpac/GGIRread, R/readParmayMatrix.R) and its
+sample files; what each field means to this reader is described in docs/more-devices.md.
+"""
+
+from __future__ import annotations
+
+from accelcal_cli.core.formats import Format, Probe
+
+PACKET_MAGIC = b"MDTCPACK"
+HEADER_MAGIC = b"MDTC"
+REMARKS_BYTES = 512
+HEADER_BYTES = 524
+
+
+def sniff(probe: Probe) -> int:
+    """100 by the header's signature behind the remarks; 97 by a packet's where the header is damaged."""
+    if probe.head.startswith(HEADER_MAGIC, REMARKS_BYTES):
+        return 100
+    return 97 if PACKET_MAGIC in probe.head else 0
+
+
+FORMAT = Format(
+    "parmay",
+    "Parmay Matrix (.BIN)",
+    (".bin",),
+    sniff,
+    reader="accelcal_cli.formats.parmay.reader:open_recording",
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+)

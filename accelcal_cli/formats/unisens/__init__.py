@@ -1,0 +1,83 @@
+"""Unisens recordings: a folder with `unisens.xml` and the signals that it describes; how they are recognised.
+
+Sources: the schema and documentation of Unisens 2.0 (unisens.org), and the package unisensR
+(github.com/Unisens/unisensR); what each attribute means to this reader is described in docs/more-devices.md.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from accelcal_cli.core.formats import Format, Probe
+
+DESCRIPTION = "unisens.xml"
+ROOT = re.compile(rb"<(?:\w+:)?unisens\b")
+MOST_BYTES = 1 << 22
+"""No description is longer."""
+
+ENTRY = re.compile(rb"<(?:\w+:)?(\w+Entry)\b([^>]*)>")
+_ID = re.compile(rb"""\bid\s*=\s*["']([^"']*)["']""")
+_CLASS = re.compile(rb"""\bcontentClass\s*=\s*["']([^"']*)["']""")
+
+
+def description_beside(path: Path) -> bytes | None:
+    """The description in the folder of a file; None without one."""
+    try:
+        with path.with_name(DESCRIPTION).open("rb") as file:
+            text = file.read(MOST_BYTES)
+    except (OSError, ValueError):
+        return None
+    return text if ROOT.search(text) else None
+
+
+def listed_files(description: bytes) -> list[str]:
+    """Names of all files that a description lists."""
+    ids = (_ID.search(entry[2]) for entry in ENTRY.finditer(description))
+    return [match[1].decode("utf-8", "replace") for match in ids if match]
+
+
+def accelerations(description: bytes) -> list[str]:
+    """Names of the files with signals of class `acc`, in their order, binary ones first."""
+    signals = [entry[2] for entry in ENTRY.finditer(description) if entry[1] == b"signalEntry"]
+    classes = [(_ID.search(signal), _CLASS.search(signal)) for signal in signals]
+    names = [name[1].decode("utf-8", "replace") for name, kind in classes if name and kind and _is_acc(kind)]
+    return sorted(names, key=lambda name: not name.lower().endswith(".bin"))
+
+
+def _is_acc(kind: re.Match[bytes]) -> bool:
+    return kind[1].lower() == b"acc"
+
+
+def belongs_to_another(path: Path) -> bool:
+    """Whether a file is part of a Unisens recording that goes by the name of another file.
+
+    A folder goes by the name of its accelerations, or of its description if they are not there.
+    """
+    text = description_beside(path)
+    names = [] if text is None else accelerations(text)
+    if text is None or not names or path.name == names[0]:
+        return False
+    if path.name == DESCRIPTION:
+        return path.with_name(names[0]).is_file()
+    return path.name in listed_files(text)
+
+
+def sniff(probe: Probe) -> int:
+    """100 for a description; 98 for a binary file of accelerations that one beside it lists."""
+    if ROOT.search(probe.head[:4096]):
+        return 100
+    if probe.suffix != ".bin":
+        return 0
+    text = description_beside(probe.path)
+    return 98 if text is not None and probe.path.name in accelerations(text) else 0
+
+
+FORMAT = Format(
+    "unisens",
+    "Unisens folder, such as of movisens (unisens.xml)",
+    (".bin",),
+    sniff,
+    reader="accelcal_cli.formats.unisens.reader:open_recording",
+    ignores=("columns", "time_column", "date_format", "layout", "sensor"),
+)

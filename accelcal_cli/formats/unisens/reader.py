@@ -1,0 +1,293 @@
+"""An open Unisens recording: its accelerations, and the rotation rates and temperatures beside them.
+
+All signals begin at the description's time, each with its own rate and in a file of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.clock import rate_fraction
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions, agreed_rate
+from accelcal_cli.core.recording import (
+    FLOAT_LSB_PER_G,
+    LARGEST_LSB_PER_G,
+    Channels,
+    Counts,
+    Problem,
+    Reader,
+    Recording,
+)
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
+from accelcal_cli.formats._pages.pages import MISSING, first_values
+from accelcal_cli.formats.unisens import DESCRIPTION
+from accelcal_cli.formats.unisens.description import (
+    COPY_AGAIN,
+    RATES_HZ,
+    Description,
+    Signal,
+    load_description,
+)
+
+ACC, GYRO, WARM = ("acc",), ("angularrate", "gyro"), ("temp", "temperature")
+AXES = "xyz"
+PER_G = {"g": 1.0, "mg": 1e3, "m/s2": 9.80665, "m/s^2": 9.80665, "m/s²": 9.80665}
+DEGREES_PER_SECOND = ("dps", "°/s", "deg/s")
+LARGEST_G = 100.0
+WARMEST_MC = 200_000
+WIDE = np.iinfo(np.int32)
+MOST_FIRST_ROWS = 1 << 16
+SMALLEST_LSB_PER_G = 1e-6
+MOST_RATIO = 100
+
+NO_START = "the description does not tell when the recording began: times count from its start"
+OTHER_GYRO = (
+    "{name} was not used: it has another rate, length or unit than those of rotation rates beside {acc}"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """A signal in a file of its own, by the rows of the accelerations.
+
+    Attributes:
+        ratio: its samples for each row.
+        frames: how many it has.
+    """
+
+    path: Path
+    signal: Signal
+    ratio: Fraction
+    frames: int
+
+    def values(self, first: int, rows: int) -> NDArray[np.float64]:
+        """Its numbers less the baseline, (rows, channels): those that lasted while each row was measured."""
+        ratio, width = self.ratio, frame_bytes(self.signal)
+        wanted = (
+            first * ratio.numerator + np.arange(rows, dtype=np.int64) * ratio.numerator
+        ) // ratio.denominator
+        wanted = np.minimum(wanted, self.frames - 1)
+        begin = int(wanted[0]) if rows else 0
+        with ByteSource(self.path) as source:
+            source.seek(begin * width)
+            data = source.read_exact((int(wanted[-1]) - begin + 1) * width if rows else 0)
+        numbers = numbers_of(np.frombuffer(data, np.uint8).reshape(-1, width), self.signal)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(numbers[wanted - begin].astype(np.float64) - float(self.signal.baseline))
+
+
+def frame_bytes(signal: Signal) -> int:
+    """Bytes of one sample of all channels."""
+    return np.dtype(signal.number or "u1").itemsize * max(1, len(signal.channels))
+
+
+def numbers_of(table: NDArray[np.uint8], signal: Signal) -> NDArray[np.generic]:
+    """Samples (n, bytes) as numbers, (n, channels)."""
+    return np.ascontiguousarray(table).view(np.dtype(signal.number))
+
+
+@dataclass(frozen=True, slots=True)
+class Decoder:
+    """Turns the file of accelerations into rows.
+
+    Attributes:
+        axes: channels of x, y and z.
+        grid: of a signal of floating-point numbers, counts in one of them; None for whole numbers.
+    """
+
+    signal: Signal
+    axes: tuple[int, ...]
+    grid: float | None
+    gyro: Beside | None
+    warm: Beside | None
+
+    def __call__(self, table: NDArray[np.uint8], first: int) -> Frames:
+        """Rows of some frames."""
+        numbers = numbers_of(table, self.signal)[:, self.axes]
+        counts, faulty = self._whole(numbers) if self.grid is None else self._rounded(numbers, self.grid)
+        return Frames(counts, faulty if faulty.any() else None, None, self.channels(first, len(table)))
+
+    def _whole(self, numbers: NDArray[np.generic]) -> tuple[Counts, NDArray[np.bool_]]:
+        if self.signal.baseline == 0 and numbers.dtype.itemsize <= 2 and numbers.dtype != np.uint16:
+            return numbers.astype(np.int16), np.zeros(len(numbers), np.bool_)
+        counts = numbers.astype(np.int64) - self.signal.baseline
+        faulty = np.asarray(((counts < WIDE.min) | (counts > WIDE.max)).any(axis=1))
+        return np.where(faulty[:, None], 0, counts).astype(np.int32), faulty
+
+    def _rounded(self, numbers: NDArray[np.generic], grid: float) -> tuple[Counts, NDArray[np.bool_]]:
+        with np.errstate(invalid="ignore", over="ignore"):
+            counts = (numbers.astype(np.float64) - self.signal.baseline) * grid
+        faulty = np.asarray(~(np.abs(counts) <= LARGEST_G * FLOAT_LSB_PER_G).all(axis=1))
+        return np.rint(np.where(faulty[:, None], 0, counts)).astype(np.int32), faulty
+
+    def channels(self, first: int, rows: int) -> Channels:
+        """What was measured beside the accelerations of some rows."""
+        channels: Channels = {}
+        if self.gyro is not None:
+            values = self.gyro.values(first, rows)
+            channels["gyro_counts"] = np.clip(values, WIDE.min, WIDE.max).astype(np.int32)
+        if self.warm is not None:
+            with np.errstate(invalid="ignore", over="ignore"):
+                values = self.warm.values(first, rows)[:, 0] * (self.warm.signal.lsb * 1000)
+            known = np.abs(values) <= WARMEST_MC
+            whole = np.rint(np.where(known, values, 0))
+            channels["temperature_mc"] = np.where(known, whole, MISSING).astype(np.int32)
+        return channels
+
+
+def open_recording(path: Path, options: ReadOptions) -> Reader:
+    """Open a folder by its `unisens.xml`, or by its binary file of accelerations.
+
+    Raises:
+        UnreadableError: the description is missing or damaged, it lists no binary accelerations, these are
+            not there or hold no sample, or their rate, scale, unit or axes are not told.
+        UsageError: the user's rate contradicts the description.
+    """
+    named = path.name == DESCRIPTION or path.suffix.lower() == ".xml"
+    xml = path if named else path.with_name(DESCRIPTION)
+    description = load_description(xml)
+    signal = signal_of(description, xml, None if named else path.name)
+    data = path.with_name(signal.name)
+    rows = frames_of(data, signal)
+    gyro = beside(description.of_kind(*GYRO), signal, data)
+    fits = gyro is not None and gyro.ratio == 1 and gyro.frames >= rows and is_rotation(gyro.signal)
+    scale, is_float = lsb_per_g_of(signal, options, xml), np.dtype(signal.number).kind == "f"
+    decoder = Decoder(
+        signal,
+        axes_of(signal, xml),
+        FLOAT_LSB_PER_G / scale if is_float else None,
+        gyro if fits else None,
+        beside(description.of_kind(*WARM), signal, data),
+    )
+    start_us = description.start_us
+    first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
+    file = FrameFile(data, 0, frame_bytes(signal), None, False, start_us or 0, decoder, first)
+    recording = Recording(
+        path=path,
+        format="unisens",
+        rate_hz=agreed_rate(options, signal.rate_hz, path),
+        lsb_per_g=FLOAT_LSB_PER_G if is_float else scale,
+        total_bytes=data.stat().st_size,
+        device=description.device,
+        range_g=None if signal.bits is None or is_float else 2.0 ** (signal.bits - 1) / scale,
+        start_us=start_us,
+        timezone="UTC" if description.is_utc else None,
+        has_offsets=description.is_utc,
+        duration_s=rows / signal.rate_hz,
+        has_temperature=first.get("temperature_mc") is not None,
+        gyro_dps_per_lsb=(gyro.signal.lsb,) * 3 if gyro is not None and fits else None,
+        companion=data if named else xml,
+        notes=() if gyro is None or fits else (OTHER_GYRO.format(name=gyro.signal.name, acc=signal.name),),
+    )
+    problems = () if start_us is not None else (Problem("no_start_time", NO_START, None, 0),)
+    return FrameReader(recording, file, problems)
+
+
+def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
+    """The accelerations, of that name if one is given.
+
+    Raises:
+        UnreadableError: there are none in a binary file, this is not there, or their rate is impossible.
+    """
+    found = [one for one in description.signals if one.kind in ACC and name in (None, one.name)]
+    signal = next((one for one in found if one.number is not None), None)
+    if signal is None and found:
+        hint = f"if it is a table, read it alone: --format csv --rate {found[0].rate_hz:g} --unit g"
+        raise UnreadableError(
+            f"the accelerations ({found[0].name}) are in no binary file", path=xml, hint=hint
+        )
+    if signal is None:
+        what = f"lists no signal of class acc{'' if name is None else f' called {name}'}"
+        raise UnreadableError(what, path=xml, hint="name the folder's unisens.xml")
+    if not RATES_HZ[0] <= signal.rate_hz <= RATES_HZ[1]:
+        what = f"gives {signal.name} an impossible sampling rate of {signal.rate_hz:g} Hz"
+        raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
+    if not is_beside(xml, signal):
+        what = f"lists {signal.name!r}, which is no file in its folder"
+        raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
+    return signal
+
+
+def is_beside(xml: Path, signal: Signal) -> bool:
+    """Whether a signal's file is there; names that lead elsewhere are none."""
+    return Path(signal.name).name == signal.name != "" and xml.with_name(signal.name).is_file()
+
+
+def frames_of(data: Path, signal: Signal) -> int:
+    """How many whole samples a file has.
+
+    Raises:
+        UnreadableError: it cannot be read, is compressed, or has none.
+    """
+    with ByteSource(data) as source:
+        size, compressed = source.file_bytes, source.compressed
+    if compressed or size < frame_bytes(signal):
+        what = "is compressed, which files of Unisens are not" if compressed else "holds no sample"
+        raise UnreadableError(what, path=data, byte_offset=0, hint=COPY_AGAIN)
+    return size // frame_bytes(signal)
+
+
+def axes_of(signal: Signal, xml: Path) -> tuple[int, ...]:
+    """Which channels are x, y and z: those whose names end so, else the only three.
+
+    Raises:
+        UnreadableError: neither is the case.
+    """
+    ends = [name[-1:].lower() for name in signal.channels]
+    if all(ends.count(axis) == 1 for axis in AXES):
+        return tuple(ends.index(axis) for axis in AXES)
+    if len(ends) == len(AXES):
+        return 0, 1, 2
+    what = f"does not tell which channels of {signal.name} are x, y and z"
+    raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
+
+
+def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
+    """Steps in one g: the user's, else those of the signal's scale and unit, or the user's unit.
+
+    Raises:
+        UnreadableError: the unit is none of acceleration, or the scale is impossible.
+    """
+    if options.lsb_per_g is not None:
+        return options.lsb_per_g
+    per_g = PER_G.get((options.unit or signal.unit).lower())
+    if per_g is None:
+        what = f"gives {signal.name} the unit {signal.unit!r}, which is none of acceleration"
+        raise UnreadableError(what, path=xml, hint="give --unit or --lsb-per-g")
+    found = per_g / signal.lsb if signal.lsb > 0 else 0.0
+    if not SMALLEST_LSB_PER_G <= found <= LARGEST_LSB_PER_G:
+        what = f"gives {signal.name} an impossible scale of {signal.lsb:g} {signal.unit}"
+        raise UnreadableError(what, path=xml, hint="give --lsb-per-g")
+    return found
+
+
+def beside(other: Signal | None, signal: Signal, data: Path) -> Beside | None:
+    """A signal beside the accelerations; None if it is not there, or nothing is in it."""
+    if (
+        other is None
+        or Path(other.name).name != other.name
+        or not RATES_HZ[0] <= other.rate_hz <= RATES_HZ[1]
+    ):
+        return None
+    path = data.with_name(other.name)
+    frames = path.stat().st_size // frame_bytes(other) if path.is_file() else 0
+    ratio = rate_fraction(other.rate_hz) / rate_fraction(signal.rate_hz)
+    return Beside(path, other, ratio, frames) if frames and 0 < ratio < MOST_RATIO else None
+
+
+def is_rotation(signal: Signal) -> bool:
+    """Whether a signal holds rotation rates of three axes, as whole numbers."""
+    whole = np.dtype(signal.number).kind in "iu"
+    return (
+        whole
+        and len(signal.channels) == len(AXES)
+        and signal.unit.lower() in DEGREES_PER_SECOND
+        and signal.lsb > 0
+    )
