@@ -2,8 +2,8 @@
 
 `prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a
 time, `background_call` makes one call beside the work of a block, `BackgroundCalls` several, one after
-another, `BackgroundWriter` hands the bytes of a file to the system that way, and `thread_pool` is there for
-what fits none of them.
+another, `OrderedCalls` several side by side, `BackgroundWriter` hands the bytes of a file to the system that
+way, and `thread_pool` is there for what fits none of them.
 Results come in the order of the items, whatever the number of threads.
 """
 
@@ -150,6 +150,40 @@ class BackgroundCalls:
     def close(self) -> None:
         """End the thread, once all calls are made."""
         self._thread.shutdown()
+
+
+class OrderedCalls:
+    """Calls that several threads make side by side; their results are taken in the order of the calls."""
+
+    def __init__(self, threads: int, name: str) -> None:
+        """Start nothing yet.
+
+        Args:
+            threads: how many may work at a time; with one, a call is made when it is given.
+        """
+        self._threads = ThreadPoolExecutor(threads, thread_name_prefix=name) if threads > 1 else None
+        self._waiting: deque[Future[Any]] = deque()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
+
+    def submit(self, call: Callable[..., Any], *arguments: Any) -> None:
+        """Give a call to be made."""
+        if self._threads is not None:
+            self._waiting.append(self._threads.submit(call, *arguments))
+            return
+        done: Future[Any] = Future()
+        done.set_result(call(*arguments))
+        self._waiting.append(done)
+
+    def first(self) -> Any:
+        """The result of the first call whose result was not taken; raises what it raised."""
+        return self._waiting.popleft().result()
+
+    def close(self) -> None:
+        """End the threads, once all calls are made."""
+        if self._threads is not None:
+            self._threads.shutdown(cancel_futures=True)
 
 
 class BackgroundWriter:

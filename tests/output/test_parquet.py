@@ -96,8 +96,9 @@ def test_the_bytes_do_not_depend_on_portions_or_threads(cuts: list[int]) -> None
         patch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
         write(Path(name) / "a", kept, held, [0, 5000])
         write(Path(name) / "b", kept, held, [0, *sorted(cuts), 5000])
-        write(Path(name) / "c", kept, held, [0, *sorted(cuts), 5000], threads=1)
-        assert len({(Path(name) / one).read_bytes() for one in "abc"}) == 1
+        for threads in (1, 2, 4, 16):
+            write(Path(name) / str(threads), kept, held, [0, *sorted(cuts), 5000], threads=threads)
+        assert len({path.read_bytes() for path in Path(name).iterdir()}) == 1
 
 
 def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:
