@@ -12,10 +12,11 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
+from accelcal_cli.formats._gravity import guess_unit
 from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace
 from accelcal_cli.formats.csv import times
 from accelcal_cli.formats.csv.bids import bids_description
-from accelcal_cli.formats.csv.cells import Scale, check_unit, guess_unit, scale_for, stated_unit
+from accelcal_cli.formats.csv.cells import Scale, check_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
 from accelcal_cli.formats.csv.table import (

@@ -12,7 +12,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from math import prod
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,18 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._tables.attributes import Attributes, normal, plain_value
+from accelcal_cli.formats._tables.table import READ_ERRORS
 
 HEAP_MAGIC = b"GCOL\x01\0\0\0"
 HEAP_HEADER = OBJECT_HEADER = 16
 LARGEST_HEAP_READ = 1 << 20
 LARGEST_ATTRIBUTE = 1 << 16
 SPARE_BYTES = 256 << 20
+LONGEST_TEXT = 1 << 16
+MATLAB_CLASS = "MATLAB_class"
 STATUS = Path("/proc/self/statm")
-H5PY_ERRORS = (
-    OSError, RuntimeError, ValueError, TypeError, LookupError, ArithmeticError, AttributeError, MemoryError,
-    SystemError,
-)  # fmt: skip
+H5PY_ERRORS = READ_ERRORS
 """h5py maps the failures of the HDF5 library to almost any of Python's own kinds."""
 
 
@@ -240,36 +241,14 @@ def members(group: Any) -> tuple[list[tuple[str, Any]], int]:
     except H5PY_ERRORS:
         return [], 1
     for name in names:
+        if name.startswith("#"):  # MATLAB's own: what cells and objects refer to
+            continue
         try:
             if isinstance(group.get(name, getlink=True), h5py.HardLink):
                 found.append((name, group[name]))
         except H5PY_ERRORS:
             damaged += 1
     return found, damaged
-
-
-@lru_cache(maxsize=4096)
-def normal(name: str) -> str:
-    """A name without case and punctuation: `Sample_Rate [Hz]` gives `sampleratehz`."""
-    return "".join(letter for letter in name.lower() if letter.isalnum())
-
-
-def readable(text: str) -> str:
-    """A name or text of a file; bytes that are not UTF-8, which h5py passes on, are replaced."""
-    return text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
-
-
-def plain_value(value: object) -> str | float | None:
-    """An attribute as text or number; None if it is neither, empty or a list."""
-    if isinstance(value, np.ndarray):
-        value = value.ravel()[0] if value.size == 1 else None
-    if isinstance(value, bytes):
-        value = value.decode("utf-8", "replace")
-    if isinstance(value, str):
-        return readable(value).replace("\0", " ").strip() or None
-    if isinstance(value, bool | int | float | np.number | np.bool_) and not np.iscomplexobj(value):
-        return float(value)
-    return None
 
 
 def text_list(value: object) -> list[str]:
@@ -285,35 +264,36 @@ def _is_plain(node: Any, name: str) -> bool:
     return small and isinstance(attribute.get_type(), kinds) and np.prod(attribute.shape) == 1
 
 
-class Attributes:
-    """Attributes of a dataset, of the groups around it and of the file: the nearest wins.
+class NodeAttributes(Attributes):
+    """Attributes of HDF5 nodes, and datasets of one number or text in groups, as MATLAB writes them.
 
-    Names are compared without case and punctuation. An attribute that cannot be read counts as
-    absent and its name is kept in `damaged`.
+    Args:
+        nodes: the nearest first.
     """
 
     def __init__(self, nodes: Iterable[Any]) -> None:
-        self.damaged: list[str] = []
-        self._nodes = [(node, self._names(node)) for node in nodes]
+        super().__init__()
+        self._nodes = [*nodes]
+        self._layers = [self._names(node) for node in self._nodes]
+        self._scalars = [_scalars(node) for node in self._nodes]
 
-    def _names(self, node: Any) -> dict[str, str]:
+    def _names(self, node: Any) -> dict[str, object]:
         try:
             return {normal(name): name for name in node.attrs}
         except H5PY_ERRORS:
             self.damaged.append("*")
             return {}
 
-    def value(self, *names: str) -> str | float | None:
-        """The first attribute of these names that says something."""
-        for node, known in self._nodes:
-            for name in names:
-                if normal(name) in known:
-                    found = self._read(node, known[normal(name)])
-                    if found is not None:
-                        return found
-        return None
+    def read(self, depth: int, name: str) -> str | float | None:
+        """The attribute, or else the dataset, of this name."""
+        found = None
+        if (known := self._layers[depth].get(name)) is not None:
+            found = self._attribute(self._nodes[depth], str(known))
+        if found is None and (dataset := self._scalars[depth].get(name)) is not None:
+            found = _scalar(dataset)
+        return found
 
-    def _read(self, node: Any, name: str) -> str | float | None:
+    def _attribute(self, node: Any, name: str) -> str | float | None:
         try:
             with bounded_memory():
                 return plain_value(node.attrs[name]) if _is_plain(node, name) else None
@@ -321,23 +301,41 @@ class Attributes:
             self.damaged.append(name)
             return None
 
-    def text(self, *names: str) -> str | None:
-        """As text; a whole number is written without a decimal point."""
-        value = self.value(*names)
-        if isinstance(value, float):
-            return f"{value:.0f}" if value.is_integer() else str(value)
-        return value
 
-    def number(self, *names: str) -> float | None:
-        """As a number, also from text such as `100 Hz`; None if it is not one."""
-        value = self.value(*names)
-        if isinstance(value, str):
-            found = re.match(r"[-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?", value)
-            value = float(found[0]) if found else None
-        return value if value is not None and np.isfinite(value) else None
+def _scalars(node: Any) -> dict[str, Any]:
+    """Datasets in a group that may hold one number or text, by their names."""
+    if not isinstance(node, h5py.Group):
+        return {}
+    return {normal(name): item for name, item in members(node)[0] if is_scalar(item)}
 
 
-def attributes_of(file: Any, path: str) -> Attributes:
+def is_scalar(node: Any) -> bool:
+    """Whether a node is a small dataset of one number, or of MATLAB's letters."""
+    try:
+        most = LONGEST_TEXT if _is_letters(node) else 1
+        small = isinstance(node, h5py.Dataset) and node.dtype.kind in "iufb" and 0 < node.size <= most
+        return bool(small and prod(node.chunks or (1,)) <= LONGEST_TEXT and not node.external)
+    except H5PY_ERRORS:
+        return False
+
+
+def _is_letters(node: Any) -> bool:
+    return plain_value(node.attrs.get(MATLAB_CLASS)) == "char"
+
+
+def _scalar(dataset: Any) -> str | float | None:
+    try:
+        with bounded_memory():
+            values = dataset[()]
+            if _is_letters(dataset):
+                # MATLAB keeps a row of letters as a column of UTF-16.
+                return plain_value(np.asarray(values, "<u2").tobytes().decode("utf-16-le", "replace"))
+            return plain_value(values)
+    except H5PY_ERRORS:
+        return None
+
+
+def attributes_of(file: Any, path: str) -> NodeAttributes:
     """The attributes of a dataset or group, then of the groups that hold it, up to the file."""
     nodes = []
     parts = [part for part in path.split("/") if part]
@@ -346,4 +344,4 @@ def attributes_of(file: Any, path: str) -> Attributes:
             nodes.append(file["/" + "/".join(parts[:depth])])
         except H5PY_ERRORS:
             continue
-    return Attributes(nodes)
+    return NodeAttributes(nodes)

@@ -17,13 +17,15 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
-from accelcal_cli.formats.hdf5 import description, units
+from accelcal_cli.formats._tables import description, units
+from accelcal_cli.formats._tables.attributes import Attributes, readable
+from accelcal_cli.formats._tables.channels import CHANNELS, Axes, Channel, dps_per_lsb
+from accelcal_cli.formats._tables.description import Plan
+from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats._tables.units import Scale, StampScale
 from accelcal_cli.formats.hdf5 import file as h5
-from accelcal_cli.formats.hdf5.channels import CHANNELS, Axes, Channel, dps_per_lsb
-from accelcal_cli.formats.hdf5.datasets import Track, as_track
-from accelcal_cli.formats.hdf5.description import Plan
+from accelcal_cli.formats.hdf5.datasets import Hdf5Table, as_track
 from accelcal_cli.formats.hdf5.reader import Hdf5Reader
-from accelcal_cli.formats.hdf5.units import Scale, StampScale
 
 VERSION_NAMES = ("FileFormatVersion", "File_Format_Version")
 OLDEST, OLD, NEW = 2, 4, 5
@@ -107,7 +109,7 @@ def _contents(file: Any, path: Path) -> tuple[Layout, list[Sensor]]:
 
 
 def _version(file: Any) -> int | None:
-    number = h5.Attributes([file]).number(*VERSION_NAMES)
+    number = h5.NodeAttributes([file]).number(*VERSION_NAMES)
     return None if number is None else int(number)
 
 
@@ -154,7 +156,7 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
     settings = h5.attributes_of(file, f"{sensor.group}/{layout.settings}")
     stated_hz = options.rate_hz or settings.number("Sample Rate", "SampleRate") or None
     time_track = _track(file, sensor, TIME, path, 1, accel_track)
-    stamps, rate = description.measured_stamps(file, time_track, StampScale("us"), stated_hz, path)
+    stamps, rate = description.measured_stamps(Hdf5Table(file, path), time_track, StampScale("us"), stated_hz)
     accel = Axes((accel_track,), _scale(file, accel_track, options, path))
     channels = _channels(file, sensor, layout, accel_track, path)
     recording = Recording(
@@ -163,9 +165,7 @@ def _plan(file: Any, path: Path, sensor: Sensor, layout: Layout, options: ReadOp
         rate_hz=rate,
         lsb_per_g=accel.scale.lsb,
         total_bytes=path.stat().st_size,
-        device=Device(
-            "Opal", h5.readable(sensor.serial), settings.text("Firmware Version", "VersionString1")
-        ),
+        device=Device("Opal", readable(sensor.serial), settings.text("Firmware Version", "VersionString1")),
         range_g=_range_g(file, accel_track),
         start_us=stamps.first_us,
         timezone="UTC",
@@ -197,7 +197,7 @@ def _track(
 
 
 def _units(file: Any, track: Track, usual: str) -> str:
-    return h5.Attributes([file[track.path]]).text("Units") or usual
+    return h5.NodeAttributes([file[track.path]]).text("Units") or usual
 
 
 def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
@@ -219,7 +219,7 @@ def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Pat
             track = _track(file, sensor, dataset, path, CHANNELS[name].width, accel)
         except UnreadableError:
             continue
-        channel = CHANNELS[name].find(file, (track,), path, _units(file, track, usual_unit))
+        channel = CHANNELS[name].find(Hdf5Table(file, path), (track,), _units(file, track, usual_unit))
         if not isinstance(channel, str):
             found[name] = channel
     return found
@@ -227,14 +227,14 @@ def _channels(file: Any, sensor: Sensor, layout: Layout, accel: Track, path: Pat
 
 def _range_g(file: Any, track: Track) -> float | None:
     """The smaller of the two limits that the vendor gives, in g."""
-    settings = h5.Attributes([file[track.path]])
+    settings = h5.NodeAttributes([file[track.path]])
     limits = [settings.number(name) for name in ("Upper Limit", "Lower Limit")]
     unit = units.PER_G.get(units.accel_unit(_units(file, track, "m/s2")) or "")
     found = [abs(limit) for limit in limits if limit]
     return min(found) / unit if found and unit else None
 
 
-def _notes(sensor: Sensor, settings: h5.Attributes) -> tuple[str, ...]:
+def _notes(sensor: Sensor, settings: Attributes) -> tuple[str, ...]:
     zone = settings.text("Timezone")
     place = (f"worn at: {sensor.label}",) if sensor.label else ()
     return (*place, f"recorded in the time zone {zone}") if zone else place

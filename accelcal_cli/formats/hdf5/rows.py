@@ -1,5 +1,4 @@
-"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out (`TrackRows`);
-which of them are kept (`RowSelection`).
+"""Rows of an HDF5 dataset in bounded memory, whole HDF5 chunks at a time, damage left out (`TrackRows`).
 
 Chunks that are packed with gzip are taken as they are stored (`StoredChunks`) and unpacked on several
 threads: h5py lets nothing else run while it unpacks; zlib and numpy do. Whatever is not plain there (a chunk
@@ -15,7 +14,7 @@ plane; then all planes advance together.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Executor
 from math import prod
 from pathlib import Path
@@ -26,9 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.formats._problems import Event, Kind, ProblemLog
-from accelcal_cli.formats.hdf5.datasets import Track
-from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, readable
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, REFUSE_ABOVE_BYTES
+from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
 from accelcal_cli.formats.hdf5.storage import (
     Stored,
     chunk_info,
@@ -37,7 +36,6 @@ from accelcal_cli.formats.hdf5.storage import (
     stored_chunks,
 )
 
-BLOCK_ROWS = 65_536
 STORED_ROWS, STORED_BYTES = 1 << 20, 6 << 20
 """At most so much is unpacked together, about what is asked for; one chunk if that has more rows."""
 
@@ -48,9 +46,6 @@ MOST_CHUNKS = 4096
 """At a time: the HDF5 library keeps a kilobyte and more of notes on each that it reads."""
 
 STREAM_ABOVE_BYTES = 16 << 20
-REFUSE_ABOVE_BYTES = 128 << 20
-"""Of chunks that h5py unpacks whole, of all datasets together; at moments it takes three times as much."""
-
 PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
 LARGEST_NUMBER = 8
@@ -61,8 +56,6 @@ MOST_CLAIMED = 200
 
 HIGHEST_RATIO = 1100
 """No filter in use packs rows more densely than deflate's 1032 bytes in one."""
-
-Offset = Callable[[int], int | None]
 
 
 def gzip_shuffled(dataset: Any, axis: int, width: int) -> bool | None:
@@ -523,74 +516,3 @@ class TrackRows:
         if self.dataset.ndim == 1:
             return range(1)
         return range(0, self._track.width, int(self.dataset.chunks[1 - self._track.axis]))
-
-
-def nowhere(_row: int) -> None:
-    """The byte offset of a fault that lies in values, not in bytes."""
-
-
-class RowSelection:
-    """Which of the rows start..stop-1 of the datasets are kept, and what is wrong with others.
-
-    Args:
-        row_bytes: bytes of a row in all datasets together.
-    """
-
-    def __init__(self, start: int, stop: int, row_bytes: int) -> None:
-        self.start = start
-        self.stop = stop
-        self.row_bytes = row_bytes
-        self.keep = np.ones(stop - start, np.bool_)
-        self._as_one: set[Kind] = set()
-        self._faults: dict[tuple[Kind, Offset, int], list[NDArray[np.int64]]] = {}
-
-    def read(self, source: TrackRows) -> NDArray[Any]:
-        """All rows of a dataset (n, width); lost ones are zero and left out."""
-        values, good = source.read(self.start, self.stop)
-        self.lose(source, ~good)
-        return values
-
-    def lose(self, source: TrackRows, lost: NDArray[np.bool_]) -> None:
-        """Drop rows that a dataset has lost."""
-        if lost.any():
-            kind = ("bad_page", f"rows lost in damaged or missing parts of {readable(source.path)}")
-            self.leave_out(kind, lost, source.chunk_offset)
-
-    def leave_out(self, kind: Kind, bad: NDArray[np.bool_], offset: Offset = nowhere) -> None:
-        """Drop rows; those dropped before are not noted again."""
-        bad = bad & self.keep
-        self.note(kind, np.flatnonzero(bad), offset, self.row_bytes)
-        self.keep &= ~bad
-
-    def note(self, kind: Kind, rows: NDArray[np.int64], offset: Offset = nowhere, row_bytes: int = 0) -> None:
-        """Note rows, given by their numbers within the selection, without dropping them."""
-        if len(rows):
-            self._faults.setdefault((kind, offset, row_bytes), []).append(rows)
-
-    def note_as_one(self, kind: Kind, rows: NDArray[np.int64]) -> None:
-        """Note rows, all of them in a single record, however many."""
-        self._as_one.add(kind)
-        self.note(kind, rows)
-
-    def kept(self, values: Any) -> Any:
-        """The kept ones of the rows of an array."""
-        return values if self.keep.all() else values[self.keep]
-
-    def rows(self) -> NDArray[np.int64]:
-        """Numbers of the kept rows within the selection, (n,)."""
-        return np.arange(len(self.keep)) if self.keep.all() else np.flatnonzero(self.keep)
-
-    def events(self, log: ProblemLog, first_sample: int) -> Iterator[Event]:
-        """What was noted, as the log takes it; `first_sample` is the number of the first kept row.
-
-        Rows with one fault are a run wherever it lies, in the acceleration or in the gyroscope.
-        """
-        kept = self.rows() if self._faults else np.empty(0, np.int64)
-        for (kind, offset, row_bytes), parts in self._faults.items():
-            rows = np.sort(np.concatenate(parts))
-            runs = [(0, len(rows), True)] if kind in self._as_one else log.runs(kind, rows)
-            for index, count, scattered in runs:
-                row = int(rows[index])
-                start, sample = self.start + row, first_sample + int(np.searchsorted(kept, row))
-                amounts = (count, 0, count * row_bytes)
-                yield Event(start, count, *kind, offset(start), sample, *amounts, scattered=scattered)

@@ -15,9 +15,10 @@ import pytest
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
-from accelcal_cli.formats.hdf5 import HDF5, reader
+from accelcal_cli.formats._tables import reader as tables
+from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as hdf5_rows
-from accelcal_cli.formats.hdf5.datasets import Track
 from tests.formats.make_hdf5 import Read, about, joined, write
 
 ROWS, CHUNK = 40_000, 6000
@@ -246,7 +247,7 @@ def test_only_where_several_may_work_is_anything_unpacked_ahead(
 
 
 def test_wide_rows_come_in_fewer_at_a_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("accelcal_cli.formats.hdf5.reader.PIECE_BYTES", 24_000)
+    monkeypatch.setattr(tables, "PIECE_BYTES", 24_000)
     write(path, {"accel": counts().astype("f8")}, about())
     with HDF5.open(path, ReadOptions()) as reader:
         parts = [chunk.counts for chunk in reader.chunks(1 << 20)]
@@ -311,7 +312,7 @@ def test_large_chunks_of_other_filters_are_unpacked_once_and_read_in_parts(
 
 def test_chunks_that_are_too_large_together_are_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hdf5_rows, "STREAM_ABOVE_BYTES", 1000)
-    monkeypatch.setattr(reader, "REFUSE_ABOVE_BYTES", 5 * CHUNK)
+    monkeypatch.setattr(tables, "REFUSE_ABOVE_BYTES", 5 * CHUNK)
     with h5py.File(path, "w") as file:
         for name, column in zip("xyz", counts().T, strict=True):
             file.create_dataset(name, data=column, chunks=(CHUNK,), compression="lzf").attrs.update(about())

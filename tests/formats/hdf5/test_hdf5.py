@@ -15,9 +15,10 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
+from accelcal_cli.formats._tables.attributes import readable
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.hdf5 import rows as _hdf5_rows
-from accelcal_cli.formats.hdf5.file import heaps_are_sound, readable
+from accelcal_cli.formats.hdf5.file import heaps_are_sound
 from accelcal_cli.formats.hdf5.rows import TrackRows
 from tests.cli.run import run
 from tests.formats.cuts import cuts, every_byte
@@ -153,12 +154,22 @@ def test_what_is_nowhere_told_is_asked_for(path: Path, missing: str, hint: str) 
         read(path)
 
 
-@pytest.mark.parametrize("unit", ["furlong", None])
-def test_fractions_without_a_known_unit_are_asked_about(path: Path, unit: str | None) -> None:
-    write(path, {"accel": counts() / 256}, about(units=unit, lsb_per_g=None))
+@pytest.mark.parametrize(("unit", "factor"), [("furlong", 1.0), (None, 1e4)])
+def test_fractions_without_a_known_unit_are_asked_about(path: Path, unit: str | None, factor: float) -> None:
+    write(path, {"accel": counts() / 256 * factor}, about(units=unit, lsb_per_g=None))
     with pytest.raises(UnreadableError, match="--unit"):
         read(path)
+    write(path, {"accel": counts() / 256}, about(units=unit, lsb_per_g=None))
     assert (read(path, unit="g").g == counts() / 256).all()
+
+
+@pytest.mark.parametrize(("unit", "per_g"), [("g", 1.0), ("m/s2", 9.80665), ("mg", 1000.0)])
+def test_gravity_tells_the_unit_of_fractions_that_state_none(path: Path, unit: str, per_g: float) -> None:
+    rest = np.tile([0.6, 0.0, -0.8], (500, 1)) * per_g
+    write(path, {"accel": rest}, about(units=None, lsb_per_g=None))
+    found = read(path)
+    assert f"unit: {unit} (judged by the length of gravity)" in found.recording.notes
+    assert np.abs(found.g - rest / per_g).max() < 1e-7
 
 
 @pytest.mark.parametrize("changes", [{"sample_rate": 1e300}, {"sample_rate": 0.0}, {"lsb_per_g": -1.0}])

@@ -1,4 +1,4 @@
-"""Times of the rows of an HDF5 file, from a dataset of stamps: they run on where they follow daylight saving,
+"""Times of the rows of a table, from a track of stamps: they run on where they follow daylight saving,
 and rows that share a stamp are spread.
 """
 
@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.daylight import FOLLOWED, LocalStamps
 from accelcal_cli.formats._stamps import LOST, NO_TIME, SharedStamps
-from accelcal_cli.formats.hdf5.description import Stamps, stored_stamps
-from accelcal_cli.formats.hdf5.rows import RowSelection, TrackRows
+from accelcal_cli.formats._tables.description import Stamps, stored_stamps
+from accelcal_cli.formats._tables.table import RowSelection, RowSource
 
 UNBELIEVABLE = ("missing_value", "rows without a believable time left out")
 WITH_ITS_ZONE = "the times follow a change of the clocks in {}"
@@ -27,7 +27,7 @@ class RowTimes:
         zone: whose daylight saving the times may follow.
     """
 
-    def __init__(self, source: TrackRows, stamps: Stamps, start: int, zone: str | None) -> None:
+    def __init__(self, source: RowSource, stamps: Stamps, start: int, zone: str | None) -> None:
         self._source, self._scale, self._rows = source, stamps.scale, stamps.track.rows
         self._shared = SharedStamps(stamps.pace) if stamps.pace.stamp_period_us else None
         self._reach = self._shared.longest if self._shared else 0

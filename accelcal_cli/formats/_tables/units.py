@@ -1,4 +1,4 @@
-"""Numbers of a dataset as raw counts and times, and the units that attributes name."""
+"""Numbers of a track as raw counts and times, and the units that attributes name."""
 
 from __future__ import annotations
 
@@ -13,9 +13,19 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts
-from accelcal_cli.formats.hdf5.file import normal
+from accelcal_cli.formats._tables.attributes import normal
 
 LARGEST_G = 127.0
+EMPTY = -(1 << 63)
+"""Stands for an empty cell among whole numbers of 64 bits."""
+
+DAY_S = 86_400
+EPOCH_DAYS = (719_529.0, 25_569.0)
+"""1970-01-01 as MATLAB (from the year 0) and spreadsheets (from 1899-12-30) number days."""
+
+PLAUSIBLE_HZ = (5.0, 800.0)
+"""Wide enough for every actigraph; narrow enough that only one unit of time fits."""
+
 LATEST_US = 4_102_444_800 * MICROSECONDS
 """2100-01-01: a later time is damage."""
 
@@ -68,14 +78,25 @@ class Scale:
 
     def counts(self, values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
         """Counts of rows (n, 3), and by problem code the rows (n,) that have none."""
-        if self.exact is np.int16:
+        if self.exact is np.int16 and values.dtype.kind != "f":
             return values.astype(np.int16), {}
-        if self.exact is np.int32:
+        if self.exact is np.int32 and values.dtype.kind != "f":
             return values.astype(np.int32), {}
         if values.dtype.kind in "iu":
             return _narrowed(values)
         with np.errstate(over="ignore", invalid="ignore"):
+            if values.dtype == np.float32 and self.divisor == 1.0 and self.lsb == FLOAT_LSB_PER_G:
+                return self._shifted(values)
             return self._rounded(values.astype(np.float64))
+
+    def _shifted(self, values: NDArray[np.float32]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
+        """What `_rounded` gives, in half the time: a power of two moves no bit of a fraction."""
+        whole = values * np.float32(self.lsb)
+        np.rint(whole, out=whole)
+        limit = self.limit * self.lsb
+        if len(whole) and not (whole.min() >= -limit and whole.max() <= limit):
+            return self._rounded(values.astype(np.float64))
+        return whole.astype(np.int32), {}
 
     def _rounded(self, values: NDArray[np.float64]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
         missing: NDArray[np.bool_] = np.isnan(values)
@@ -103,11 +124,14 @@ def _rows(cells: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def _narrowed(values: NDArray[Any]) -> tuple[Counts, dict[str, NDArray[np.bool_]]]:
-    """Whole numbers as int32, and the rows that do not fit."""
-    beyond = values > 2**31 - 1
+    """Whole numbers as int32, and the rows that do not fit or are empty."""
+    beyond, faults = values > 2**31 - 1, {}
     if values.dtype.kind == "i":
         beyond |= values < -(2**31)
-    return np.where(beyond, 0, values).astype(np.int32), {"out_of_range": _rows(beyond)}
+        if values.dtype.itemsize == 8:
+            faults["missing_value"] = _rows(values == EMPTY)
+    faults["out_of_range"] = _rows(beyond)
+    return np.where(beyond, 0, values).astype(np.int32), faults
 
 
 def count_scale(lsb: float, dtype: np.dtype[Any]) -> Scale:
@@ -134,6 +158,15 @@ def unit_by_size(value: float) -> str | None:
     """The unit in which a number is a moment of 1980..2100; at most one fits."""
     moments_us = {unit: value / per_second * MICROSECONDS for unit, per_second in PER_SECOND.items()}
     return next((unit for unit, us in moments_us.items() if EARLIEST_ABSOLUTE_US <= us < LATEST_US), None)
+
+
+def day_of_1970(head: NDArray[Any]) -> float | None:
+    """The number of 1970-01-01 where numbers (n,) are days of our time, in fractions of a second's steps."""
+    step = float(np.median(np.diff(head))) * DAY_S if len(head) > 1 and head.dtype.kind == "f" else 0.0
+    if step <= 0 or not PLAUSIBLE_HZ[0] <= 1 / step <= PLAUSIBLE_HZ[1]:
+        return None
+    moments = {day: (float(head[0]) - day) * DAY_S * MICROSECONDS for day in EPOCH_DAYS}
+    return next((day for day, us in moments.items() if EARLIEST_ABSOLUTE_US <= us < LATEST_US), None)
 
 
 class Moment(NamedTuple):
@@ -172,16 +205,20 @@ class StampScale:
     """How the numbers of a time dataset become microseconds since 1970.
 
     Attributes:
-        unit: s, ms, us or ns.
+        unit: s, ms, us, ns or days.
         base_us: the moment from which they count.
+        epoch_day: the number of 1970-01-01, of days.
     """
 
     unit: str
     base_us: int = 0
+    epoch_day: float = 0.0
 
     def times(self, values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Times (n,) [us], and which of them are believable."""
-        per_second = PER_SECOND[self.unit]
+        per_second = PER_SECOND.get(self.unit, 1 / DAY_S)
+        if self.epoch_day:
+            values = values - self.epoch_day
         largest = LATEST_US // MICROSECONDS * per_second
         with np.errstate(invalid="ignore"):
             believable = (values >= 0) & (values <= largest)
@@ -191,7 +228,7 @@ class StampScale:
         elif per_second > MICROSECONDS:
             ticks = (kept.astype(np.int64) + 500) // 1000
         else:
-            ticks = kept.astype(np.int64) * (MICROSECONDS // per_second)
+            ticks = kept.astype(np.int64) * (MICROSECONDS // int(per_second))
         times = ticks + self.base_us
         return times, believable & (times < LATEST_US)
 

@@ -1,4 +1,4 @@
-"""What the attributes and datasets of an HDF5 file say before its rows are read.
+"""What the names, attributes and times of a table say before its rows are read.
 
 `find_timeline` finds out when the recording began and how fast it runs; `Plan` holds what to read.
 """
@@ -17,12 +17,13 @@ from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, jittered_step, nice_rate, spread, stamp_pace
-from accelcal_cli.formats.hdf5 import datasets, units
-from accelcal_cli.formats.hdf5.channels import Axes, Channel
-from accelcal_cli.formats.hdf5.datasets import Group, Track
-from accelcal_cli.formats.hdf5.file import Attributes, h5py_guard, readable
-from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, TrackRows
-from accelcal_cli.formats.hdf5.units import Moment, StampScale, parse_moment
+from accelcal_cli.formats._tables import tracks as tracks_of
+from accelcal_cli.formats._tables import units
+from accelcal_cli.formats._tables.attributes import Attributes, readable
+from accelcal_cli.formats._tables.channels import Axes, Channel
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, RowSource, Table
+from accelcal_cli.formats._tables.tracks import Group, Track
+from accelcal_cli.formats._tables.units import Moment, StampScale, parse_moment
 
 SLOWEST_HZ, FASTEST_HZ = 0.01, 100_000.0
 RATE_NAMES = (
@@ -39,7 +40,7 @@ NO_COLUMN = "none"
 
 @dataclass(frozen=True, slots=True)
 class Stamps:
-    """A dataset of times.
+    """A track of times.
 
     Attributes:
         pace: by which rows that share a stamp are spread.
@@ -73,10 +74,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file being opened: all its datasets, where the acceleration is, and its attributes."""
+    """A table being opened: all its tracks, where the acceleration is, and what is stated of it."""
 
-    file: Any
-    path: Path
+    table: Table
     options: ReadOptions
     tracks: tuple[Track, ...]
     group: Group
@@ -84,26 +84,31 @@ class Source:
     damaged: int = 0
 
     @property
+    def path(self) -> Path:
+        """The file."""
+        return self.table.path
+
+    @property
     def accel(self) -> Track:
-        """The dataset of acceleration, or of its x axis."""
+        """The track of acceleration, or of its x axis."""
         return self.group[0]
 
 
-def good_rows(rows: TrackRows, start: int, stop: int) -> NDArray[Any]:
+def good_rows(rows: RowSource, start: int, stop: int) -> NDArray[Any]:
     """Rows start..stop-1 without the lost ones, (n, width)."""
     values, good = rows.read(start, stop)
     return values[good]
 
 
-def spread_rows(file: Any, track: Track, path: Path, places: int = 5, each: int = 1024) -> NDArray[Any]:
+def spread_rows(table: Table, track: Track, places: int = 5, each: int = 1024) -> NDArray[Any]:
     """Some rows from the beginning, the end and between, without lost ones."""
-    rows = TrackRows(file, track, path)
+    rows = table.rows(track)
     last = max(0, track.rows - each)
     starts = sorted({place * last // (places - 1) for place in range(places)})
     return np.concatenate([good_rows(rows, start, min(start + each, track.rows)) for start in starts])
 
 
-def stored_stamps(rows: TrackRows, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
+def stored_stamps(rows: RowSource, scale: StampScale, start: int, stop: int) -> NDArray[np.int64]:
     """Times (n,) of rows start..stop-1 [us], NO_TIME where they cannot be believed."""
     values, good = rows.read(start, stop)
     times, believable = scale.times(values[:, 0])
@@ -111,19 +116,19 @@ def stored_stamps(rows: TrackRows, scale: StampScale, start: int, stop: int) -> 
 
 
 def measured_stamps(
-    file: Any, track: Track, scale: StampScale, stated_hz: float | None, path: Path
+    table: Table, track: Track, scale: StampScale, stated_hz: float | None
 ) -> tuple[Stamps, float]:
-    """A time dataset, and the sampling rate: the stated one, or what its first rows show.
+    """A track of times, and the sampling rate: the stated one, or what its first rows show.
 
     Raises:
         UnreadableError: its first rows hold no time at all, or the rate cannot be worked with.
     """
-    rows = TrackRows(file, track, path)
+    rows, path = table.rows(track), table.path
     head = stored_stamps(rows, scale, 0, min(track.rows, BLOCK_ROWS))
     times = head[head > LOST]
     if not len(times):
         raise UnreadableError(
-            f"dataset {track.path} holds no plausible time",
+            f"{table.word} {readable(track.path)} holds no plausible time",
             path=path,
             hint="ignore it with --time-column none and give --rate HZ",
         )
@@ -210,8 +215,8 @@ def find_timeline(source: Source) -> Timeline:
     start = None if stated is None else parse_moment(stated)
     track = _time_track(source)
     if track is not None:
-        with h5py_guard(source.path, f"dataset of times {track.path}"):
-            return _stamped(source.file, track, rate, start, source.path)
+        with source.table.guard(f"{source.table.word} of times {readable(track.path)}"):
+            return _stamped(source.table, track, rate, start)
     if start is not None:
         return Timeline(rate, *start)
     what = "the file does not tell when the recording began"
@@ -225,11 +230,11 @@ def _time_track(source: Source) -> Track | None:
     name = source.options.time_column
     if name is not None:
         return None if name.lower() == NO_COLUMN else _named(source, name)
-    found = datasets.find_time(source.tracks, source.accel)
+    found = tracks_of.find_time(source.tracks, source.accel)
     if len(found) > 1:
         listed = ", ".join(group[0].path for group in found)
         raise UnreadableError(
-            f"several datasets may hold the times: {listed}",
+            f"several {source.table.word}s may hold the times: {listed}",
             path=source.path,
             hint=f"choose one with --time-column PATH, or `--time-column {NO_COLUMN}`",
         )
@@ -237,7 +242,7 @@ def _time_track(source: Source) -> Track | None:
 
 
 def _named(source: Source, name: str) -> Track:
-    track = datasets.named_track(source.tracks, name, source.path)
+    track = tracks_of.named_track(source.tracks, name, source.table)
     if track.width != 1 or track.rows != source.accel.rows:
         raise UsageError(
             f"{track.path} is not one column as long as the acceleration ({source.accel.rows} rows)",
@@ -246,10 +251,10 @@ def _named(source: Source, name: str) -> Track:
     return track
 
 
-def _stamped(file: Any, track: Track, rate: float | None, start: Moment | None, path: Path) -> Timeline:
+def _stamped(table: Table, track: Track, rate: float | None, start: Moment | None) -> Timeline:
     """The timeline of a time dataset, absolute or counting from the start."""
-    scale, since = _stamp_scale(file, track, rate, start, path)
-    stamps, rate = measured_stamps(file, track, scale, rate, path)
+    scale, since = _stamp_scale(table, track, rate, start)
+    stamps, rate = measured_stamps(table, track, scale, rate)
     problem = Problem(
         "no_start_time",
         f"{readable(track.path)} counts from an unknown start; times count from 1970-01-01",
@@ -269,18 +274,20 @@ def _stamped(file: Any, track: Track, rate: float | None, start: Moment | None, 
 
 
 def _stamp_scale(
-    file: Any, track: Track, rate: float | None, start: Moment | None, path: Path
+    table: Table, track: Track, rate: float | None, start: Moment | None
 ) -> tuple[StampScale, Moment | None]:
     """Unit and base of a time dataset, and the moment from which it counts, None if that is not known."""
-    stated = Attributes([file[track.path]]).text("units", "unit")
-    unit = _stated_unit(track, stated, path)
-    head = good_rows(TrackRows(file, track, path), 0, min(track.rows, BLOCK_ROWS))[:, 0]
+    stated = table.own(track.path).text("units", "unit")
+    unit = _stated_unit(table, track, stated)
+    head = good_rows(table.rows(track), 0, min(track.rows, BLOCK_ROWS))[:, 0]
     head = head[head > 0]
+    if unit is None and (day := units.day_of_1970(head)) is not None:
+        return StampScale("days", epoch_day=day), Moment(0)
     unit = unit or (units.unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)
     if unit is None:
         raise UnreadableError(
-            f"the unit of the times in {track.path} is not stated",
-            path=path,
+            f"the unit of the times in {readable(track.path)} is not stated",
+            path=table.path,
             hint="give that dataset an attribute `units` (s, ms, us or ns), "
             f"or ignore it with `--time-column {NO_COLUMN}`",
         )
@@ -289,29 +296,35 @@ def _stamp_scale(
         return StampScale(unit, since.us), since
     first = float(head[0]) / units.PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
     if first >= units.EARLIEST_ABSOLUTE_US:
-        return StampScale(unit), Moment(0, is_utc=True)
+        return StampScale(unit), Moment(0, is_utc=not track.clock)
     return StampScale(unit, start.us if start else 0), start
 
 
-def _stated_unit(track: Track, stated: str | None, path: Path) -> str | None:
+def _stated_unit(table: Table, track: Track, stated: str | None) -> str | None:
     """The unit by attribute, or by a name such as `time_ms`."""
     if stated is None:
-        return datasets.split_time_name(track.name)[1]
+        return tracks_of.split_time_name(track.name)[1]
     unit = units.time_unit(stated)
     if unit is None:
         raise UnreadableError(
-            f"the unit {stated!r} of the times in {track.path} is not known",
-            path=path,
-            hint=f"ignore that dataset with `--time-column {NO_COLUMN}`",
+            f"the unit {stated!r} of the times in {readable(track.path)} is not known",
+            path=table.path,
+            hint=f"ignore that {table.word} with `--time-column {NO_COLUMN}`",
         )
     return unit
 
 
 def _unit_by_rate(head: Any, rate: float | None) -> str | None:
-    """The unit in which the steps between times fit the sampling rate within 5 %."""
-    for unit in units.PER_SECOND:
-        times, _ = StampScale(unit).times(head)
-        typical = units.typical_step(times) if len(head) > 1 else None
-        if rate and typical and abs(typical * rate / MICROSECONDS - 1) < 0.05:
+    """The unit in which the steps between times fit the sampling rate within 5 %, or else an actigraph's."""
+    low, high = units.PLAUSIBLE_HZ if rate is None else (rate / 1.05, rate * 1.05)
+    for unit, per_second in units.PER_SECOND.items():
+        typical = _typical_step(head - head[0], per_second) if len(head) > 1 else None
+        if typical and low < 1 / typical < high:
             return unit
     return None
+
+
+def _typical_step(since: Any, per_second: int) -> float | None:
+    """Mean step [s] of times since the first one."""
+    step = units.typical_step(np.rint(since.astype(np.float64) * 1000).astype(np.int64))
+    return None if step is None else step / 1000 / per_second

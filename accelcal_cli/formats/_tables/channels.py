@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,11 +15,11 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Counts
-from accelcal_cli.formats.hdf5 import datasets
-from accelcal_cli.formats.hdf5.datasets import Group, Track
-from accelcal_cli.formats.hdf5.file import H5PY_ERRORS, Attributes, attributes_of, readable
-from accelcal_cli.formats.hdf5.rows import BLOCK_ROWS, RowSelection, TrackRows
-from accelcal_cli.formats.hdf5.units import Scale, count_scale, factor_of
+from accelcal_cli.formats._tables import tracks as tracks_of
+from accelcal_cli.formats._tables.attributes import readable
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, RowSelection, RowSource, Table
+from accelcal_cli.formats._tables.tracks import Group, Track, split_unit
+from accelcal_cli.formats._tables.units import Scale, count_scale, factor_of
 
 FAULTS = {
     "missing_value": "rows without a value (NaN) left out",
@@ -42,7 +41,7 @@ class Axes:
     tracks: Group
     scale: Scale
 
-    def values(self, sources: list[TrackRows], selection: RowSelection, _before: Any = None) -> Counts:
+    def values(self, sources: list[RowSource], selection: RowSelection, _before: Any = None) -> Counts:
         """Counts (n, 3) of all rows of the selection; those that have none are left out of it."""
         parts = [selection.read(source) for source in sources]
         counts, faults = self.scale.counts(parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1))
@@ -53,7 +52,7 @@ class Axes:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A dataset of one number for each row, with `factor` of its units in one of the rule's.
+    """A track of one number for each row, with `factor` of its units in one of the rule's.
 
     `first` is its first value, in steps of the channel.
     """
@@ -64,7 +63,7 @@ class Column:
     first: int
 
     def values(
-        self, sources: list[TrackRows], selection: RowSelection, before: NDArray[np.int32] | None
+        self, sources: list[RowSource], selection: RowSelection, before: NDArray[np.int32] | None
     ) -> NDArray[np.int32]:
         """Values (n,) of all rows of the selection; where one is missing, the last one before it holds.
 
@@ -90,7 +89,7 @@ class ColumnRule:
 
     Attributes:
         noun: what it is, in messages; `unit`: of its limits, in messages.
-        names: of its dataset, as `file.normal` leaves them.
+        names: of its track, as `normal` leaves them.
         units: how much one such unit is in others, and names of these.
         endings: of names that state the unit; decimal fractions that state nothing have it too.
         low, high: values beyond these are not believed.
@@ -108,27 +107,27 @@ class ColumnRule:
     width: int = 1
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
-        """Datasets that may hold it."""
-        return datasets.find_named(tracks, accel, self.names)
+        """Tracks that may hold it."""
+        return tracks_of.find_named(tracks, accel, self.names)
 
-    def find(self, file: Any, group: Group, path: Path, unit: str | None = None) -> Column | str:
-        """The channel in a dataset, or why it is not used; `unit` outweighs what the dataset states."""
-        factor = factor_of(unit, self.units) if unit else self._stated_factor(file, group[0])
+    def find(self, table: Table, group: Group, unit: str | None = None) -> Column | str:
+        """The channel in a track, or why it is not used; `unit` outweighs what is stated."""
+        factor = factor_of(unit, self.units) if unit else self._stated_factor(table, group[0])
         if factor is None:
             return f"its unit is not {self.unit}"
         try:
-            first = self._first(TrackRows(file, group[0], path), group[0].rows, factor)
-        except (UnreadableError, *H5PY_ERRORS):
+            first = self._first(table.rows(group[0]), group[0].rows, factor)
+        except (UnreadableError, *READ_ERRORS):
             return "it is damaged"
         return f"it holds no {self.noun}" if first is None else Column(self, group, factor, first)
 
-    def _stated_factor(self, file: Any, track: Track) -> float | None:
-        unit = Attributes([file[track.path]]).text("units", "unit")
+    def _stated_factor(self, table: Table, track: Track) -> float | None:
+        unit = table.own(track.path).text("units", "unit")
         if unit is not None:
             return factor_of(unit, self.units)
         return 1.0 if track.name.lower().endswith(self.endings) or track.dtype.kind == "f" else None
 
-    def _first(self, source: TrackRows, rows: int, factor: float) -> int | None:
+    def _first(self, source: RowSource, rows: int, factor: float) -> int | None:
         """The first value [steps], None if there is none at all."""
         for start in range(0, rows, BLOCK_ROWS):
             values = self.steps_of(*source.read(start, min(start + BLOCK_ROWS, rows)), factor)
@@ -161,29 +160,31 @@ class TurnRule:
     width: int = 3
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
-        """Datasets that may hold them."""
-        return datasets.find_gyro(tracks, accel)
+        """Tracks that may hold them."""
+        return tracks_of.find_gyro(tracks, accel)
 
-    def find(self, file: Any, group: Group, path: Path, unit: str | None = None) -> Axes | str:
-        """The channel in datasets, or why it is not used; `unit` outweighs what they state."""
-        scale = self._in_unit(unit) if unit else self._stated_scale(group, attributes_of(file, group[0].path))
+    def find(self, table: Table, group: Group, unit: str | None = None) -> Axes | str:
+        """The channel in tracks, or why it is not used; `unit` outweighs what they state."""
+        scale = self._in_unit(unit) if unit else self._stated_scale(group, table)
         if scale is None:
             return f"its unit is not {self.unit}"
         try:
             for track in group:
-                TrackRows(file, track, path)
-        except (UnreadableError, *H5PY_ERRORS):
+                table.rows(track)
+        except (UnreadableError, *READ_ERRORS):
             return "it is damaged"
         return Axes(group, scale)
 
-    def _stated_scale(self, group: Group, stated: Attributes) -> Scale | None:
+    def _stated_scale(self, group: Group, table: Table) -> Scale | None:
         """From `lsb_per_dps` or `dps_per_lsb` for counts, from the unit for decimal fractions."""
+        stated, own = table.stated(group[0].path), table.own(group[0].path).text("units", "unit")
         per_count, counts = stated.number(*DPS_PER_LSB), stated.number(*LSB_PER_DPS)
         lsb = 1 / per_count if counts is None and per_count else counts
         if lsb is not None and lsb > 0:
             widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
             return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
-        return self._in_unit(stated.text("units", "unit") or "")
+        named = own or split_unit(group[0].name)[1] or stated.text("units", "unit")
+        return self._in_unit(named or "")
 
     def _in_unit(self, unit: str) -> Scale | None:
         """Of decimal fractions."""
@@ -214,11 +215,11 @@ CHANNELS: dict[str, TurnRule | ColumnRule] = {
         steps=1000,
     ),
 }
-"""Channels that an HDF5 file may have, by their name in Chunk."""
+"""Channels that a table may have, by their name in Chunk."""
 
 
 def find_channels(
-    file: Any, tracks: tuple[Track, ...], accel: Track, path: Path
+    table: Table, tracks: tuple[Track, ...], accel: Track
 ) -> tuple[dict[str, Channel], tuple[str, ...]]:
     """The channels that are as long as the acceleration, and notes: what is there but not used, and why."""
     channels: dict[str, Channel] = {}
@@ -227,10 +228,10 @@ def find_channels(
         groups = rule.candidates(tracks, accel)
         if len(groups) > 1:
             paths = ", ".join(readable(group[0].path) for group in groups)
-            notes.append(f"no {rule.noun} is used: several datasets fit ({paths})")
+            notes.append(f"no {rule.noun} is used: several {table.word}s fit ({paths})")
         if len(groups) != 1:
             continue
-        channel = rule.find(file, groups[0], path)
+        channel = rule.find(table, groups[0])
         if isinstance(channel, str):
             notes.append(f"{readable(groups[0][0].path)} is not used: {channel}")
         else:

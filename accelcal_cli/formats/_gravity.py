@@ -1,0 +1,47 @@
+"""The unit of values that state none, which the length of gravity tells in most files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+
+GUESSES = (("g", 0.7, 1.4), ("m/s2", 7.0, 13.0), ("mg", 700.0, 1400.0))
+USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
+SURE_SHARE = 0.15
+
+
+def guess_unit(values: NDArray[np.float64], path: Path) -> str:
+    """The unit of values (n, 3) by their length, which gravity makes unmistakable in most files.
+
+    Rows of zeros, which devices write while idle, do not count.
+
+    Raises:
+        UnreadableError: the length fits no unit.
+    """
+    median = usual_length(values)
+    for unit, low, high in GUESSES:
+        if low <= median <= high:
+            return unit
+    raise UnreadableError(
+        f"the unit of the acceleration is not clear (its usual length is {median:g})",
+        path=path,
+        hint=f"give --unit g, mg or m/s2, or --unit counts with --lsb-per-g{likely_counts(median)}",
+    )
+
+
+def usual_length(values: NDArray[np.float64]) -> float:
+    """Median length of vectors (n, 3), zeros and missing ones left out; 0 where there are no others."""
+    with np.errstate(over="ignore"):
+        norm = np.sqrt((values * values).sum(axis=1))
+    norm = norm[np.isfinite(norm) & (norm > 0)]
+    return float(np.median(norm)) if len(norm) else 0.0
+
+
+def likely_counts(median: float) -> str:
+    """The number of counts in one g that many sensors have and that fits this length, in words."""
+    fits = [likely for likely in USUAL_LSB_PER_G if abs(median - likely) < SURE_SHARE * likely]
+    return f" ({fits[0]} would fit)" if fits else ""
