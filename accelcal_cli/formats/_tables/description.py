@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +70,17 @@ class Plan:
     channels: dict[str, Channel] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()
     missing_bytes: int = 0
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """All that is read."""
+        groups = (self.accel.tracks, *(channel.tracks for channel in self.channels.values()))
+        stamps = () if self.stamps is None else (self.stamps.track,)
+        return (*(track for group in groups for track in group), *stamps)
+
+    def with_problems(self, problems: tuple[Problem, ...]) -> Plan:
+        """The plan with more problems that go with the first rows."""
+        return replace(self, problems=self.problems + problems)
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,8 +154,9 @@ class _Stream:
         missing, total = self._plan.missing_bytes, self._plan.recording.total_bytes
         if not missing or not last:
             return ()
-        what = f"the file is cut short: its last {missing} bytes are missing"
-        return (Problem("truncated", what, total, self._sample + rows, missing),)
+        end = f"last {missing} bytes are" if missing > 0 else "end is"
+        what = f"the file is cut short: its {end} missing"
+        return (Problem("truncated", what, total, self._sample + rows, max(1, missing)),)
 
     def _channel_values(self, selection: RowSelection) -> Channels:
         """All rows of each channel."""

@@ -62,7 +62,7 @@ class Table:
     word = "column"
 
     def missing_bytes(self) -> int:
-        """How many bytes at the end of a file that was cut short are not there."""
+        """How many bytes at the end of a file that was cut short are not there; -1 if that is not known."""
         return 0
 
     def own(self, path: str) -> Attributes:

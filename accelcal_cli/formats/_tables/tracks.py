@@ -67,6 +67,22 @@ class Track:
         return dirname(self.path)
 
 
+def track_of_shape(path: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Track | None:
+    """How an array can be read as rows of 1 or 3 numbers; None if it cannot.
+
+    (n,), (n, 1) and (1, n) are rows of one, (n, 3) and (3, n) rows of three; (3, 3) and (1, 3)
+    are read with the rows along the first axis.
+    """
+    if len(shape) not in (1, 2) or dtype.kind not in "iuf":
+        return None
+    if len(shape) == 1:
+        return Track(path, shape[0], 1, 0, dtype)
+    for axis in (0, 1):
+        if shape[1 - axis] in (1, 3):
+            return Track(path, shape[axis], shape[1 - axis], axis, dtype)
+    return None
+
+
 Group = tuple[Track, ...]
 
 

@@ -12,7 +12,7 @@ import h5py
 
 from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.table import Table
-from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats._tables.tracks import Track, track_of_shape
 from accelcal_cli.formats.hdf5.file import (
     H5PY_ERRORS,
     NodeAttributes,
@@ -77,22 +77,10 @@ class Hdf5Table(Table):
 
 
 def as_track(path: str, dataset: Any) -> Track | None:
-    """How a dataset can be read as rows of 1 or 3 numbers; None if it cannot.
-
-    (n,), (n, 1) and (1, n) are rows of one, (n, 3) and (3, n) rows of three; (3, 3) and (1, 3)
-    are read with the rows along the first axis.
-    """
-    shape = dataset.shape
-    if shape is None or len(shape) not in (1, 2) or dataset.dtype.kind not in "iuf":
+    """How a dataset can be read as rows of 1 or 3 numbers; None if it cannot."""
+    if dataset.shape is None or MATLAB_EMPTY in dataset.attrs:  # whose numbers are the lengths of nothing
         return None
-    if MATLAB_EMPTY in dataset.attrs:  # its numbers are the lengths of nothing
-        return None
-    if len(shape) == 1:
-        return Track(path, shape[0], 1, 0, dataset.dtype)
-    for axis in (0, 1):
-        if shape[1 - axis] in (1, 3):
-            return Track(path, shape[axis], shape[1 - axis], axis, dataset.dtype)
-    return None
+    return track_of_shape(path, dataset.shape, dataset.dtype)
 
 
 def all_tracks(file: Any) -> tuple[tuple[Track, ...], int]:

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats._packed import PackedStream
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, REFUSE_ABOVE_BYTES
 from accelcal_cli.formats._tables.tracks import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS
@@ -46,7 +47,6 @@ MOST_CHUNKS = 4096
 """At a time: the HDF5 library keeps a kilobyte and more of notes on each that it reads."""
 
 STREAM_ABOVE_BYTES = 16 << 20
-PIECE = 1 << 18
 SMALLEST_LOSS_ROWS = 16
 LARGEST_NUMBER = 8
 """Bytes; long doubles are larger, and no number of numpy's holds two of their halves."""
@@ -159,46 +159,6 @@ def unshuffled(raw: bytes, size: int) -> NDArray[Any]:
     return parts.reshape(-1)
 
 
-class PackedStream:
-    """Unpacks a stretch of a file from its beginning; can be copied where it stands."""
-
-    def __init__(self, path: Path, offset: int, size: int) -> None:
-        self._path = path
-        self._offset = offset
-        self._end = offset + size
-        self._unpacker = zlib.decompressobj()
-        self._pending = b""
-
-    def copy(self) -> PackedStream:
-        """Another stream that goes on from the same place."""
-        twin = PackedStream(self._path, self._offset, self._end - self._offset)
-        twin._unpacker = self._unpacker.copy()
-        twin._pending = self._pending
-        return twin
-
-    def pieces(self, count: int) -> Iterator[bytes]:
-        """The next `count` bytes, in pieces; fewer where the packed bytes are damaged."""
-        while count:
-            if not self._pending:
-                self._pending = self._packed()
-            try:
-                piece = self._unpacker.decompress(self._pending, min(count, PIECE))
-            except zlib.error:
-                return
-            if not piece and (self._unpacker.eof or not self._pending):
-                return
-            self._pending = self._unpacker.unconsumed_tail
-            count -= len(piece)
-            yield piece
-
-    def _packed(self) -> bytes:
-        with self._path.open("rb") as file:
-            file.seek(self._offset)
-            packed = file.read(min(PIECE, self._end - self._offset))
-        self._offset += len(packed)
-        return packed
-
-
 class DeflatedChunks:
     """Rows of a dataset whose chunks are packed with gzip, in order."""
 
@@ -224,7 +184,7 @@ class DeflatedChunks:
         if chunk != self._chunk or start < self._row:
             self._enter(chunk)
         for plane in self._planes:
-            self._skip(plane, (start - self._row) * self._row_bytes)
+            plane.skip((start - self._row) * self._row_bytes)
         rows = self._take(stop - start)
         self._row = stop
         return rows
@@ -241,14 +201,9 @@ class DeflatedChunks:
         self._planes = []
         for plane in range(self._bytes * self._axes):
             if plane:
-                self._skip(stream, self._chunk_rows * self._row_bytes)
+                stream.skip(self._chunk_rows * self._row_bytes)
             self._planes.append(stream.copy())
         self._chunk, self._row = chunk, chunk * self._chunk_rows
-
-    @staticmethod
-    def _skip(stream: PackedStream, count: int) -> None:
-        for _ in stream.pieces(count):
-            pass
 
     def _take(self, rows: int) -> NDArray[Any]:
         """The next rows of all planes put together, as many as every plane still gives."""

@@ -1,0 +1,183 @@
+"""Arrays that lie in a stretch of bytes one number behind the other, packed or not, as tracks of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from posixpath import basename, dirname
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats._packed import PackedStream, PlainStream
+from accelcal_cli.formats._tables.attributes import Attributes, normal
+from accelcal_cli.formats._tables.table import Table
+from accelcal_cli.formats._tables.tracks import Track, track_of_shape
+
+Stream = PackedStream | PlainStream
+HIGHEST_RATIO = 1100
+"""Deflate makes at most 1032 bytes of one."""
+
+UNIT_ENDINGS = ("unit", "units")
+
+
+@dataclass(frozen=True, slots=True)
+class Array:
+    """An array in a file.
+
+    Attributes:
+        stored: the type of its numbers in the file; `track.dtype` is what they are read as.
+        by_row: a row's numbers lie side by side; else all of one axis, then all of the next.
+        stream: gives its bytes from the first one on.
+        offset: byte in the file at which its bytes begin, None if they are packed.
+    """
+
+    track: Track
+    stored: np.dtype[Any]
+    by_row: bool
+    stream: Callable[[], Stream]
+    offset: int | None
+
+
+def array_of(
+    path: str,
+    shape: tuple[int, ...],
+    types: tuple[np.dtype[Any], np.dtype[Any]],
+    column_major: bool,
+    stream: Callable[[], Stream],
+    offset: int | None,
+) -> Array | None:
+    """An array of some shape as a track; None if it is no such array.
+
+    Args:
+        types: as it is stored, and as it is read.
+        column_major: the first axis runs fastest.
+    """
+    track = track_of_shape(path, shape, types[1])
+    if track is None or not track.rows:
+        return None
+    by_row = track.width == 1 or (track.axis == 0) != column_major
+    return Array(track, types[0], by_row, stream, offset)
+
+
+class ArrayRows:
+    """Rows of an array, in order; those behind damage, or behind the end of the file, are lost."""
+
+    kept_bytes = 0
+
+    def __init__(self, array: Array) -> None:
+        self._array = array
+        self._planes = 1 if array.by_row else array.track.width
+        self._plane_row_bytes = array.stored.itemsize * array.track.width // self._planes
+        self._streams: list[Stream] = []
+        self._row = 0
+
+    @property
+    def path(self) -> str:
+        """The track's path."""
+        return self._array.track.path
+
+    @property
+    def row_bytes(self) -> int:
+        """Bytes of one row in the file."""
+        return self._array.stored.itemsize * self._array.track.width
+
+    def chunk_offset(self, row: int) -> int | None:
+        """Byte in the file of a row's first number; None if the array is packed."""
+        offset = self._array.offset
+        return None if offset is None else offset + row * self._plane_row_bytes
+
+    def read(self, start: int, stop: int) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+        """Rows start..stop-1, shape (stop - start, width), and which of them are not lost."""
+        if not self._streams or start < self._row:
+            self._enter()
+        for stream in self._streams:
+            stream.skip((start - self._row) * self._plane_row_bytes)
+        count = (stop - start) * self._plane_row_bytes
+        parts = [b"".join(stream.pieces(count)) for stream in self._streams]
+        self._row = stop
+        rows = min(map(len, parts)) // self._plane_row_bytes
+        good = np.arange(stop - start) < rows
+        values = np.zeros((stop - start, self._array.track.width), self._array.track.dtype)
+        across = self._array.track.width // self._planes
+        for plane, part in enumerate(parts):
+            numbers = np.frombuffer(part, self._array.stored, rows * across).reshape(rows, across)
+            values[:rows, plane * across : (plane + 1) * across] = numbers
+        return values, good
+
+    def _enter(self) -> None:
+        """Place one stream at the beginning of each plane."""
+        stream, self._row = self._array.stream(), 0
+        self._streams = []
+        for plane in range(self._planes):
+            if plane:
+                stream.skip(self._array.track.rows * self._plane_row_bytes)
+            self._streams.append(stream.copy())
+
+
+@dataclass
+class ArrayTable(Table):
+    """Arrays of a file by their paths, and single numbers and texts beside them.
+
+    Attributes:
+        missing: bytes at the end of a file that was cut short, -1 if that is not known.
+        damaged: how many entries cannot be read.
+        unknown: names of what is kept in a way that cannot be read.
+    """
+
+    path: Path
+    arrays: dict[str, Array] = field(default_factory=dict)
+    scalars: dict[str, object] = field(default_factory=dict)
+    missing: int = 0
+    damaged: int = 0
+    unknown: list[str] = field(default_factory=list)
+    word = "array"
+
+    @property
+    def tracks(self) -> tuple[Track, ...]:
+        """All tracks, by path."""
+        return tuple(self.arrays[path].track for path in sorted(self.arrays))
+
+    def add(self, array: Array, size: int) -> None:
+        """Take an array in; raises UnreadableError where the file, of so many bytes, cannot hold it."""
+        if array.track.rows * array.track.width * array.stored.itemsize > size * HIGHEST_RATIO:
+            raise UnreadableError(
+                f"array {array.track.path} claims {array.track.rows} rows, more than the file can hold",
+                path=self.path,
+                hint="copy it again from its source",
+            )
+        self.arrays.setdefault(array.track.path, array)
+
+    def missing_bytes(self) -> int:
+        """How many bytes at the end are not there."""
+        return self.missing
+
+    def own(self, path: str) -> Attributes:
+        """What is stated of an array: `unit` and `units` with its name before or behind."""
+        return Attributes([self._own(path)])
+
+    def stated(self, path: str) -> Attributes:
+        """What is stated of an array, and what lies beside it and around it."""
+        layers: list[Mapping[str, object]] = [self._own(path)]
+        while True:
+            path = dirname(path)
+            layers.append(
+                {basename(name): value for name, value in self.scalars.items() if dirname(name) == path}
+            )
+            if path in ("", "/"):
+                return Attributes(layers)
+
+    def _own(self, path: str) -> dict[str, object]:
+        name = normal(basename(path))
+        known = {name + ending for ending in UNIT_ENDINGS} | {ending + name for ending in UNIT_ENDINGS}
+        beside = [
+            one for one in self.scalars if dirname(one) == dirname(path) and normal(basename(one)) in known
+        ]
+        return {"unit": self.scalars[beside[0]]} if beside else {}
+
+    def rows(self, track: Track) -> ArrayRows:
+        """The rows of an array."""
+        return ArrayRows(self.arrays[track.path])

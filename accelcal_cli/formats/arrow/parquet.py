@@ -1,0 +1,198 @@
+"""Parquet files: a column at a time, a few pages at a time; damaged row groups lose their own rows only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.parallel import thread_pool
+from accelcal_cli.core.recording import Chunk, Reader
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._tables.attributes import Attributes
+from accelcal_cli.formats._tables.plan import plan_of, source_of
+from accelcal_cli.formats._tables.reader import TableReader
+from accelcal_cli.formats._tables.table import BLOCK_ROWS, Table
+from accelcal_cli.formats._tables.tracks import Track
+from accelcal_cli.formats.arrow import ENCRYPTED_MAGIC, PARQUET_MAGIC
+from accelcal_cli.formats.arrow.columns import attributes, leaves_of, stated_of, values_of
+from accelcal_cli.formats.arrow.parts import ARROW_ERRORS, PartRows
+
+PAGES_BYTES = 1 << 20
+"""Of a column are read at a time: a row group may be as long as the recording."""
+
+HIGHEST_RATIO = 1100
+"""No recording has more rows for each byte of its file; a damaged footer may claim any number."""
+
+FARTHEST_ROWS = 1 << 22
+"""Within a row group nothing can be entered but its beginning."""
+
+LARGEST_TEXT, MOST_ENTRIES = 100_000_000, 2_000_000
+"""Bytes of a text, and entries of a list, in the footer."""
+
+AGAIN = "copy it again from its source"
+
+
+def open_recording(path: Path, options: ReadOptions) -> ParquetReader:
+    """Open a Parquet file whose acceleration is three columns of numbers, or one of lists of three.
+
+    Raises:
+        UnreadableError: damaged, cut short, encrypted, or nothing in it is known as acceleration.
+        UsageError: an option names no column.
+    """
+    with opened(path) as table:
+        plan = plan_of(source_of(table, table.tracks, options, table.damaged), "parquet")
+        return ParquetReader(plan, table.longest)
+
+
+class ParquetReader(TableReader):
+    """Streams the rows of a plan."""
+
+    def __init__(self, plan: Any, longest: int) -> None:
+        super().__init__(plan)
+        self._longest = longest
+
+    @contextmanager
+    def table(self) -> Iterator[ParquetTable]:
+        """The file; portions are taken ahead where several threads may work."""
+        with thread_pool(self.threads, "parquet") as pool, opened(self.recording.path, pool) as table:
+            yield table
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Yield up to `pieces` chunks, spread evenly where row groups are short enough to be entered."""
+        if self._longest > FARTHEST_ROWS:
+            yield from Reader.preview(self, chunk_samples, pieces)
+        else:
+            yield from super().preview(chunk_samples, pieces)
+
+
+class ParquetTable(Table):
+    """An open Parquet file.
+
+    Attributes:
+        damaged: how many columns cannot be told apart.
+        longest: rows of the longest row group.
+    """
+
+    def __init__(self, path: Path, file: Any, again: Any, pool: Executor | None) -> None:
+        self.path, self._again, self._pool = path, again, pool
+        self._metadata = file.metadata
+        schema = file.schema_arrow
+        groups = [
+            self._metadata.row_group(number).num_rows for number in range(self._metadata.num_row_groups)
+        ]
+        self._first_rows = self._checked(groups)
+        self._leaves, self.damaged = leaves_of(schema, int(self._first_rows[-1]))
+        self._stated = stated_of(schema)
+        self.longest = max(groups, default=0)
+        self.tracks = tuple(sorted((leaf.track for leaf in self._leaves.values()), key=lambda one: one.path))
+
+    def _checked(self, groups: list[int]) -> NDArray[np.int64]:
+        rows = sum(groups)
+        if min(groups, default=0) < 0 or rows > self.path.stat().st_size * HIGHEST_RATIO:
+            raise UnreadableError(
+                f"its footer claims {rows} rows, more than the file can hold", path=self.path, hint=AGAIN
+            )
+        if not rows:
+            raise UnreadableError("holds no rows", path=self.path, hint="write it again with its rows")
+        return np.cumsum([0, *groups], dtype=np.int64)
+
+    def own(self, path: str) -> Attributes:
+        """The metadata of a column."""
+        return attributes(self._leaves[path])
+
+    def stated(self, path: str) -> Attributes:
+        """The metadata of a column, then those of the file."""
+        return attributes(self._leaves[path], self._stated)
+
+    def rows(self, track: Track) -> PartRows:
+        """The rows of a column."""
+        leaf, file = self._leaves[track.path], self._again()
+        names = [".".join((leaf.column, *leaf.fields))]
+
+        def batches(first: int, end: int) -> Iterator[NDArray[Any]]:
+            groups = list(range(first, end))
+            for batch in file.iter_batches(BLOCK_ROWS, groups, names, use_threads=False):
+                yield values_of(leaf, batch)
+
+        return PartRows(track, self._first_rows, batches, self._offset, self._pool)
+
+    def _offset(self, group: int) -> int | None:
+        """Byte at which the first column of a row group begins."""
+        try:
+            column = self._metadata.row_group(group).column(0)
+            return int(column.dictionary_page_offset or column.data_page_offset)
+        except ARROW_ERRORS:
+            return None
+
+
+@contextmanager
+def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
+    """A Parquet file, closed afterwards.
+
+    Raises:
+        UnreadableError: its footer is missing, damaged or encrypted.
+    """
+    _refuse_ends(path)
+    with path.open("rb") as plain:
+        # pyarrow takes names as UTF-8 alone, and reads through Python only one thread at a time.
+        name = f"/proc/self/fd/{plain.fileno()}"
+        files: list[Any] = []
+
+        def again(metadata: Any = None) -> Any:
+            source = pa.OSFile(name) if Path(name).exists() else pa.PythonFile(path.open("rb"), "r")
+            files.append(source)
+            return pq.ParquetFile(
+                source,
+                metadata=metadata,
+                buffer_size=PAGES_BYTES,
+                page_checksum_verification=True,
+                thrift_string_size_limit=LARGEST_TEXT,
+                thrift_container_size_limit=MOST_ENTRIES,
+            )
+
+        try:
+            try:
+                file = again()
+                table = ParquetTable(path, file, lambda: again(file.metadata), pool)
+            except ARROW_ERRORS as error:
+                what = f"its footer cannot be read ({' '.join(str(error).split())[:200]})"
+                raise UnreadableError(what, path=path, hint=f"the file is damaged: {AGAIN}") from error
+            yield table
+        finally:
+            for source in files:
+                source.close()
+
+
+def _refuse_ends(path: Path) -> None:
+    """Raise UnreadableError where the first and the last bytes are not those of a whole Parquet file."""
+    with ByteSource(path) as source:
+        if source.compressed:
+            raise UnreadableError(
+                "is a Parquet file inside gzip", path=path, hint="unpack it first with gunzip"
+            )
+        first, last = source.read_exact(4), b""
+        size = source.file_bytes
+        if size >= 12:
+            source.seek(size - 4)
+            last = source.read_exact(4)
+    if ENCRYPTED_MAGIC in (first, last):
+        raise UnreadableError("is encrypted", path=path, hint="write it again without encryption")
+    if first != PARQUET_MAGIC:
+        raise UnreadableError("is not a Parquet file, or its beginning is damaged", path=path, hint=AGAIN)
+    if last != PARQUET_MAGIC:
+        raise UnreadableError(
+            "is cut short: its end, which says where everything is, is missing",
+            path=path,
+            byte_offset=size,
+            hint="copy it again from its source, or let the program that writes it finish",
+        )

@@ -1,0 +1,176 @@
+"""Archives of NumPy arrays as tables: members are read in place, whether they are packed or not.
+
+Source: NumPy's documentation, "numpy.lib.format" (the head of an array), and PKWARE's APPNOTE.TXT, 4.3.7 (the
+head of a member, whose bytes begin 30 bytes and the lengths of its name and its extra field later).
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import Chunk, Problem, Reader
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats._packed import PIECE, PackedStream, PlainStream
+from accelcal_cli.formats._tables.arrays import Array, ArrayTable, Stream, array_of
+from accelcal_cli.formats._tables.attributes import readable
+from accelcal_cli.formats._tables.description import Plan
+from accelcal_cli.formats._tables.plan import plan_of, source_of
+from accelcal_cli.formats._tables.reader import TableReader
+
+LOCAL_HEAD, LOCAL_LENGTHS = 30, slice(26, 30)
+HEAD_BYTES = 1 << 14
+"""Of an array: NumPy's own limit is 10 000 characters."""
+
+LONGEST_TEXT = 1 << 16
+MOST_MEMBERS = 4096
+AGAIN = "copy it again from its source"
+ZIP_ERRORS = (OSError, RuntimeError, ValueError, LookupError, EOFError, OverflowError, SyntaxError,
+              MemoryError, RecursionError, TypeError, zipfile.BadZipFile, zlib.error)  # fmt: skip
+
+
+def open_recording(path: Path, options: ReadOptions) -> NpzReader:
+    """Open an archive whose acceleration is an (n, 3) array or three of length n.
+
+    Raises:
+        UnreadableError: damaged, cut short, or nothing in it is known as acceleration.
+        UsageError: an option names no array.
+    """
+    table, members = _opened(path)
+    plan = plan_of(source_of(table, table.tracks, options, table.damaged), "npz")
+    return NpzReader(plan, table, members)
+
+
+class NpzReader(TableReader):
+    """Streams the rows of a plan."""
+
+    def __init__(self, plan: Plan, table: ArrayTable, members: dict[str, zipfile.ZipInfo]) -> None:
+        used = {track.path for track in plan.tracks}
+        self._packed = any(members[name].compress_type for name in used)
+        wrong = sorted(name for name in used if not _is_true(plan.recording.path, members[name]))
+        text = "array {}: its checksum is wrong; some of its values are not what was written"
+        told = tuple(Problem("checksum", text.format(readable(name)), None, 0) for name in wrong)
+        super().__init__(plan.with_problems(told))
+        self._table = table
+
+    @contextmanager
+    def table(self) -> Iterator[ArrayTable]:
+        """The arrays."""
+        yield self._table
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Yield up to `pieces` chunks, spread evenly where arrays are not packed."""
+        spread = Reader.preview(self, chunk_samples, pieces) if self._packed else None
+        yield from super().preview(chunk_samples, pieces) if spread is None else spread
+
+
+def _opened(path: Path) -> tuple[ArrayTable, dict[str, zipfile.ZipInfo]]:
+    with ByteSource(path) as source:
+        if source.compressed:
+            raise UnreadableError("is an archive inside gzip", path=path, hint="unpack it first with gunzip")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = [item for item in archive.infolist() if item.filename.endswith(".npy")]
+    except ZIP_ERRORS as error:
+        what = f"its list of arrays cannot be read ({' '.join(str(error).split())[:200]})"
+        raise UnreadableError(what, path=path, hint=f"the file is damaged or cut short: {AGAIN}") from error
+    table, found = ArrayTable(path), {}
+    size = path.stat().st_size
+    for member in members[:MOST_MEMBERS]:
+        name = f"/{readable(member.filename.removesuffix('.npy'))}"
+        try:
+            _add(table, name, member, size)
+            found[name] = member
+        except ZIP_ERRORS:
+            table.damaged += 1
+    return table, found
+
+
+def _add(table: ArrayTable, name: str, member: zipfile.ZipInfo, size: int) -> None:
+    """Take a member in, as an array or as a single number or text. Raises as NumPy does."""
+    stream = _stream(table.path, member)
+    head = b"".join(stream.copy().pieces(HEAD_BYTES))
+    shape, column_major, dtype, length = _head(head)
+    if np.prod(shape, dtype=np.float64) == 1 or not shape:
+        table.scalars[name] = _scalar(head, length, dtype)
+        return
+    clock = dtype.kind == "M"
+    if dtype.kind in "mM":
+        unit = np.datetime_data(dtype)
+        table.scalars.setdefault(f"{name}_unit", unit[0])
+        dtype = np.dtype(np.int64).newbyteorder(dtype.byteorder)
+        if unit[1] != 1:
+            return
+
+    def begin() -> Stream:
+        values = stream.copy()
+        values.skip(length)
+        return values
+
+    offset = None if member.compress_type else _offset(table.path, member) + length
+    read_as = dtype.newbyteorder("=")
+    array: Array | None = array_of(name, shape, (dtype, read_as), column_major, begin, offset)
+    if array is not None:
+        table.add(replace(array, track=replace(array.track, clock=clock)), size)
+
+
+def _head(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Shape, whether the first axis runs fastest, type, and bytes of the head of an array."""
+    stream = io.BytesIO(data)
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, column_major, dtype = read(stream)
+    if any(length < 0 for length in shape):
+        raise ValueError("a negative length")
+    return shape, column_major, dtype, stream.tell()
+
+
+def _scalar(head: bytes, length: int, dtype: np.dtype[Any]) -> object:
+    """The one number or text of an array."""
+    if dtype.hasobject or not 0 < dtype.itemsize <= LONGEST_TEXT:
+        raise ValueError("no plain value")
+    return np.frombuffer(head, dtype, 1, length)[0]
+
+
+def _stream(path: Path, member: zipfile.ZipInfo) -> Stream:
+    """The bytes of a member."""
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or member.flag_bits & 1:
+        raise ValueError("encrypted, or packed in another way")
+    begin = _offset(path, member)
+    if member.compress_type == zipfile.ZIP_STORED:
+        return PlainStream(path, begin, member.file_size)
+    return PackedStream(path, begin, member.compress_size, bare=True)
+
+
+def _offset(path: Path, member: zipfile.ZipInfo) -> int:
+    """Byte in the file at which a member's own bytes begin."""
+    with path.open("rb") as file:
+        file.seek(member.header_offset)
+        lengths = file.read(LOCAL_HEAD)[LOCAL_LENGTHS]
+    if len(lengths) < 4:
+        raise ValueError("a member beyond the end")
+    name, extra = int.from_bytes(lengths[:2], "little"), int.from_bytes(lengths[2:], "little")
+    return member.header_offset + LOCAL_HEAD + name + extra
+
+
+def _is_true(path: Path, member: zipfile.ZipInfo) -> bool:
+    """Whether the checksum of a member is right."""
+    crc, stream, left = 0, _stream(path, member), member.file_size
+    while left > 0:
+        pieces = [*stream.pieces(min(left, PIECE))]
+        if not pieces:
+            return False
+        for piece in pieces:
+            crc = zlib.crc32(piece, crc)
+            left -= len(piece)
+    return crc == member.CRC
