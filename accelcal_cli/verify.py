@@ -24,7 +24,7 @@ from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import Column, ParquetSource, described, schema_of, stored_schema, values_of
-from accelcal_cli.output.report import ReportInput, build, section, significant, with_new_names
+from accelcal_cli.output.report import ReportInput, build, result_json, section, significant, with_new_names
 from accelcal_cli.output.report_reading import (
     Coefficients,
     Document,
@@ -300,6 +300,8 @@ def check_parquet(
     if document.first is not None:
         metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}
     expected = {name: document.report.get(name) for name in names}
+    if "result" in metadata:  # not before 0.3
+        expected |= {"result": result_json(document.report)}
     keys = (*differing(metadata, expected), *_other_schema(path, columns_of(written[1]), document))
     return ParquetCheck(path, keys, compare_values(*written, path) if values else None)
 

@@ -123,6 +123,10 @@ class NoFormatError(UnreadableError):
     """The content of the file matches no format."""
 
 
+class NoRecordingError(UnreadableError):
+    """A sound table, but nothing in it is acceleration."""
+
+
 class OutputError(AccelcalError):
     """A result could not be written."""
 

@@ -182,6 +182,7 @@ class Format:
         suffixes: usual lower-case suffixes, with the dot; only a hint.
         sniff: confidence 0..100 that the probed file is of this format. 0: certainly not;
             100: a magic number or signature matches. Never raises.
+        is_table: such files hold tables of all kinds; that of a study may be no recording.
         ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
         reader: "module:function" that opens a file, imported by the first file that is opened.
     """
@@ -192,6 +193,7 @@ class Format:
     sniff: Callable[[Probe], int]
     reader: str
     ignores: tuple[str, ...] = ()
+    is_table: bool = False
 
     def unused(self, options: ReadOptions) -> tuple[str, ...]:
         """Options that are given and mean nothing to it."""

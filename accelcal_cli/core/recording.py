@@ -59,6 +59,31 @@ class Device:
     firmware: str | None = None
 
 
+METADATA_KEY = b"accelcal"
+"""Of the metadata of our Parquet files: what they say of themselves, as JSON."""
+
+
+@dataclass(frozen=True, slots=True)
+class Calibrated:
+    """How a recording that accelcal calibrated before came to be; None where its file does not say.
+
+    Attributes:
+        name: of the raw recording's file.
+        outcome: of its calibration.
+        held_out_mg: error of that on postures that were left out of the fit.
+    """
+
+    name: str
+    outcome: str | None = None
+    held_out_mg: float | None = None
+
+    def told(self) -> str:
+        """For people, such as `calibrated already, from a.cwa (calibrated, 4.4 mg held out)`."""
+        error = None if self.held_out_mg is None else f"{self.held_out_mg:.1f} mg held out"
+        known = ", ".join(filter(None, (self.outcome and self.outcome.replace("_", " "), error)))
+        return f"calibrated already, from {self.name}{f' ({known})' if known else ''}"
+
+
 @dataclass(frozen=True, slots=True)
 class Recording:
     """What is known of a recording before its samples are read.
@@ -80,6 +105,7 @@ class Recording:
         gyro_dps_per_lsb: deg/s in one count of each gyroscope axis, None without a gyroscope.
         factory: the maker's calibration, where the reader applied one: counts are those that it gives.
         companion: a file beside the recording that says how to read it, such as a layout.
+        calibrated: set for a file of ours with calibrated values.
         notes: what a user should know of how the file was understood.
     """
 
@@ -100,6 +126,7 @@ class Recording:
     gyro_dps_per_lsb: tuple[float, float, float] | None = None
     factory: FactoryCalibration | None = None
     companion: Path | None = None
+    calibrated: Calibrated | None = None
     notes: tuple[str, ...] = ()
 
     @property

@@ -171,6 +171,29 @@ def _most_probable(
     return with_simpler(completed, sample, how, truth)
 
 
+def as_it_is(points: PointSet, how: Fitting, told: str) -> Judgement:
+    """The verdict on values that were calibrated before: nothing is fitted.
+
+    Args:
+        points: of the calibrated values; they tell how well these hold.
+        told: where the values are from.
+    """
+    label = postures(points, how.settings.posture_degrees)
+    coverage = coverage_of(points, label)
+    if not len(points):
+        return Judgement(Outcome.REFUSED, f"{told}; there is no stillness to check that", coverage, ())
+    number = counted(coverage.distinct_orientations, "posture")
+    sample = Sample(
+        points, label, model_ladder.temperature_blocks(points, label, how.settings.temperature_block_c)
+    )
+    holdout, same = blocked(sample, MODELS["0"], how.fit, how.settings.folds)
+    text = f"{told}; not fitted again: {holdout.before.mean:.1f} mg on {number} of its own stillness"
+    verdict = Judgement(
+        Outcome.ALREADY_GOOD, text, coverage, (Trial("0", holdout, None, same),), holdout=holdout
+    )
+    return _complete(verdict, "0", same, points, label, how.settings.gravity)
+
+
 def _is_unlike(
     known: Posterior, sample: Sample, coverage: Coverage, prior: Prior, penalized: PenalizedFitter
 ) -> bool:

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any, NoReturn
 
 from accelcal_cli.core.errors import OutputError, printable, spreadsheet_cell
+from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.system import host, lives
 
 LONG_NAME = 160
@@ -33,7 +34,6 @@ WIDEST = 64
 
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
-METADATA_KEY = b"accelcal"
 _MODES = {"rb": os.O_RDONLY, "r+b": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
 _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 

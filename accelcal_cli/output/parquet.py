@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import BackgroundWriter, OrderedCalls
-from accelcal_cli.core.recording import NOT_CALIBRATED, Chunk, Recording
+from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.zones import UNKNOWN, UTC
-from accelcal_cli.output.files import METADATA_KEY, output_error
+from accelcal_cli.output.files import output_error
 from accelcal_cli.output.row_groups import MAGIC, EncodedGroup, Footer, encoded
 
 ROW_GROUP_ROWS = 1 << 19

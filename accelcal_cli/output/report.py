@@ -419,7 +419,15 @@ def parquet_metadata(data: ReportInput) -> dict[str, Any]:
         "calibration": data.taken.get("calibration") or calibration_json(verdict, data.optimizer),
         "recording": _recording(data).as_json(),
         **(refusal if verdict.calibration is None else {}),
+        "result": result_json(build(data)),
     }
+
+
+def result_json(report: dict[str, Any]) -> dict[str, Any]:
+    """Outcome and held-out error [mg] of a report, for the Parquet file."""
+    holdout = report["holdout"]
+    error = holdout["after_mg"]["mean"] if isinstance(holdout, dict) else None
+    return {"outcome": str(report["outcome"]), "held_out_mg": error}
 
 
 def _recording(data: ReportInput) -> ReportRecording:

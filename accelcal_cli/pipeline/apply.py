@@ -88,6 +88,9 @@ def given(run: RecordingRun, donor: Coefficients) -> tuple[RecordingRun, GivenCo
         UnreadableError: the donor's report has settings that cannot be.
     """
     recording, request = run.reader.recording, run.request
+    if recording.calibrated is not None:
+        hint = "apply them to the raw recording"
+        raise UsageError(f"is {recording.calibrated.told()}", path=recording.path, hint=hint)
     relation = checked_relation(donor, recording, run.bytes_at, request)
     settings = settings_for(donor, relation, request.recording_settings)
     need_temperature(applied(donor, settings), recording, has=recording.has_temperature)

@@ -22,12 +22,12 @@ from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.recording import Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import NO_PRIOR, Settings
 from accelcal_cli.core.system import give_back_freed_memory
 from accelcal_cli.judge.change import told
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.verdict import advised, damage_verdict
+from accelcal_cli.judge.verdict import advised, as_it_is, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
@@ -164,6 +164,9 @@ class OwnCalibration(Judge):
         sections = {} if learnt is None else {"prior": learnt.as_json()}
         if found.damage is not None:
             return Verdict(found.damage, sections)
+        if (before := found.recording.calibrated) is not None:
+            how = survey.fitting(replace(self.settings, prior=NO_PRIOR))
+            return Verdict(as_it_is(found.points, how, before.told()), sections)
         fitter = survey.fitting(self.settings, None if learnt is None else learnt.prior)
         judgement = advised(found.method.procedure.judge(fitter), found.facts, found.recording, self.settings)
         if learnt is not None:
@@ -204,6 +207,8 @@ def open_run(
     before = before or jobs.file_stamp(path)
     request = request.for_recording(path)
     with survey.open_marked(path, request.options, request.threads, request.unused) as reader:
+        if reader.recording.calibrated is not None:  # a copy of what is there already helps nobody
+            request = replace(request, report_only=True)
         yield RecordingRun(job, request, progress, reader, path, before)
 
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
-from accelcal_cli.core.formats import Format, ReadOptions, probe_file
+from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputError, UnreadableError, UsageError
+from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
 from accelcal_cli.core.parts import ANY, files_of, is_never, set_of
 from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.csv import channels_beside
@@ -313,9 +313,21 @@ def is_recording(item: Item, options: ReadOptions, *, asked_for: bool) -> bool:
         probe = probe_file(item.source, replace(options, layout=None))
     except UnreadableError:
         return _suffix(item) in _suffixes(all_formats())
-    return any(one.sniff(probe) for one in wanted) or _suffix(item) in _suffixes(
-        tuple(one for one in wanted if one.name != TABLES)
-    )
+    found = max(wanted, key=lambda one: one.sniff(probe))
+    if found.sniff(probe):
+        return not found.is_table or _holds_acceleration(found, item, options)
+    return _suffix(item) in _suffixes(tuple(one for one in wanted if one.name != TABLES and not one.is_table))
+
+
+def _holds_acceleration(form: Format, item: Item, options: ReadOptions) -> bool:
+    """Whether a table is a recording; one that is damaged may be, and must not be lost in silence."""
+    try:
+        form.open(item.source, without(options, form.unused(options))).close()
+    except NoRecordingError:
+        return False
+    except AccelcalError:
+        return True
+    return True
 
 
 def _suffix(item: Item) -> str:

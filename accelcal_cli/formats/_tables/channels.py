@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.recording import Counts
+from accelcal_cli.core.recording import Counts, Validity
 from accelcal_cli.formats._tables import tracks as tracks_of
 from accelcal_cli.formats._tables.attributes import readable
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, RowSelection, RowSource, Table
@@ -80,7 +80,21 @@ class Column:
         return values.astype(np.int32)
 
 
-Channel = Axes | Column
+@dataclass(frozen=True, slots=True)
+class Marks:
+    """Where each row comes from, as `Validity` numbers it."""
+
+    tracks: Group
+
+    def values(
+        self, sources: list[RowSource], selection: RowSelection, _before: Any = None
+    ) -> NDArray[np.uint8]:
+        """Values (n,) of all rows of the selection; those of no meaning are those of measured rows."""
+        found = selection.read(sources[0])[:, 0]
+        return np.where((found >= 0) & (found <= max(Validity)), found, Validity.MEASURED).astype(np.uint8)
+
+
+Channel = Axes | Column | Marks
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.formats._tables.attributes import normal
 
 _ACCEL = (
@@ -163,8 +163,8 @@ def _refuse_without_accel(tracks: tuple[Track, ...], file: File, sensor: str | N
             hint=f"{file.word}s of the file: {described(tracks)}",
         )
     if not tracks:
-        raise UnreadableError(f"no {file.word} of numbers can be found", path=file.path)
-    raise UnreadableError(
+        raise NoRecordingError(f"no {file.word} of numbers can be found", path=file.path)
+    raise NoRecordingError(
         f"no {file.word} has a name known for acceleration",
         path=file.path,
         hint=f"name it with --columns PATH,PATH,PATH; {file.word}s of the file: {described(tracks)}",

@@ -40,6 +40,7 @@ PARQUET = Format(
     sniff=sniff_parquet,
     reader="accelcal_cli.formats.arrow.parquet:open_recording",
     ignores=("layout", "date_format"),
+    is_table=True,
 )
 FEATHER = Format(
     name="feather",
@@ -48,6 +49,7 @@ FEATHER = Format(
     sniff=sniff_feather,
     reader="accelcal_cli.formats.arrow.ipc:open_recording",
     ignores=("layout", "date_format"),
+    is_table=True,
 )
 
 FORMAT = (PARQUET, FEATHER)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +15,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
-from accelcal_cli.core.recording import Chunk, Reader
+from accelcal_cli.core.recording import METADATA_KEY, Calibrated, Chunk, Reader
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.attributes import Attributes
+from accelcal_cli.formats._tables.channels import Marks
+from accelcal_cli.formats._tables.description import Plan
 from accelcal_cli.formats._tables.plan import plan_of, source_of
 from accelcal_cli.formats._tables.reader import TableReader
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, Table
@@ -39,6 +43,7 @@ FARTHEST_ROWS = 1 << 22
 LARGEST_TEXT, MOST_ENTRIES = 100_000_000, 2_000_000
 """Bytes of a text, and entries of a list, in the footer."""
 
+LONGEST_WORD, LARGEST_MG = 40, 1e6
 AGAIN = "copy it again from its source"
 
 
@@ -51,13 +56,22 @@ def open_recording(path: Path, options: ReadOptions) -> ParquetReader:
     """
     with opened(path) as table:
         plan = plan_of(source_of(table, table.tracks, options, table.damaged), "parquet")
+        if table.calibrated is not None:
+            plan = as_calibrated(plan, table.calibrated, table.tracks)
         return ParquetReader(plan, table.longest)
+
+
+def as_calibrated(plan: Plan, calibrated: Calibrated, tracks: tuple[Track, ...]) -> Plan:
+    """The plan of a recording that says which of its rows were measured."""
+    marks = Marks(tuple(track for track in tracks if track.path == "/validity"))
+    channels = {**plan.channels, "validity": marks} if marks.tracks else plan.channels
+    return replace(plan, recording=replace(plan.recording, calibrated=calibrated), channels=channels)
 
 
 class ParquetReader(TableReader):
     """Streams the rows of a plan."""
 
-    def __init__(self, plan: Any, longest: int) -> None:
+    def __init__(self, plan: Plan, longest: int) -> None:
         super().__init__(plan)
         self._longest = longest
 
@@ -79,6 +93,7 @@ class ParquetTable(Table):
     """An open Parquet file.
 
     Attributes:
+        calibrated: set for a calibrated recording of ours.
         damaged: how many columns cannot be told apart.
         longest: rows of the longest row group.
     """
@@ -93,6 +108,7 @@ class ParquetTable(Table):
         self._first_rows = self._checked(groups)
         self._leaves, self.damaged = leaves_of(schema, int(self._first_rows[-1]))
         self._stated = stated_of(schema)
+        self.calibrated = self._origin(schema)
         self.longest = max(groups, default=0)
         self.tracks = tuple(sorted((leaf.track for leaf in self._leaves.values()), key=lambda one: one.path))
 
@@ -105,6 +121,26 @@ class ParquetTable(Table):
         if not rows:
             raise UnreadableError("holds no rows", path=self.path, hint="write it again with its rows")
         return np.cumsum([0, *groups], dtype=np.int64)
+
+    def _origin(self, schema: Any) -> Calibrated | None:
+        """How a calibrated recording of ours came to be; None for any other file."""
+        text = (schema.metadata or {}).get(METADATA_KEY)
+        if text is None:
+            return None
+        if not {"time", *"xyz", "validity"} <= set(schema.names):
+            what, hint = "is a table that accelcal wrote, not a recording", "name the recording itself"
+            raise NoRecordingError(what, path=self.path, hint=hint)
+        about = _section(text)
+        recording, result = (about.get(name) for name in ("recording", "result"))
+        recording, result = (one if isinstance(one, dict) else {} for one in (recording, result))
+        self._stated |= {"sample_rate": recording.get("sample_rate_hz"), "time_zone": None}
+        name = printable(Path(str(recording.get("path") or "a recording of unknown name")).name)
+        outcome, error = result.get("outcome"), result.get("held_out_mg")
+        return Calibrated(
+            name,
+            printable(outcome)[:LONGEST_WORD] if isinstance(outcome, str) else None,
+            float(error) if isinstance(error, int | float) and abs(error) < LARGEST_MG else None,
+        )
 
     def own(self, path: str) -> Attributes:
         """The metadata of a column."""
@@ -133,6 +169,15 @@ class ParquetTable(Table):
             return int(column.dictionary_page_offset or column.data_page_offset)
         except ARROW_ERRORS:
             return None
+
+
+def _section(text: bytes) -> dict[str, Any]:
+    """Our metadata; empty where they are damaged."""
+    try:
+        found = json.loads(text)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
 
 
 @contextmanager

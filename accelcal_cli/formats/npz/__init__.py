@@ -27,4 +27,5 @@ FORMAT = Format(
     sniff=sniff,
     reader="accelcal_cli.formats.npz.reader:open_recording",
     ignores=("layout", "date_format"),
+    is_table=True,
 )
