@@ -35,7 +35,7 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
 
 def usual_length(values: NDArray[np.float64]) -> float:
     """Median length of vectors (n, 3), zeros and missing ones left out; 0 where there are no others."""
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         norm = np.sqrt((values * values).sum(axis=1))
     norm = norm[np.isfinite(norm) & (norm > 0)]
     return float(np.median(norm)) if len(norm) else 0.0

@@ -12,6 +12,9 @@ PIECE = 1 << 18
 class PackedStream:
     """Unpacks a stretch of a file from its beginning; can be copied where it stands.
 
+    Attributes:
+        untrue: whether the packed bytes were seen to be damaged, not only cut short.
+
     Args:
         offset, size: of the packed bytes.
         bare: deflate without the head and the checksum of zlib, as in zip files.
@@ -24,6 +27,7 @@ class PackedStream:
         self._end = offset + size
         self._unpacker = zlib.decompressobj(-zlib.MAX_WBITS if bare else zlib.MAX_WBITS)
         self._pending = b""
+        self.untrue = False
 
     def copy(self) -> PackedStream:
         """Another stream that goes on from the same place."""
@@ -40,6 +44,7 @@ class PackedStream:
             try:
                 piece = self._unpacker.decompress(self._pending, min(count, PIECE))
             except zlib.error:
+                self.untrue = True
                 return
             if not piece and (self._unpacker.eof or not self._pending):
                 return

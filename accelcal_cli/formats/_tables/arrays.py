@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from posixpath import basename, dirname
 from typing import Any
@@ -12,8 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Chunk, Problem, Reader
 from accelcal_cli.formats._packed import PackedStream, PlainStream
 from accelcal_cli.formats._tables.attributes import Attributes, normal
+from accelcal_cli.formats._tables.description import Plan
+from accelcal_cli.formats._tables.reader import TableReader
 from accelcal_cli.formats._tables.table import Table
 from accelcal_cli.formats._tables.tracks import Track, track_of_shape
 
@@ -33,6 +37,7 @@ class Array:
         by_row: a row's numbers lie side by side; else all of one axis, then all of the next.
         stream: gives its bytes from the first one on.
         offset: byte in the file at which its bytes begin, None if they are packed.
+        is_true: whether a checksum over them says that they are what was written.
     """
 
     track: Track
@@ -40,6 +45,7 @@ class Array:
     by_row: bool
     stream: Callable[[], Stream]
     offset: int | None
+    is_true: Callable[[], bool] = lambda: True
 
 
 def array_of(
@@ -181,3 +187,42 @@ class ArrayTable(Table):
     def rows(self, track: Track) -> ArrayRows:
         """The rows of an array."""
         return ArrayRows(self.arrays[track.path])
+
+
+class ArrayReader(TableReader):
+    """Streams the rows of a plan from arrays.
+
+    Raises:
+        UnreadableError: what is packed is damaged, so that values behind that are not what was packed.
+    """
+
+    def __init__(self, plan: Plan, table: ArrayTable) -> None:
+        self._table = table
+        used = [table.arrays[path] for path in sorted({track.path for track in plan.tracks})]
+        self._packed = any(array.offset is None for array in used)
+        wrong = [array for array in used if not array.is_true()]
+        for array in wrong:
+            if array.offset is None:
+                raise UnreadableError(
+                    f"array {array.track.path} is damaged: some values are not what was packed",
+                    path=table.path,
+                    hint="copy it again from its source",
+                )
+        super().__init__(replace(plan, problems=plan.problems + tuple(map(_untrue, wrong))))
+
+    @contextmanager
+    def table(self) -> Iterator[ArrayTable]:
+        """The arrays."""
+        yield self._table
+
+    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
+        """Yield up to `pieces` chunks; the first ones where what is packed can be entered only there."""
+        if self._packed:
+            yield from Reader.preview(self, chunk_samples, pieces)
+        else:
+            yield from super().preview(chunk_samples, pieces)
+
+
+def _untrue(array: Array) -> Problem:
+    text = f"array {array.track.path}: its checksum is wrong; some of its values are not what was written"
+    return Problem("checksum", text, array.offset, 0)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +77,6 @@ class Plan:
         groups = (self.accel.tracks, *(channel.tracks for channel in self.channels.values()))
         stamps = () if self.stamps is None else (self.stamps.track,)
         return (*(track for group in groups for track in group), *stamps)
-
-    def with_problems(self, problems: tuple[Problem, ...]) -> Plan:
-        """The plan with more problems that go with the first rows."""
-        return replace(self, problems=self.problems + problems)
 
 
 @dataclass(frozen=True, slots=True)
@@ -291,7 +287,7 @@ def _stamp_scale(
     stated = table.own(track.path).text("units", "unit")
     unit = _stated_unit(table, track, stated)
     head = good_rows(table.rows(track), 0, min(track.rows, BLOCK_ROWS))[:, 0]
-    head = head[head > 0]
+    head = head[(head > 0) & np.isfinite(head)]
     if unit is None and (day := units.day_of_1970(head)) is not None:
         return StampScale("days", epoch_day=day), Moment(0)
     unit = unit or (units.unit_by_size(float(head[0])) if len(head) else None) or _unit_by_rate(head, rate)

@@ -163,7 +163,11 @@ def _refuse_without_accel(tracks: tuple[Track, ...], file: File, sensor: str | N
             hint=f"{file.word}s of the file: {described(tracks)}",
         )
     if not tracks:
-        raise NoRecordingError(f"no {file.word} of numbers can be found", path=file.path)
+        raise NoRecordingError(
+            f"no {file.word} of numbers can be found",
+            path=file.path,
+            hint="give it x, y and z, and times, as numbers",
+        )
     raise NoRecordingError(
         f"no {file.word} has a name known for acceleration",
         path=file.path,

@@ -55,7 +55,7 @@ def leaves_of(schema: Any, rows: int) -> tuple[dict[str, Leaf], int]:
         if names[field.name] > 1:
             continue
         shown = "time" if field.name == UNNAMED_INDEX and "time" not in indexed else field.name
-        for leaf in _leaves(field, field.name, (), f"/{readable(shown)}", rows):
+        for leaf in _leaves(field, field.name, (), f"/{_part(shown)}", rows):
             found.setdefault(leaf.track.path, leaf)
     return found, sum(number > 1 for number in names.values())
 
@@ -64,7 +64,7 @@ def _leaves(field: Any, column: str, fields: tuple[str, ...], path: str, rows: i
     kind = _stored(field.type)
     if pa.types.is_struct(kind) and len(fields) < DEEPEST:
         for child in kind:
-            yield from _leaves(child, column, (*fields, child.name), f"{path}/{readable(child.name)}", rows)
+            yield from _leaves(child, column, (*fields, child.name), f"{path}/{_part(child.name)}", rows)
         return
     width, number = (3, _stored(kind.value_type)) if _is_list(kind) else (1, kind)
     if pa.types.is_fixed_size_list(kind) and kind.list_size != 3:
@@ -74,6 +74,11 @@ def _leaves(field: Any, column: str, fields: tuple[str, ...], path: str, rows: i
         clock = pa.types.is_timestamp(number) and number.tz is None
         own = {**_texts(field.metadata), **_of_type(number)}
         yield Leaf(Track(path, rows, width, 0, dtype, clock), column, fields, kind, own)
+
+
+def _part(name: str) -> str:
+    """A name as a part of a path: `X [m/s2]` is one."""
+    return readable(name).replace("/", "_")
 
 
 def _is_list(kind: Any) -> bool:

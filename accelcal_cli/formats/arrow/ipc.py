@@ -107,6 +107,7 @@ class IpcTable(Table):
         self, path: Path, messages: Messages, open_batches: Callable[[list[int] | None], _Batches], pool: Any
     ) -> None:
         self.path, self._messages, self._open, self._pool = path, messages, open_batches, pool
+        self._schema = open_batches(None).schema
         rows = [batch.rows for batch in messages.batches]
         if sum(rows) > path.stat().st_size * HIGHEST_RATIO:
             raise UnreadableError(
@@ -115,7 +116,6 @@ class IpcTable(Table):
         if not sum(rows):
             raise UnreadableError("holds no rows", path=path, hint=AGAIN)
         self._first_rows = np.cumsum([0, *rows], dtype=np.int64)
-        self._schema = open_batches(None).schema
         self._leaves, doubtful = leaves_of(self._schema, int(self._first_rows[-1]))
         self.damaged = doubtful + messages.damaged
         self._stated = stated_of(self._schema)

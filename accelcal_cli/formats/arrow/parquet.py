@@ -200,6 +200,7 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
                 source,
                 metadata=metadata,
                 buffer_size=PAGES_BYTES,
+                pre_buffer=False,
                 page_checksum_verification=True,
                 thrift_string_size_limit=LARGEST_TEXT,
                 thrift_container_size_limit=MOST_ENTRIES,

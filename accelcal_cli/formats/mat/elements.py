@@ -9,14 +9,14 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from accelcal_cli.formats._packed import PackedStream, PlainStream
+from accelcal_cli.formats._packed import PIECE, PackedStream, PlainStream
 from accelcal_cli.formats._tables.arrays import ArrayTable, Stream, array_of
 from accelcal_cli.formats.mat import HEAD_BYTES
 
@@ -206,7 +206,17 @@ class Elements:
             offset = None if cursor.base is None else cursor.base + cursor.place
             array = array_of(name, shape, types, True, cursor.from_here(), offset)
             if array is not None:
-                self._table.add(array, self._size)
+                self._table.add(replace(array, is_true=partial(_is_true, cursor.begin)), self._size)
+
+
+def _is_true(begin: Callable[[], Stream]) -> bool:
+    """Whether an element unpacks to what its checksum is of, as far as the file has it."""
+    stream = begin()
+    if isinstance(stream, PlainStream):
+        return True
+    while any(stream.pieces(PIECE)):
+        pass
+    return not stream.untrue
 
 
 def _unpacked(path: Path, offset: int, size: int) -> PackedStream:

@@ -8,19 +8,16 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._tables.arrays import ArrayTable
-from accelcal_cli.formats._tables.description import Plan
+from accelcal_cli.formats._tables.arrays import ArrayReader, ArrayTable
 from accelcal_cli.formats._tables.plan import plan_of, source_of
-from accelcal_cli.formats._tables.reader import TableReader
 from accelcal_cli.formats.mat import BIG, HEAD_BYTES, LITTLE, VERSION
 from accelcal_cli.formats.mat.elements import Elements
 
 AS_NUMBERS = "save its columns as plain arrays, with times in seconds (posixtime) or days (datenum)"
 
 
-def open_recording(path: Path, options: ReadOptions) -> MatReader:
+def open_recording(path: Path, options: ReadOptions) -> ArrayReader:
     """Open a MATLAB file whose acceleration is an (n, 3) array or three of length n.
 
     Raises:
@@ -29,24 +26,7 @@ def open_recording(path: Path, options: ReadOptions) -> MatReader:
     """
     table = _opened(path)
     with _explaining(table):
-        return MatReader(plan_of(source_of(table, table.tracks, options, table.damaged), "mat"), table)
-
-
-class MatReader(TableReader):
-    """Streams the rows of a plan."""
-
-    def __init__(self, plan: Plan, table: ArrayTable) -> None:
-        super().__init__(plan)
-        self._table = table
-
-    @contextmanager
-    def table(self) -> Iterator[ArrayTable]:
-        """The arrays."""
-        yield self._table
-
-    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Yield the first chunks: what is packed can be entered at its beginning only."""
-        yield from Reader.preview(self, chunk_samples, pieces)
+        return ArrayReader(plan_of(source_of(table, table.tracks, options, table.damaged), "mat"), table)
 
 
 def _opened(path: Path) -> ArrayTable:

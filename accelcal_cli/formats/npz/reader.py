@@ -7,11 +7,11 @@ head of a member, whose bytes begin 30 bytes and the lengths of its name and its
 from __future__ import annotations
 
 import io
+import tokenize
 import zipfile
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +19,11 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Chunk, Problem, Reader
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._packed import PIECE, PackedStream, PlainStream
-from accelcal_cli.formats._tables.arrays import Array, ArrayTable, Stream, array_of
+from accelcal_cli.formats._tables.arrays import Array, ArrayReader, ArrayTable, Stream, array_of
 from accelcal_cli.formats._tables.attributes import readable
-from accelcal_cli.formats._tables.description import Plan
 from accelcal_cli.formats._tables.plan import plan_of, source_of
-from accelcal_cli.formats._tables.reader import TableReader
 
 LOCAL_HEAD, LOCAL_LENGTHS = 30, slice(26, 30)
 HEAD_BYTES = 1 << 14
@@ -35,46 +32,25 @@ HEAD_BYTES = 1 << 14
 LONGEST_TEXT = 1 << 16
 MOST_MEMBERS = 4096
 AGAIN = "copy it again from its source"
-ZIP_ERRORS = (OSError, RuntimeError, ValueError, LookupError, EOFError, OverflowError, SyntaxError,
-              MemoryError, RecursionError, TypeError, zipfile.BadZipFile, zlib.error)  # fmt: skip
+ZIP_ERRORS = (
+    OSError, RuntimeError, ValueError, LookupError, EOFError, OverflowError, SyntaxError, MemoryError,
+    RecursionError, TypeError, zipfile.BadZipFile, zlib.error, tokenize.TokenError,
+)  # fmt: skip
+"""What zipfile and NumPy raise for damaged files."""
 
 
-def open_recording(path: Path, options: ReadOptions) -> NpzReader:
+def open_recording(path: Path, options: ReadOptions) -> ArrayReader:
     """Open an archive whose acceleration is an (n, 3) array or three of length n.
 
     Raises:
         UnreadableError: damaged, cut short, or nothing in it is known as acceleration.
         UsageError: an option names no array.
     """
-    table, members = _opened(path)
-    plan = plan_of(source_of(table, table.tracks, options, table.damaged), "npz")
-    return NpzReader(plan, table, members)
+    table = _opened(path)
+    return ArrayReader(plan_of(source_of(table, table.tracks, options, table.damaged), "npz"), table)
 
 
-class NpzReader(TableReader):
-    """Streams the rows of a plan."""
-
-    def __init__(self, plan: Plan, table: ArrayTable, members: dict[str, zipfile.ZipInfo]) -> None:
-        used = {track.path for track in plan.tracks}
-        self._packed = any(members[name].compress_type for name in used)
-        wrong = sorted(name for name in used if not _is_true(plan.recording.path, members[name]))
-        text = "array {}: its checksum is wrong; some of its values are not what was written"
-        told = tuple(Problem("checksum", text.format(readable(name)), None, 0) for name in wrong)
-        super().__init__(plan.with_problems(told))
-        self._table = table
-
-    @contextmanager
-    def table(self) -> Iterator[ArrayTable]:
-        """The arrays."""
-        yield self._table
-
-    def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
-        """Yield up to `pieces` chunks, spread evenly where arrays are not packed."""
-        spread = Reader.preview(self, chunk_samples, pieces) if self._packed else None
-        yield from super().preview(chunk_samples, pieces) if spread is None else spread
-
-
-def _opened(path: Path) -> tuple[ArrayTable, dict[str, zipfile.ZipInfo]]:
+def _opened(path: Path) -> ArrayTable:
     with ByteSource(path) as source:
         if source.compressed:
             raise UnreadableError("is an archive inside gzip", path=path, hint="unpack it first with gunzip")
@@ -84,16 +60,14 @@ def _opened(path: Path) -> tuple[ArrayTable, dict[str, zipfile.ZipInfo]]:
     except ZIP_ERRORS as error:
         what = f"its list of arrays cannot be read ({' '.join(str(error).split())[:200]})"
         raise UnreadableError(what, path=path, hint=f"the file is damaged or cut short: {AGAIN}") from error
-    table, found = ArrayTable(path), {}
-    size = path.stat().st_size
+    table, size = ArrayTable(path), path.stat().st_size
     for member in members[:MOST_MEMBERS]:
         name = f"/{readable(member.filename.removesuffix('.npy'))}"
         try:
             _add(table, name, member, size)
-            found[name] = member
         except ZIP_ERRORS:
             table.damaged += 1
-    return table, found
+    return table
 
 
 def _add(table: ArrayTable, name: str, member: zipfile.ZipInfo, size: int) -> None:
@@ -121,7 +95,8 @@ def _add(table: ArrayTable, name: str, member: zipfile.ZipInfo, size: int) -> No
     read_as = dtype.newbyteorder("=")
     array: Array | None = array_of(name, shape, (dtype, read_as), column_major, begin, offset)
     if array is not None:
-        table.add(replace(array, track=replace(array.track, clock=clock)), size)
+        true = partial(_is_true, table.path, member)
+        table.add(replace(array, track=replace(array.track, clock=clock), is_true=true), size)
 
 
 def _head(data: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

@@ -1,0 +1,414 @@
+"""Parquet: units and columns from metadata and names, row groups of any size, damage, and our own files."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.formats import open_recording
+from accelcal_cli.formats.arrow import PARQUET
+from tests.cli.run import run
+from tests.formats.cuts import cuts, every_byte
+from tests.formats.make_hdf5 import START_US, Read, even_times
+from tests.formats.make_hdf5 import read as read_of
+from tests.formats.make_parquet import make, table
+from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
+
+ROWS = 600
+GRAVITY = 9.80665
+
+
+def values(rows: int = ROWS) -> np.ndarray:
+    """Vectors of about 1 g on the grid of decimal fractions, (n, 3)."""
+    around = np.random.RandomState(3).standard_normal((rows, 3))
+    around /= np.linalg.norm(around, axis=1)[:, None]
+    grid: np.ndarray = np.rint(around * 4096) / 4096
+    return grid
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "a.parquet"
+
+
+def read(path: Path, chunk_samples: int = 250, **options: Any) -> Read:
+    return read_of(path, chunk_samples, PARQUET, **options)
+
+
+def write(path: Path, columns: dict[str, Any], metadata: dict[str, str] | None = None, **how: Any) -> Path:
+    made = pa.table(columns)
+    pq.write_table(
+        made.replace_schema_metadata({**(made.schema.metadata or {}), **(metadata or {})}), path, **how
+    )
+    return path
+
+
+def times(rows: int = ROWS) -> pa.Array:
+    return pa.array(even_times(rows, 50.0)).cast(pa.timestamp("us"))
+
+
+def axes(grid: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.ascontiguousarray(grid[:, axis]) for axis, name in enumerate("xyz")}
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8"])
+def test_row_groups_of_any_length_give_the_same_bits(path: Path, kind: str) -> None:
+    made = table(values(3000).astype(kind), even_times(3000, 50.0))
+    found = []
+    for rows in (1, 7, 1000, 3000):
+        pq.write_table(made, path, row_group_size=rows)
+        found.append(read(path))
+    assert (found[0].g == values(3000)).all()
+    assert (found[0].times == even_times(3000, 50.0)).all()
+    assert found[0].problems == []
+    assert all(one.same_as(found[0]) for one in found)
+
+
+@pytest.mark.nightly
+def test_a_million_rows_in_row_groups_of_1000_and_of_a_million(path: Path) -> None:
+    made = table(values(1_000_000).astype("f4"), even_times(1_000_000, 50.0))
+    found = []
+    for rows in (1000, 1_000_000):
+        pq.write_table(made, path, row_group_size=rows)
+        found.append(read(path, 100_000))
+    assert (found[0].g == values(1_000_000)).all()
+    assert found[0].same_as(found[1])
+
+
+def test_a_long_row_group_is_read_a_few_pages_at_a_time(path: Path) -> None:
+    rows = 2_000_000
+    noise = np.random.RandomState(1).standard_normal((rows, 3))
+    pq.write_table(table(noise.astype("f4"), even_times(rows, 50.0)), path, row_group_size=rows)
+    with open_recording(path, ReadOptions()) as reader:
+        before = pa.total_allocated_bytes()
+        most = max(pa.total_allocated_bytes() - before for _ in reader.chunks(50_000))
+    assert most < 20 << 20 < path.stat().st_size
+
+
+def test_other_writers_say_the_same(path: Path) -> None:
+    frame = pl.DataFrame({"time": even_times(ROWS, 50.0), **axes(values())})
+    frame = frame.with_columns(pl.col("time").cast(pl.Datetime("us")))
+    frame.write_parquet(path, row_group_size=100)
+    first = read(path)
+    duckdb.sql("select * from frame").write_parquet(str(path))
+    second = read(path)
+    assert (first.g == values()).all()
+    assert first.same_as(second)
+    back = pq.read_table(path, columns=list("xyz"))
+    assert (first.g == np.stack([back[name].to_numpy() for name in "xyz"], axis=1)).all()
+
+
+@pytest.mark.parametrize(
+    ("names", "factor", "metadata"),
+    [
+        (("x", "y", "z"), GRAVITY, {"unit": "m/s2"}),
+        (("acc_x_mg", "acc_y_mg", "acc_z_mg"), 1000.0, {}),
+        (("X [m/s^2]", "Y [m/s^2]", "Z [m/s^2]"), GRAVITY, {}),
+        (("accelerometer_x", "accelerometer_y", "accelerometer_z"), 1.0, {}),
+        (("x", "y", "z"), GRAVITY, {}),
+        (("AccX (mg)", "AccY (mg)", "AccZ (mg)"), 1000.0, {}),
+    ],
+)
+def test_units_are_stated_in_metadata_or_names_or_told_by_gravity(
+    path: Path, names: tuple[str, ...], factor: float, metadata: dict[str, str]
+) -> None:
+    columns = {name: values()[:, axis] * factor for axis, name in enumerate(names)}
+    write(path, {"time": times(), **columns}, metadata)
+    assert np.abs(read(path).g - values()).max() <= 0.5 / FLOAT_LSB_PER_G
+
+
+def structure(grid: np.ndarray) -> pa.Array:
+    return pa.StructArray.from_arrays([pa.array(grid[:, axis]) for axis in range(3)], list("xyz"))
+
+
+@pytest.mark.parametrize(
+    "accel",
+    [
+        lambda grid: pa.FixedSizeListArray.from_arrays(pa.array(grid.ravel()), 3),
+        lambda grid: pa.array(grid.tolist()),
+        lambda grid: pa.array(grid.tolist(), pa.large_list(pa.float32())),
+        structure,
+    ],
+    ids=["fixed", "list", "large", "struct"],
+)
+def test_lists_of_three_and_structures(path: Path, accel: Any) -> None:
+    write(path, {"time": times(), "accel": accel(values())}, row_group_size=100)
+    assert (read(path).g == values()).all()
+
+
+def test_whole_numbers_are_counts_and_stay_whole(path: Path) -> None:
+    counts = np.rint(values() * 256).astype("i2")
+    write(path, {"time": times(), **axes(counts)}, {"lsb_per_g": "256", "serial": "7"})
+    found = read(path)
+    assert found.counts.dtype == np.int16
+    assert (found.counts == counts).all()
+    assert (found.recording.lsb_per_g, found.recording.device.serial) == (256.0, "7")
+    write(path, {"time": times(), **axes(counts)})
+    with pytest.raises(UnreadableError, match=r"--lsb-per-g N \(256 would fit\)"):
+        read(path)
+    assert (read(path, lsb_per_g=256.0).counts == counts).all()
+
+
+@pytest.mark.parametrize("kind", [pa.float32(), pa.float64(), pa.int16(), pa.int32(), pa.int64()], ids=str)
+@pytest.mark.parametrize("groups", [1, 100])
+def test_rows_without_a_value_are_reported_and_break_the_recording(
+    path: Path, kind: Any, groups: int
+) -> None:
+    rows = [[int(256 * cell) for cell in row] for row in values().tolist()]
+    counts = np.array(rows, float)
+    y: list[Any] = [row[1] for row in rows]
+    y[100:103] = [None] * 3
+    columns = {"x": [row[0] for row in rows], "y": y, "z": [row[2] for row in rows]}
+    arrays = {name: pa.array(column, kind) for name, column in columns.items()}
+    write(path, {"time": times(), **arrays}, {"lsb_per_g": "256", "unit": "counts"}, row_group_size=groups)
+    found = read(path, 64)
+    kept = np.delete(np.arange(ROWS), [100, 101, 102])
+    assert (found.counts == counts[kept]).all()
+    assert [(one.code, one.sample, one.count) for one in found.problems] == [("missing_value", 100, 3)]
+    assert found.breaks == [100]
+    assert (found.times == even_times(ROWS, 50.0)[kept]).all()
+
+
+def test_rows_without_a_time_are_left_out(path: Path) -> None:
+    stamps = even_times(ROWS, 50.0).tolist()
+    stamps[50:52] = [None, None]
+    write(path, {"time": pa.array(stamps, pa.timestamp("us")), **axes(values())})
+    found = read(path)
+    assert (found.g == np.delete(values(), [50, 51], axis=0)).all()
+    assert [one.code for one in found.problems] == ["missing_value"]
+
+
+@pytest.mark.parametrize(
+    ("column", "zone", "start_us"),
+    [
+        (lambda us: pa.array(us).cast(pa.timestamp("us")), None, START_US),
+        (lambda us: pa.array(us * 1000).cast(pa.timestamp("ns")), None, START_US),
+        (lambda us: pa.array(us).cast(pa.timestamp("us", "Europe/Berlin")), "UTC", START_US),
+        (lambda us: pa.array(us // 1000).cast(pa.timestamp("ms", "UTC")), "UTC", START_US),
+        (lambda us: us / 1e6, "UTC", START_US),
+        (lambda us: us // 1000, "UTC", START_US),
+        (lambda us: us / 86_400e6 + 25_569, None, START_US),
+        (lambda us: (us - us[0]) / 1e6, None, None),
+        (lambda us: (us - us[0]) / 1e3, None, None),
+        (lambda us: pa.array(us - us[0]).cast(pa.duration("us")), None, None),
+    ],
+    ids=["us", "ns", "zoned", "ms", "seconds", "int-ms", "days", "from-start", "ms-from-start", "duration"],
+)
+def test_times_of_all_kinds(path: Path, column: Any, zone: str | None, start_us: int | None) -> None:
+    us = even_times(ROWS, 50.0)
+    write(path, {"time": column(us), **axes(values())})
+    found = read(path)
+    assert (found.recording.rate_hz, found.recording.timezone, found.recording.start_us) == (
+        50.0,
+        zone,
+        start_us,
+    )
+    assert np.abs(found.times - (us if start_us else us - us[0])).max() <= 10
+    assert found.codes == ([] if start_us else ["no_start_time"])
+
+
+def test_a_pandas_frame_with_its_index(path: Path) -> None:
+    import pandas as pd
+
+    index = pd.to_datetime(even_times(ROWS, 50.0), unit="us")
+    frame = pd.DataFrame(axes(values()), index=index)
+    frame.attrs["serial"] = "A1"
+    for name in ("time", None):
+        frame.rename_axis(name).to_parquet(path)
+        found = read(path)
+        assert (found.g == values()).all()
+        assert (found.times == even_times(ROWS, 50.0)).all()
+        assert found.recording.device.serial == "A1"
+
+
+def test_temperature_and_gyroscope_come_along(path: Path) -> None:
+    turning = {f"gyro_{name}_dps": np.full(ROWS, 1.5) for name in "xyz"}
+    write(path, {"time": times(), **axes(values()), "temperature": np.full(ROWS, 21.5), **turning})
+    found = read(path)
+    assert found.temperature is not None and (found.temperature == 21_500).all()
+    assert found.gyro is not None and found.recording.gyro_dps_per_lsb is not None
+    assert (found.gyro * found.recording.gyro_dps_per_lsb[0] == 1.5).all()
+
+
+def test_only_the_columns_that_are_needed_are_read(path: Path) -> None:
+    made = table(values(), even_times(ROWS, 50.0)).append_column("light", pa.array(np.arange(ROWS)))
+    pq.write_table(made, path, compression="none", use_dictionary=False, row_group_size=ROWS)
+    column = pq.read_metadata(path).row_group(0).column(4)
+    broken(path, column.data_page_offset, column.total_compressed_size)
+    assert read(path).problems == []
+
+
+def broken(path: Path, start: int, size: int) -> None:
+    whole = bytearray(path.read_bytes())
+    whole[start : start + size] = b"\xff" * size
+    path.write_bytes(whole)
+
+
+@pytest.mark.parametrize("groups", [100, 5])
+def test_a_damaged_row_group_loses_its_own_rows_alone(path: Path, groups: int) -> None:
+    pq.write_table(table(values(), even_times(ROWS, 50.0)), path, row_group_size=groups)
+    column = pq.read_metadata(path).row_group(3).column(2)
+    start = column.dictionary_page_offset or column.data_page_offset
+    broken(path, start, column.total_compressed_size)
+    found = read(path)
+    kept = np.delete(np.arange(ROWS), np.arange(3 * groups, 4 * groups))
+    assert (found.g == values()[kept]).all()
+    assert (found.times == even_times(ROWS, 50.0)[kept]).all()
+    assert [(one.code, one.sample, one.count) for one in found.problems] == [("bad_page", 3 * groups, groups)]
+    assert found.breaks == [3 * groups]
+    assert (
+        found.problems[0].byte_offset == pq.read_metadata(path).row_group(3).column(0).dictionary_page_offset
+    )
+
+
+def test_a_page_with_a_wrong_checksum_is_lost(path: Path) -> None:
+    made = table(values(), even_times(ROWS, 50.0))
+    how: dict[str, Any] = {"compression": "none", "use_dictionary": False, "write_page_checksum": True}
+    pq.write_table(made, path, row_group_size=200, **how)
+    column = pq.read_metadata(path).row_group(1).column(1)
+    whole = bytearray(path.read_bytes())
+    whole[column.data_page_offset + column.total_compressed_size - 3] ^= 1
+    path.write_bytes(whole)
+    found = read(path)
+    assert (found.g == np.delete(values(), np.arange(200, 400), axis=0)).all()
+    assert found.codes == ["bad_page"]
+
+
+@every_byte
+def test_a_file_that_was_cut_short_is_refused_with_a_hint(tmp_path: Path, step: int) -> None:
+    data = make(tmp_path, np.rint(values() * 256).astype("i2"), 50.0, 256.0).path.read_bytes()
+    path = tmp_path / "cut.parquet"
+    for size in cuts(data, step * 7 if step > 1 else 1, first=1):
+        path.write_bytes(data[:size])
+        with pytest.raises(UnreadableError) as failure:
+            read(path, format="parquet")
+        assert failure.value.hint
+
+
+@pytest.mark.parametrize("head", [b"PARE", b"PAR1"])
+def test_what_is_encrypted_is_said(path: Path, head: bytes) -> None:
+    path.write_bytes(head + bytes(40) + b"PARE")
+    with pytest.raises(UnreadableError, match="is encrypted"):
+        read(path)
+
+
+def test_tables_that_are_no_recordings_are_told_from_damage(path: Path) -> None:
+    write(path, {"name": ["a", "b"], "age": [1.0, 2.0]})
+    with pytest.raises(NoRecordingError, match="--columns"):
+        read(path)
+    write(path, {"time": times(0), **axes(values(0))})
+    with pytest.raises(UnreadableError, match="holds no rows"):
+        read(path)
+    write(path, {"time": times(), "a": values()[:, 0], "b": values()[:, 1], "c": values()[:, 2]})
+    assert (read(path, columns=("a", "b", "c")).g == values()).all()
+    with pytest.raises(UsageError, match="no column named 'd'"):
+        read(path, columns=("a", "b", "d"))
+
+
+@pytest.fixture
+def calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
+    """A calibrated recording of ours under another name."""
+    counts = still_counts(directions(60))
+    raw = make(tmp_path, counts, RATE_HZ, LSB_PER_G).path
+    assert run(capsys, "calibrate", raw, "-d", tmp_path / "first", "-q").code == 0
+    return (tmp_path / "first" / "made.calibrated.parquet").rename(tmp_path / "renamed.parquet")
+
+
+def test_a_calibrated_recording_is_not_calibrated_again(
+    tmp_path: Path, calibrated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    done = run(capsys, "calibrate", calibrated, "-d", out, "-q")
+    assert done.code == 0
+    assert done.out.split("\t")[1:3] == ["already_good", "0"]
+    report = json.loads((out / "renamed.calibration.json").read_text())
+    assert report["calibration"]["gain"] == [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    first = json.loads((tmp_path / "first" / "made.calibration.json").read_text())
+    error = first["holdout"]["after_mg"]["mean"]
+    assert f"calibrated already, from made.parquet (calibrated, {error:.1f} mg held out)" in report["message"]
+    assert sorted(one.name for one in out.iterdir()) == ["renamed.calibration.json", "renamed.quality.json"]
+    assert "up to date" in run(capsys, "calibrate", calibrated, "-d", out).err
+    assert run(capsys, "verify", out / "renamed.calibration.json", calibrated).code == 0
+
+
+def test_coefficients_are_not_applied_to_a_calibrated_recording(
+    tmp_path: Path, calibrated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    report = tmp_path / "first" / "made.calibration.json"
+    done = run(capsys, "apply", calibrated, "--coefficients", report, "-d", tmp_path / "out")
+    assert done.code == 2
+    assert "calibrated already, from made.parquet" in done.err
+    assert "the raw recording" in done.err
+
+
+def test_inspect_and_quality_of_a_calibrated_recording(
+    calibrated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    done = run(capsys, "inspect", calibrated)
+    assert done.code == 0
+    assert "already_good: calibrated already, from made.parquet" in " ".join(done.out.split())
+    assert run(capsys, "quality", calibrated).code in (0, 4)
+    read_back = pq.read_table(calibrated)
+    with open_recording(calibrated, ReadOptions()) as reader:
+        (chunk,) = reader.chunks(1 << 20)
+        assert reader.recording.calibrated is not None
+    stored = np.stack([read_back[name].to_numpy() for name in "xyz"], axis=1)
+    assert np.abs(chunk.counts / FLOAT_LSB_PER_G - stored).max() <= 0.5 / FLOAT_LSB_PER_G
+    assert chunk.validity is not None
+    assert (chunk.validity == read_back["validity"].to_numpy()).all()
+
+
+def test_damaged_words_of_ours_make_it_no_raw_recording(calibrated: Path) -> None:
+    found = pq.read_table(calibrated)
+    for text in (b"{", b"[]", b'{"recording": 7, "result": {"outcome": 1, "held_out_mg": "x"}}'):
+        pq.write_table(found.replace_schema_metadata({b"accelcal": text}), calibrated)
+        with open_recording(calibrated, ReadOptions()) as reader:
+            assert reader.recording.calibrated is not None
+            assert (
+                reader.recording.calibrated.told() == "calibrated already, from a recording of unknown name"
+            )
+
+
+def test_other_tables_of_ours_are_no_recordings(path: Path) -> None:
+    write(path, {"time": times(), **axes(values())}, {"accelcal": "{}"})
+    with pytest.raises(NoRecordingError, match="a table that accelcal wrote"):
+        read(path)
+
+
+def test_a_study_takes_tables_that_hold_acceleration_and_lets_others_lie(
+    tmp_path: Path, calibrated: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = tmp_path / "study"
+    study.mkdir()
+    calibrated.rename(study / "renamed.parquet")
+    write(study / "results.parquet", {"age": [1.0, 2.0]})
+    (study / "damaged.parquet").write_bytes((study / "renamed.parquet").read_bytes()[:5000])
+    done = run(capsys, "study", study, "-d", tmp_path / "out", "-q", "-j", "1")
+    lines = (tmp_path / "out" / "study.csv").read_text().splitlines()[1:]
+    outcomes = dict(line.split(",")[:2] for line in lines)
+    assert outcomes == {"renamed.parquet": "already_good", "damaged.parquet": "failed"}
+    assert done.code == 1
+
+
+def test_any_damage_gives_rows_or_an_error_of_ours(tmp_path: Path) -> None:
+    data = make(tmp_path, np.rint(values() * 256).astype("i2"), 50.0, 256.0).path.read_bytes()
+    path, random = tmp_path / "mutant.parquet", np.random.RandomState(5)
+    for _ in range(40):
+        whole = bytearray(data)
+        whole[random.randint(len(data))] ^= 1 << random.randint(8)
+        path.write_bytes(whole)
+        try:
+            read(path, format="parquet")
+        except AccelcalError as error:
+            assert str(path) in str(error)
