@@ -40,7 +40,8 @@ VALUES: tuple[Any, ...] = (
     *(50.0, "g", "mg", "counts", 256, -1, 0, np.nan, np.inf, b"\xff", "\x1b[31m", "x" * 20_000, True, 1j),
     *(np.zeros(0), np.zeros((2, 2, 2)), np.arange(ROWS), np.zeros((ROWS, 3), "f2"), np.zeros((3, 3), ">i8")),
     *(np.full(ROWS, np.nan), np.full((ROWS, 3), 2.0**62), np.arange(ROWS).astype("M8[s]")),
-    np.datetime64("NaT"), np.zeros(ROWS, [("x", "f4"), ("y", "f4")]), np.array(["a"] * ROWS), np.zeros((ROWS, 3), "m8[25us]"),
+    np.datetime64("NaT"), np.zeros(ROWS, [("x", "f4"), ("y", "f4")]), np.array(["a"] * ROWS),
+    np.zeros((ROWS, 3), "m8[25us]"),
 )  # fmt: skip
 HEADS = (
     "{{'descr': '<f8', 'fortran_order': False, 'shape': ({0}, 3), }}",
