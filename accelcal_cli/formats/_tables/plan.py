@@ -24,6 +24,7 @@ from accelcal_cli.formats._tables.table import Table
 from accelcal_cli.formats._tables.tracks import Track, chosen_axes, find_accel, split_unit
 from accelcal_cli.formats._tables.units import Scale
 
+LEAST_LSB = 1e-9
 LSB_NAMES = ("lsb_per_g", "counts_per_g", "count_per_g", "lsbs_per_g", "sensitivity_lsb_per_g")
 RANGE_NAMES = ("range_g", "accel_range_g", "full_scale_g", "dynamic_range_g")
 SERIAL_NAMES = ("serial", "serial_number", "device_serial", "device_id", "sensor_id")
@@ -180,7 +181,7 @@ def _checked_lsb(lsb: float | None, source: Source) -> float:
             path=path,
             hint=f"give --lsb-per-g N{likely}, or --unit if its whole numbers are in {'|'.join(units.PER_G)}",
         )
-    if not 0 < lsb <= recordings.FLOAT_LSB_PER_G * units.LARGEST_G:
+    if not LEAST_LSB <= lsb <= recordings.FLOAT_LSB_PER_G * units.LARGEST_G:
         raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")
     return lsb
 

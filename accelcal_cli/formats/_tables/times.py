@@ -42,8 +42,9 @@ class RowTimes:
         begin, end = selection.start - self._first, selection.stop - self._first
         stamps, times = self._stamps[begin:end], self._times[begin:end]
         self._first, self._stamps, self._times = selection.stop, self._stamps[end:], self._times[end:]
-        selection.lose(self._source, stamps == LOST)
-        selection.leave_out(UNBELIEVABLE, stamps == NO_TIME)
+        if len(stamps) and stamps.min() <= LOST:
+            selection.lose(self._source, stamps == LOST)
+            selection.leave_out(UNBELIEVABLE, stamps == NO_TIME)
         followed, self._followed = np.split(self._followed, np.searchsorted(self._followed, [selection.stop]))
         selection.note(self._with_its_zone, followed[followed >= selection.start] - selection.start)
         return times
@@ -54,8 +55,13 @@ class RowTimes:
             return
         stamps = stored_stamps(self._source, self._scale, self._next, stop)
         known = np.flatnonzero(stamps > LOST)
-        stamps[known], followed = self._running.running_on(stamps[known])
+        if len(known) == len(stamps):
+            stamps, followed = self._running.running_on(stamps)
+        else:
+            stamps[known], followed = self._running.running_on(stamps[known])
         times = self._shared.add(stamps, last=stop == self._rows) if self._shared else stamps
         self._followed = np.append(self._followed, self._next + known[followed])
-        self._stamps, self._times = np.append(self._stamps, stamps), np.append(self._times, times)
+        if len(self._stamps):
+            stamps, times = np.append(self._stamps, stamps), np.append(self._times, times)
+        self._stamps, self._times = stamps, times
         self._next = stop

@@ -221,16 +221,18 @@ class StampScale:
             values = values - self.epoch_day
         largest = LATEST_US // MICROSECONDS * per_second
         with np.errstate(invalid="ignore"):
-            believable = (values >= 0) & (values <= largest)
-        kept = np.where(believable, values, 0)
+            believable = (values >= 0) & (values < largest)
+        kept = values if believable.all() else np.where(believable, values, 0)
         if kept.dtype.kind == "f":
             ticks = np.rint(kept.astype(np.float64) * (MICROSECONDS / per_second)).astype(np.int64)
         elif per_second > MICROSECONDS:
             ticks = (kept.astype(np.int64) + 500) // 1000
         else:
-            ticks = kept.astype(np.int64) * (MICROSECONDS // int(per_second))
-        times = ticks + self.base_us
-        return times, believable & (times < LATEST_US)
+            ticks = kept.astype(np.int64, copy=False)
+            if per_second != MICROSECONDS:
+                ticks = ticks * (MICROSECONDS // int(per_second))
+        times = ticks + self.base_us if self.base_us else ticks
+        return times, believable & (times < LATEST_US) if self.base_us else believable
 
 
 def typical_step(times: NDArray[np.int64]) -> float | None:

@@ -147,11 +147,14 @@ class IpcTable(Table):
     def rows(self, track: Track) -> PartRows:
         """The rows of a column."""
         leaf = self._leaves[track.path]
+        kind = self._schema.field(leaf.column).type
+        nested = pa.types.is_nested(kind) or pa.types.is_dictionary(kind)
         source = self._open([self._schema.get_field_index(leaf.column)])
 
         def batches(first: int, end: int) -> Iterator[NDArray[Any]]:
             for number in range(first, end):
                 batch = source.batch(number)
+                batch.validate(full=nested)  # pyarrow ends the process over lengths and places that cannot be
                 for start in range(0, len(batch), BLOCK_ROWS):
                     yield values_of(leaf, batch.slice(start, BLOCK_ROWS))
 

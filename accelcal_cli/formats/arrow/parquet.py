@@ -31,8 +31,9 @@ from accelcal_cli.formats.arrow import ENCRYPTED_MAGIC, PARQUET_MAGIC
 from accelcal_cli.formats.arrow.columns import attributes, leaves_of, stated_of, values_of
 from accelcal_cli.formats.arrow.parts import ARROW_ERRORS, PartRows
 
-PAGES_BYTES = 1 << 20
-"""Of a column are read at a time: a row group may be as long as the recording."""
+PAGES_BYTES, WHOLE_BYTES = 1 << 20, 32 << 20
+"""Of a column are read at a time: a row group may be as long as the recording. In a shorter one a column
+is read whole, and pyarrow believes no page that claims to be longer (else it asks for up to 2 GB)."""
 
 HIGHEST_RATIO = 1100
 """No recording has more rows for each byte of its file; a damaged footer may claim any number."""
@@ -152,11 +153,13 @@ class ParquetTable(Table):
 
     def rows(self, track: Track) -> PartRows:
         """The rows of a column."""
-        leaf, file = self._leaves[track.path], self._again()
+        leaf, whole, paged = self._leaves[track.path], self._again(0), self._again(PAGES_BYTES)
         names = [".".join((leaf.column, *leaf.fields))]
 
         def batches(first: int, end: int) -> Iterator[NDArray[Any]]:
             groups = list(range(first, end))
+            large = any(self._metadata.row_group(group).total_byte_size > WHOLE_BYTES for group in groups)
+            file = paged if large else whole
             for batch in file.iter_batches(BLOCK_ROWS, groups, names, use_threads=False):
                 yield values_of(leaf, batch)
 
@@ -193,13 +196,13 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
         name = f"/proc/self/fd/{plain.fileno()}"
         files: list[Any] = []
 
-        def again(metadata: Any = None) -> Any:
+        def again(buffer_bytes: int = 0, metadata: Any = None) -> Any:
             source = pa.OSFile(name) if Path(name).exists() else pa.PythonFile(path.open("rb"), "r")
             files.append(source)
             return pq.ParquetFile(
                 source,
                 metadata=metadata,
-                buffer_size=PAGES_BYTES,
+                buffer_size=buffer_bytes,
                 pre_buffer=False,
                 page_checksum_verification=True,
                 thrift_string_size_limit=LARGEST_TEXT,
@@ -209,7 +212,7 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[ParquetTable]:
         try:
             try:
                 file = again()
-                table = ParquetTable(path, file, lambda: again(file.metadata), pool)
+                table = ParquetTable(path, file, lambda size: again(size, file.metadata), pool)
             except ARROW_ERRORS as error:
                 what = f"its footer cannot be read ({' '.join(str(error).split())[:200]})"
                 raise UnreadableError(what, path=path, hint=f"the file is damaged: {AGAIN}") from error
