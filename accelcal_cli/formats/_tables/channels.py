@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.recording import Counts, Validity
+from accelcal_cli.core.recording import NOT_CALIBRATED, Counts, Validity
 from accelcal_cli.formats._tables import tracks as tracks_of
 from accelcal_cli.formats._tables.attributes import readable
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, RowSelection, RowSource, Table
@@ -90,7 +90,7 @@ class Marks:
         self, sources: list[RowSource], selection: RowSelection, _before: Any = None
     ) -> NDArray[np.uint8]:
         """Values (n,) of all rows of the selection; those of no meaning are those of measured rows."""
-        found = selection.read(sources[0])[:, 0]
+        found = selection.read(sources[0])[:, 0] % NOT_CALIBRATED
         return np.where((found >= 0) & (found <= max(Validity)), found, Validity.MEASURED).astype(np.uint8)
 
 

@@ -44,6 +44,7 @@ FARTHEST_ROWS = 1 << 22
 LARGEST_TEXT, MOST_ENTRIES = 100_000_000, 2_000_000
 """Bytes of a text, and entries of a list, in the footer."""
 
+REFUSED = "refused"
 LONGEST_WORD, LARGEST_MG = 40, 1e6
 AGAIN = "copy it again from its source"
 
@@ -57,13 +58,13 @@ def open_recording(path: Path, options: ReadOptions) -> ParquetReader:
     """
     with opened(path) as table:
         plan = plan_of(source_of(table, table.tracks, options, table.damaged), "parquet")
-        if table.calibrated is not None:
-            plan = as_calibrated(plan, table.calibrated, table.tracks)
+        if table.is_ours:
+            plan = as_ours(plan, table.calibrated, table.tracks)
         return ParquetReader(plan, table.longest)
 
 
-def as_calibrated(plan: Plan, calibrated: Calibrated, tracks: tuple[Track, ...]) -> Plan:
-    """The plan of a recording that says which of its rows were measured."""
+def as_ours(plan: Plan, calibrated: Calibrated | None, tracks: tuple[Track, ...]) -> Plan:
+    """The plan of a file that accelcal wrote, which says which of its rows were measured."""
     marks = Marks(tuple(track for track in tracks if track.path == "/validity"))
     channels = {**plan.channels, "validity": marks} if marks.tracks else plan.channels
     return replace(plan, recording=replace(plan.recording, calibrated=calibrated), channels=channels)
@@ -94,6 +95,7 @@ class ParquetTable(Table):
     """An open Parquet file.
 
     Attributes:
+        is_ours: whether accelcal wrote it.
         calibrated: set for a calibrated recording of ours.
         damaged: how many columns cannot be told apart.
         longest: rows of the longest row group.
@@ -109,7 +111,7 @@ class ParquetTable(Table):
         self._first_rows = self._checked(groups)
         self._leaves, self.damaged = leaves_of(schema, int(self._first_rows[-1]))
         self._stated = stated_of(schema)
-        self.calibrated = self._origin(schema)
+        self.is_ours, self.calibrated = self._origin(schema)
         self.longest = max(groups, default=0)
         self.tracks = tuple(sorted((leaf.track for leaf in self._leaves.values()), key=lambda one: one.path))
 
@@ -123,11 +125,11 @@ class ParquetTable(Table):
             raise UnreadableError("holds no rows", path=self.path, hint="write it again with its rows")
         return np.cumsum([0, *groups], dtype=np.int64)
 
-    def _origin(self, schema: Any) -> Calibrated | None:
-        """How a calibrated recording of ours came to be; None for any other file."""
+    def _origin(self, schema: Any) -> tuple[bool, Calibrated | None]:
+        """Whether we wrote it, and how it was calibrated; one that was refused holds raw values."""
         text = (schema.metadata or {}).get(METADATA_KEY)
         if text is None:
-            return None
+            return False, None
         if not {"time", *"xyz", "validity"} <= set(schema.names):
             what, hint = "is a table that accelcal wrote, not a recording", "name the recording itself"
             raise NoRecordingError(what, path=self.path, hint=hint)
@@ -135,9 +137,11 @@ class ParquetTable(Table):
         recording, result = (about.get(name) for name in ("recording", "result"))
         recording, result = (one if isinstance(one, dict) else {} for one in (recording, result))
         self._stated |= {"sample_rate": recording.get("sample_rate_hz"), "time_zone": None}
+        if about.get("outcome") == REFUSED and about.get("calibration") is None:
+            return True, None
         name = printable(Path(str(recording.get("path") or "a recording of unknown name")).name)
         outcome, error = result.get("outcome"), result.get("held_out_mg")
-        return Calibrated(
+        return True, Calibrated(
             name,
             printable(outcome)[:LONGEST_WORD] if isinstance(outcome, str) else None,
             float(error) if isinstance(error, int | float) and abs(error) < LARGEST_MG else None,

@@ -380,6 +380,19 @@ def test_damaged_words_of_ours_make_it_no_raw_recording(calibrated: Path) -> Non
             )
 
 
+def test_raw_values_of_a_refused_recording_are_raw(calibrated: Path) -> None:
+    found = pq.read_table(calibrated)
+    marks = pa.array(found["validity"].to_numpy() + np.uint8(4))
+    found = found.set_column(found.schema.get_field_index("validity"), "validity", marks)
+    about = json.dumps({"outcome": "refused", "calibration": None, "recording": {}})
+    pq.write_table(found.replace_schema_metadata({b"accelcal": about}), calibrated)
+    with open_recording(calibrated, ReadOptions()) as reader:
+        (chunk,) = reader.chunks(1 << 20)
+        assert reader.recording.calibrated is None
+    assert chunk.validity is not None
+    assert (chunk.validity == marks.to_numpy() - 4).all()
+
+
 def test_other_tables_of_ours_are_no_recordings(path: Path) -> None:
     write(path, {"time": times(), **axes(values())}, {"accelcal": "{}"})
     with pytest.raises(NoRecordingError, match="a table that accelcal wrote"):
