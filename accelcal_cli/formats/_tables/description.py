@@ -36,6 +36,8 @@ START_NAMES = (
     *("recording_start", "recording_start_time", "start_time_utc"),
 )
 NO_COLUMN = "none"
+FARTHEST = 1 << 50
+"""No time since the first one is larger in any unit: 13 days in ns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -335,5 +337,5 @@ def _unit_by_rate(head: Any, rate: float | None) -> str | None:
 
 def _typical_step(since: Any, per_second: int) -> float | None:
     """Mean step [s] of times since the first one."""
-    step = units.typical_step(np.rint(since.astype(np.float64) * 1000).astype(np.int64))
+    step = units.typical_step(np.rint(1000.0 * np.clip(since, -FARTHEST, FARTHEST)).astype(np.int64))
     return None if step is None else step / 1000 / per_second
