@@ -81,15 +81,10 @@ SIGNS: tuple[tuple[re.Pattern[bytes], Other], ...] = (
 """How they begin, as in the test files of github.com/wadpac/GGIRread and github.com/ghammad/pyActigraphy."""
 
 SQLITE = b"SQLite format 3\0"
-PARQUET = b"PAR1"
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
 DATABASE = Other("an SQLite database", "export the recording as text (CSV)")
 TABLE = _epochs("a table of", "export the raw data" + INSIST)
 WINDOWS = Other("means of still windows, not samples", FIT)
-PARQUET_TABLE = Other(
-    "a Parquet table",
-    "calibrated samples need no calibration; still-window means are fitted with `accelcal fit`",
-)
 
 
 def refuse_others(probe: Probe) -> None:
@@ -104,8 +99,6 @@ def _other(probe: Probe) -> Other | None:
     head = probe.head
     if head.startswith(SQLITE):
         return AGD if probe.suffix == ".agd" or b"epochlength" in head or b"inclineOff" in head else DATABASE
-    if head.startswith(PARQUET):
-        return PARQUET_TABLE
     if b"\0" in head[:LOOKED_AT]:
         return None
     signed = next((other for sign, other in SIGNS if sign.match(head[:LOOKED_AT])), None)

@@ -32,7 +32,7 @@ from accelcal_cli.output.report import (
 )
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.survey import Method, Observer, fitting, make_method, open_marked, survey
+from accelcal_cli.pipeline.survey import Observer, fitting, make_method, open_marked, survey
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15
@@ -129,16 +129,13 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     points = method.procedure.result()
     covered = coverage(points, postures(points, settings.posture_degrees))
     damage = damage_verdict(facts, settings.max_damage_percent, covered)
-    prediction = damage or _predicted(recording, method, fitter, facts)
+    prediction = damage
+    if prediction is None and recording.calibrated is not None:
+        prediction = as_it_is(points, fitter, recording.calibrated.told())
+    if prediction is None:
+        prediction = advised(method.procedure.judge(fitter), facts, recording, settings)
     facts = facts if whole else _to_its_end(facts, recording)
     return Inspection(recording, facts, method.segmenter.counts, prediction, whole, values.result())
-
-
-def _predicted(recording: Recording, method: Method, how: Fitting, facts: Facts) -> Judgement:
-    """The judgement on what was read."""
-    if recording.calibrated is not None:
-        return as_it_is(method.procedure.result(), how, recording.calibrated.told())
-    return advised(method.procedure.judge(how), facts, recording, how.settings)
 
 
 def _to_its_end(facts: Facts, recording: Recording) -> Facts:

@@ -70,10 +70,6 @@ def test_a_table_of_points_names_fit(tmp_path: Path, header: str) -> None:
     assert "accelcal fit" in str(error_of(tmp_path, "points.csv", f"{header}\n{row}\n{row}\n"))
 
 
-def test_a_parquet_table_names_fit(tmp_path: Path) -> None:
-    assert "accelcal fit" in str(error_of(tmp_path, "points.parquet", "PAR1 and more"))
-
-
 @pytest.mark.parametrize(
     "header",
     ["time,x,y,z", "time,acc_x,acc_y,acc_z,steps", "Activity,X [g],Y [g],Z [g]", "ax,ay,az,activity"],

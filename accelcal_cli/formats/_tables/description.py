@@ -170,7 +170,9 @@ def checked_rate(rate_hz: float | None, path: Path) -> float:
     """
     if rate_hz is None:
         raise UnreadableError(
-            "the file does not state the sampling rate", path=path, hint="give it with --rate HZ"
+            "the file does not state the sampling rate",
+            path=path,
+            hint="give it with --rate HZ; means of still windows are for `accelcal fit`",
         )
     if not SLOWEST_HZ <= rate_hz <= FASTEST_HZ:
         raise UnreadableError(

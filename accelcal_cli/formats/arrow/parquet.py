@@ -131,7 +131,10 @@ class ParquetTable(Table):
         if text is None:
             return False, None
         if not {"time", *"xyz", "validity"} <= set(schema.names):
-            what, hint = "is a table that accelcal wrote, not a recording", "name the recording itself"
+            what, hint = (
+                "is a table that accelcal wrote, not a recording",
+                "use `accelcal fit` for still windows",
+            )
             raise NoRecordingError(what, path=self.path, hint=hint)
         about = _section(text)
         recording, result = (about.get(name) for name in ("recording", "result"))
