@@ -395,10 +395,10 @@ def test_raw_values_of_a_refused_recording_are_raw(calibrated: Path) -> None:
 
 def test_other_tables_of_ours_are_no_recordings(path: Path) -> None:
     write(path, {"time": times(), **axes(values())}, {"accelcal": "{}"})
-    with pytest.raises(NoRecordingError, match="a table that accelcal wrote.*`accelcal fit`"):
+    with pytest.raises(NoRecordingError, match=r"a table that accelcal wrote.*`accelcal fit`"):
         read(path)
     write(path, axes(values(20)))
-    with pytest.raises(UnreadableError, match="sampling rate.*`accelcal fit`"):
+    with pytest.raises(UnreadableError, match=r"sampling rate.*`accelcal fit`"):
         read(path)
 
 
