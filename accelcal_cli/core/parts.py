@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -47,11 +48,19 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
     found: Iterable[Path]
     if path.is_dir():
         found = path.rglob(ANY)
-    elif ANY in str(path) and not path.exists():
+    elif is_pattern(path):
         found = _matching(path)
     else:
         return None
     return tuple(sorted(one for one in found if one.is_file() and not is_never(one)))
+
+
+def is_pattern(path: Path) -> bool:
+    """Whether a path is no file, but a pattern of files' names."""
+    try:
+        return ANY in str(path) and not os.path.lexists(path)
+    except ValueError:
+        return False
 
 
 def _matching(path: Path) -> Iterable[Path]:

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
-from accelcal_cli.core.parts import ANY, ARCHIVES, files_of
+from accelcal_cli.core.parts import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus
@@ -102,7 +102,7 @@ def real(path: Path) -> Path:
 
 def stem(path: Path) -> str:
     """File name without `.gz` and its format suffix; of a pattern what it names, or its folder's name."""
-    if ANY in path.name:
+    if ANY in path.name and is_pattern(path):
         plain = re.sub(r"[._-]*\*", "", _without_suffix(path.name)).strip("._-")
         return plain or path.parent.name or "parts"
     return _without_suffix(path.name)

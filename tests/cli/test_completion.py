@@ -74,7 +74,7 @@ def test_completing_a_command_imports_none() -> None:
     ("words", "expected"),
     [
         (("calibrate", "--format", ""), FORMATS),
-        (("study", "x", "--format", "g"), ["geneactiv", "gt3x"]),
+        (("study", "x", "--format", "g"), ["genea", "geneactiv", "gt3x"]),
         (("simulate", "x", "--format", ""), [item.name for item in all_encoders()]),
         (("calibrate", "--optimizer", ""), OPTIMIZERS),
         (("fit", "--optimizer", "f"), ["fixed16", "fixed32", "float32", "float64"]),
