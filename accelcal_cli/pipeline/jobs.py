@@ -10,6 +10,7 @@ import hashlib
 import os
 import re
 import shlex
+import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -231,10 +232,17 @@ def sha256(path: Path) -> str:
 def file_stamp(path: Path) -> FileStamp | None:
     """The stamp of a file, or of all parts together; None if one cannot be looked at."""
     try:
-        found = [one.stat() for one in files_of(path) or (path,)]
+        status = path.stat()
+        if not stat.S_ISDIR(status.st_mode):
+            return status.st_size, status.st_mtime_ns
+    except (OSError, ValueError):
+        if not is_pattern(path):
+            return None
+    try:
+        found = [one.stat() for one in files_of(path) or ()]
     except OSError:
         return None
-    return sum(one.st_size for one in found), max(one.st_mtime_ns for one in found)
+    return sum(one.st_size for one in found), max((one.st_mtime_ns for one in found), default=0)
 
 
 def check_unchanged(path: Path, before: FileStamp | None) -> None:
