@@ -86,6 +86,7 @@ def test_a_million_rows_in_row_groups_of_1000_and_of_a_million(path: Path) -> No
     assert found[0].same_as(found[1])
 
 
+@pytest.mark.nightly
 def test_a_long_row_group_is_read_a_few_pages_at_a_time(path: Path) -> None:
     rows = 2_000_000
     noise = np.random.RandomState(1).standard_normal((rows, 3))

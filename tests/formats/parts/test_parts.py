@@ -13,6 +13,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import accelcal_cli as accelcal
@@ -37,10 +38,10 @@ SAME = (
     "misfits",
     "change",
 )
-PARTS = 30
+PARTS = 8
 HEAD = "HEADER_TIMESTAMP,X,Y,Z\n"
 NAME = "GT3XPLUS-AccelerationCalibrated-1x5x0.NEO1D26171071.{:%Y-%m-%d-%H-%M-%S}-000-P0000.sensor.csv"
-PART_S = 60
+PART_S = 225
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +52,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def made(whole: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same in parts of a minute, named as those of NHANES, and a log."""
+    """The same in eight parts, named as those of NHANES, and a log."""
     folder = tmp_path_factory.mktemp("made") / "S01"
     folder.mkdir()
     lines = whole.read_text().splitlines(keepends=True)[1:]
@@ -136,22 +137,19 @@ def test_so_has_a_pipe_in_which_the_names_of_the_columns_stand_again(
     assert same(report, expected)
     (told,) = report["file_health"]["problems"]
     assert (told["code"], told["count"]) == ("repeated_head", PARTS - 1)
-    assert "line 1502 and 28 more lines" in told["message"]
+    assert "line 5627 and 6 more lines" in told["message"]
 
 
-@pytest.mark.parametrize("chunk_samples", [1, 700, 10**6])
+@pytest.mark.parametrize("chunk_samples", [97, 700, 10**6])
 def test_the_rows_are_those_of_one_table_however_they_are_cut(
     parts: Path, whole: Path, chunk_samples: int
 ) -> None:
     one = read(whole)
-    if chunk_samples == 1:
-        for file in sensor_files(parts)[2:]:
-            file.unlink()
     with open_recording(parts, ReadOptions()) as reader:
         chunks = [*reader.chunks(chunk_samples)]
     both = joined(chunks)
-    assert (both.counts == one.counts[: len(both)]).all()
-    assert (both.time_us == one.times[: len(both)]).all()
+    assert np.array_equal(both.counts, one.counts)
+    assert np.array_equal(both.time_us, one.times)
     assert len(both.breaks) == 0
     firsts = [chunk.first_sample for chunk in chunks]
     assert firsts == [sum(map(len, chunks[:number])) for number in range(len(chunks))]
@@ -164,7 +162,7 @@ def test_a_missing_part_is_a_gap_and_nothing_else(parts: Path) -> None:
     assert gap["seconds"] == pytest.approx(PART_S, abs=0.05)
     (told,) = report["file_health"]["problems"]
     assert told["code"] == "clock_gap"
-    assert told["message"].startswith("the time jumps ahead by 60.04 s before part GT3XPLUS")
+    assert told["message"].startswith("the time jumps ahead by 225.04 s before part GT3XPLUS")
     assert told["sample"] == 4 * 25 * PART_S
 
 
@@ -256,7 +254,7 @@ def test_files_are_named_by_a_list_or_a_pattern(
         capsys, "calibrate", "--parts", parts / "*.sensor.csv", "-d", out, "--report-only", "--json"
     )
     assert same(json.loads(pattern.out), expected)
-    some = run(capsys, "calibrate", "--parts", *sensor_files(parts)[::2], "-d", out)
+    some = run(capsys, "calibrate", "--parts", *sensor_files(parts)[1:4], "-d", out)
     assert (some.code, "cannot be told from other files by a pattern" in some.err) == (2, True)
 
 
@@ -319,7 +317,7 @@ def test_what_an_archive_says_of_places_is_not_believed(tmp_path: Path, made: Pa
 
 def cuts(path: Path) -> Iterator[bytes]:
     data = path.read_bytes()
-    for stop in range(0, len(data), max(1, len(data) // 40)):
+    for stop in range(0, len(data), max(1, len(data) // 12)):
         yield data[:stop]
 
 
