@@ -296,7 +296,8 @@ def check_parquet(
                 "no calibrated Parquet file lies beside it", path=document.path, hint="omit --values"
             )
         return None
-    metadata, names = metadata_of(path), ("accelcal_version", "calibration", "recording")
+    metadata = metadata_of(path)
+    names = ("accelcal_version", "calibration", "recording", *({"gyroscope"} & {*metadata, *document.report}))
     if document.first is not None:
         metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}
     expected = {name: document.report.get(name) for name in names}

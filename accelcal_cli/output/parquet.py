@@ -25,6 +25,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import BackgroundWriter, OrderedCalls
 from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
+from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output.files import output_error
 from accelcal_cli.output.row_groups import MAGIC, EncodedGroup, Footer, encoded
@@ -37,6 +38,9 @@ MOST_ENCODERS = 8
 
 TIME_ZONE_KEY = b"time_zone"
 """Of the schema's metadata: what `time` is in, UTC or unknown."""
+
+BLOCK_ROWS = 1 << 14
+"""Angular rates are calibrated so many at a time, which the processor's cache holds."""
 
 SOURCE_ROWS = 1 << 17
 """Rows that are read back at a time."""
@@ -72,12 +76,15 @@ class Column:
         return np.int64 if pa.types.is_timestamp(self.type) else self.type.to_pandas_dtype()
 
 
-def columns_of(recording: Recording, facts: Facts, fine_axes: str) -> list[Column]:
+def columns_of(
+    recording: Recording, facts: Facts, fine_axes: str, gyroscope: Gyroscope | None = None
+) -> list[Column]:
     """All columns of a calibrated recording: THE place for a new one.
 
     Args:
         fine_axes: those of x, y, z whose values hardly repeat while their high bytes do, so that bytes
             of one place compress better side by side.
+        gyroscope: the verdict on it; without a scale matrix its values stay raw.
     """
     single, offset_s = pa.float32(), facts.utc_offset_s
     time = pa.timestamp("us", None if offset_s is None else UTC)
@@ -88,9 +95,11 @@ def columns_of(recording: Recording, facts: Facts, fine_axes: str) -> list[Colum
     if facts.has_temperature:
         columns.append(Column("temperature", "degree Celsius", single, _temperature))
     if facts.has_gyroscope:
-        scale = recording.gyro_dps_per_lsb
+        known = gyroscope is not None and gyroscope.scale is not None
+        rates = _Rates(recording.gyro_dps_per_lsb, gyroscope if known else None)
+        encoding = "BYTE_STREAM_SPLIT" if known else "PLAIN"
         columns += [
-            Column(f"g{name}", "deg/s", single, partial(_gyroscope, scale, axis))
+            Column(f"g{name}", "deg/s", single, partial(rates.values, axis), encoding)
             for axis, name in enumerate("xyz")
         ]
     columns.append(Column("validity", "0 measured, 1 filled, 2 clipped, 3 recovered", pa.uint8(), _validity))
@@ -113,12 +122,37 @@ def _temperature(chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
     return (chunk.temperature_mc / 1000.0).astype(np.float32)
 
 
-def _gyroscope(
-    dps_per_lsb: tuple[float, ...] | None, axis: int, chunk: Chunk, _xyz: Axes
-) -> NDArray[np.float32]:
-    if chunk.gyro_counts is None or dps_per_lsb is None:
-        return np.full(len(chunk), np.nan, np.float32)
-    return (chunk.gyro_counts[:, axis] * dps_per_lsb[axis]).astype(np.float32)
+class _Rates:
+    """Angular rates of chunks, raw or calibrated; those of one chunk are kept until the next comes."""
+
+    def __init__(self, dps_per_lsb: tuple[float, ...] | None, gyroscope: Gyroscope | None) -> None:
+        self._dps_per_lsb, self._gyroscope = dps_per_lsb, gyroscope
+        self._chunk: Chunk | None = None
+        self._held: Axes = []
+
+    def values(self, axis: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
+        """Of one axis [deg/s]; NaN where a chunk has none."""
+        if chunk.gyro_counts is None or self._dps_per_lsb is None:
+            return np.full(len(chunk), np.nan, np.float32)
+        if self._gyroscope is None:
+            return (chunk.gyro_counts[:, axis] * self._dps_per_lsb[axis]).astype(np.float32)
+        if self._chunk is not chunk:
+            self._chunk, self._held = chunk, self._calibrated(chunk, self._gyroscope)
+        return self._held[axis]
+
+    def _calibrated(self, chunk: Chunk, gyroscope: Gyroscope) -> Axes:
+        held = [np.empty(len(chunk), np.float32) for _ in range(3)]
+        assert chunk.gyro_counts is not None and self._dps_per_lsb is not None
+        for start in range(0, len(chunk), BLOCK_ROWS):
+            part = slice(start, start + BLOCK_ROWS)
+            raw = [
+                np.multiply(chunk.gyro_counts[part, axis], scale, dtype=np.float64)
+                for axis, scale in enumerate(self._dps_per_lsb)
+            ]
+            warm = None if chunk.temperature_mc is None else chunk.temperature_mc[part] / 1000.0
+            for column, values in zip(held, gyroscope.calibrated(raw, warm), strict=True):
+                column[part] = values
+        return held
 
 
 def _validity(chunk: Chunk, _xyz: Axes) -> NDArray[np.uint8]:

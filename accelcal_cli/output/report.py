@@ -33,6 +33,7 @@ from accelcal_cli.core.points import (
 )
 from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
+from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.coefficients import coefficients_json
@@ -362,7 +363,8 @@ class ReportInput(JudgedInput):
 
     Attributes:
         taken: sections of the report that do not follow from the judgement: those of another report
-            whose coefficients are applied.
+            whose coefficients are applied, and that of the gyroscope.
+        gyroscope: the verdict on it, None where there is none.
     """
 
     recording: Recording
@@ -371,6 +373,7 @@ class ReportInput(JudgedInput):
     windows: WindowUse
     clipped_after: int | None
     taken: dict[str, Any] = field(default_factory=dict)
+    gyroscope: Gyroscope | None = None
 
 
 def build(data: ReportInput) -> dict[str, Any]:
@@ -411,13 +414,14 @@ def document(
 
 
 def parquet_metadata(data: ReportInput) -> dict[str, Any]:
-    """What the Parquet file says of itself: calibration, recording, version; of raw values the refusal."""
+    """What the Parquet file says of itself: calibrations, recording, version; of raw values the refusal."""
     verdict = data.judgement
     refusal = {"outcome": str(verdict.outcome), "message": verdict.message}
     return {
         "accelcal_version": __version__,
         "calibration": data.taken.get("calibration") or calibration_json(verdict, data.optimizer),
         "recording": _recording(data).as_json(),
+        **{name: data.taken[name] for name in ("gyroscope",) if name in data.taken},
         **(refusal if verdict.calibration is None else {}),
         "result": result_json(build(data)),
     }

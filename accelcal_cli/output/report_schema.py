@@ -44,6 +44,7 @@ LATER = {
     "without_misalignment": "0.2.0",
     "change": "0.2.0",
     "misfits": "0.2.0",
+    "gyroscope": "0.2.0",
     "settings.recalibrate": "0.2.0",
     "settings.longest_gap_s": "0.2.0",
     "calibration.course": "0.2.0",

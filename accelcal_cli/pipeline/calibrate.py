@@ -30,10 +30,12 @@ from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.verdict import advised, as_it_is, damage_verdict
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.output.gyroscope import gyroscope_json
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.gyroscope import gyroscope_of, turning
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
 from accelcal_cli.pipeline.timeline import Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.windows import WindowLog
@@ -292,7 +294,8 @@ class RecordingRun:
         method = judge.method(recording)
         method = method if log is None else log.watch(method, recording.rate_hz)
         timeline = timeline_of(method, recording)
-        others = [one for one in (log, timeline) if one is not None]
+        turns = turning(recording)
+        others = [one for one in (log, timeline, turns) if one is not None]
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method, *others)
             raw = method.procedure.result()
@@ -301,6 +304,7 @@ class RecordingRun:
             damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
             verdict = judge.verdict(self, Survey(recording, facts, method, raw, covered, damage))
             points = method.procedure.result()  # of a sensor that changed they are put right
+            gyroscope = None if turns is None else gyroscope_of(turns, verdict.judgement, judge.settings)
             sha256 = digest.result()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows
@@ -313,7 +317,8 @@ class RecordingRun:
             windows=replace(windows, used=used),
             optimizer=optimizer,
             clipped_after=None,
-            taken=verdict.sections,
+            taken=verdict.sections | ({} if gyroscope is None else {"gyroscope": gyroscope_json(gyroscope)}),
+            gyroscope=gyroscope,
         )
         return FirstPass(data, points, raw, posture, method, timeline)
 

@@ -160,7 +160,8 @@ def columns_of(data: ReportInput) -> list[Column]:
     """The columns of a result's Parquet file."""
     from accelcal_cli.output import parquet
 
-    columns = parquet.columns_of(data.recording, data.facts, transform_of(data).fine_axes())
+    fine_axes = transform_of(data).fine_axes()
+    columns = parquet.columns_of(data.recording, data.facts, fine_axes, data.gyroscope)
     return columns if data.judgement.calibration is not None else parquet.not_calibrated(columns)
 
 

@@ -1,0 +1,293 @@
+"""Turns between rests, for the gyroscope: collected window by window, in bounded memory, as exact integers.
+
+A turn is what lies between two rests of at least LEAST_WINDOWS windows: at most LONGEST_S of it, without a
+break, and gravity has another direction behind it (G 4.3 compares gravity from one still state to the next).
+It needs only its own span. Of longer recordings not all turns are kept (`_Budget`). The sums at rest are
+kept by blocks of time, which become longer as there are more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import cos, radians, sqrt
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.recording import Counts
+from accelcal_cli.core.rotations import Rest, RestRates, Triple, Turn, Turns
+
+LEAST_WINDOWS = 2
+"""A rest has at least so many windows: what is quiet for a moment may be a turn that is slow."""
+
+END_WINDOWS = 5
+"""So many windows of a rest, those nearest to the turn, say where gravity pointed and what the bias was."""
+
+LONGEST_S = 30.0
+"""A longer turn is not used: what noise and bias leave adds up."""
+
+ROUGH_TURN_DEG = 15.0
+"""By the raw values, so that all turns of 20 degrees by calibrated ones are among them."""
+
+MAX_ROWS = 1 << 19
+"""Samples of all turns that are kept: 87 minutes of turning at 100 Hz, five days of a wrist; 3 MB."""
+
+MAX_BLOCKS, BLOCK_S = 1024, 60
+"""Blocks of time for the sums at rest: at most so many, at first so long."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroWindows:
+    """m windows that follow one another without a break, of n samples each.
+
+    Attributes:
+        fresh: whether the first does not continue what was there before.
+        first_sample: number of the first sample.
+        time_us: (m,) time of each one's first sample.
+        resting: (m,) whether accelerometer and gyroscope rested.
+        usable: (m,) whether the gyroscope measured throughout.
+        sums, gyro_sums: (m, 3) of the counts of accelerometer and gyroscope.
+        counts: (m n, 3) the gyroscope's counts.
+        temperature_sums: (m,) of thousandths of a degree C, or None.
+    """
+
+    fresh: bool
+    first_sample: int
+    time_us: NDArray[np.int64]
+    resting: NDArray[np.bool_]
+    usable: NDArray[np.bool_]
+    sums: NDArray[np.int64]
+    gyro_sums: NDArray[np.int64]
+    counts: Counts
+    temperature_sums: NDArray[np.int64] | None
+
+    @property
+    def length(self) -> int:
+        """Samples in a window."""
+        return len(self.counts) // len(self.resting)
+
+
+class _Resting:
+    """A rest as it goes on: its first and its last windows, a row of `_columns` each.
+
+    Attributes:
+        counts: of the gyroscope, as long as it is too short to be a rest: they are then part of the turn.
+    """
+
+    def __init__(self, rows: NDArray[np.int64], counts: Counts) -> None:
+        self.windows = len(rows)
+        self.head, self.tail = rows[:END_WINDOWS].copy(), rows[-END_WINDOWS:].copy()
+        self.counts = counts[:0] if self.is_rest else counts.copy()
+
+    def go_on(self, rows: NDArray[np.int64], counts: Counts) -> None:
+        """Take further windows in."""
+        self.windows += len(rows)
+        self.counts = counts[:0] if self.is_rest else np.concatenate([self.counts, counts])
+        self.head = np.concatenate([self.head, rows])[:END_WINDOWS]
+        self.tail = np.concatenate([self.tail, rows])[-END_WINDOWS:]
+
+    @property
+    def is_rest(self) -> bool:
+        """Whether it lasts long enough."""
+        return self.windows >= LEAST_WINDOWS
+
+
+_SAMPLE, _TIME, _SUMS, _GYRO, _HEAT, _WARM = 0, 1, slice(2, 5), slice(5, 8), 8, 9
+
+
+def _columns(windows: GyroWindows) -> NDArray[np.int64]:
+    """(m, 10): first sample, its time, sums of both sensors and of temperature, and whether there is one."""
+    number = len(windows.resting)
+    sample = windows.first_sample + windows.length * np.arange(number, dtype=np.int64)
+    heat = windows.temperature_sums
+    warm = np.full(number, heat is not None, np.int64)
+    heat = np.zeros(number, np.int64) if heat is None else heat
+    return np.column_stack([sample, windows.time_us, windows.sums, windows.gyro_sums, heat, warm])
+
+
+def _rest(rows: NDArray[np.int64], length: int) -> Rest:
+    total = rows.sum(axis=0)
+    return Rest(
+        sample=int(rows[0, _SAMPLE]),
+        samples=len(rows) * length,
+        sums=tuple(total[_SUMS].tolist()),
+        gyro_sums=tuple(total[_GYRO].tolist()),
+        temperature_sum=int(total[_HEAT]) if rows[:, _WARM].all() else None,
+    )
+
+
+class TurnCollector:
+    """Feed it windows in the order of time; call `result` after the last.
+
+    Args:
+        length: samples of a window.
+    """
+
+    def __init__(self, length: int, rate_hz: float, dps_per_lsb: Triple, lsb_per_g: float) -> None:
+        self._length = length
+        self._dps_per_lsb, self._lsb_per_g = dps_per_lsb, lsb_per_g
+        self._period_s = 1 / rate_hz
+        self._longest = round(LONGEST_S * rate_hz)
+        self._rates = _Rates(max(length, round(BLOCK_S * rate_hz)))
+        self._kept = _Budget(MAX_ROWS)
+        self._before: _Resting | None = None
+        self._now: _Resting | None = None
+        self._path: list[Counts] = []
+
+    def add(self, windows: GyroWindows) -> None:
+        """Take windows in."""
+        if windows.fresh:
+            self._break()
+        rows, length = _columns(windows), self._length
+        self._rates.add(rows[windows.resting], length)
+        kind = np.where(windows.usable, windows.resting.astype(np.int64), -1)
+        edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
+        for low, high in pairwise(edges):
+            counts = windows.counts[low * length : high * length]
+            if kind[low] < 0:
+                self._break()
+            elif kind[low]:
+                self._go_on_resting(rows[low:high], counts)
+            else:
+                self._go_on_turning(counts)
+
+    def result(self) -> Turns:
+        """What was found."""
+        self._break()
+        turns, left_out = self._kept.result()
+        rates = self._rates.result()
+        return Turns(turns, rates, left_out, self._dps_per_lsb, self._lsb_per_g, self._period_s)
+
+    def _break(self) -> None:
+        """What follows does not go on from here."""
+        self._end_rest()
+        self._before, self._now, self._path = None, None, []
+
+    def _go_on_resting(self, rows: NDArray[np.int64], counts: Counts) -> None:
+        if self._now is None:
+            self._now = _Resting(rows, counts)
+        else:
+            self._now.go_on(rows, counts)
+
+    def _go_on_turning(self, counts: Counts) -> None:
+        self._end_rest()
+        if self._before is None:
+            return
+        self._path.append(counts[: self._longest + 1].copy())
+        if sum(map(len, self._path)) > self._longest:
+            self._before, self._path = None, []
+
+    def _end_rest(self) -> None:
+        """See what the rest that ends here was."""
+        now, self._now = self._now, None
+        if now is None:
+            return
+        if now.is_rest:
+            if self._before is not None and self._path:
+                self._note_turn(self._before, now)
+            self._before, self._path = now, []
+        elif self._before is not None:
+            self._path.append(now.counts)
+
+    def _note_turn(self, before: _Resting, after: _Resting) -> None:
+        counts: Any = np.concatenate(self._path)
+        start, end = before.tail[0], after.head[0]
+        period_us = int(end[_TIME] - start[_TIME]) / int(end[_SAMPLE] - start[_SAMPLE])
+        turn = Turn(_rest(before.tail, self._length), _rest(after.head, self._length), counts, period_us)
+        if period_us > 0 and _turned(turn) and not _saturated(counts):
+            self._kept.add(turn)
+
+
+def _turned(turn: Turn) -> bool:
+    """Whether gravity's direction changed, by the raw values."""
+    u, v = turn.before.sums, turn.after.sums
+    across = sum(a * b for a, b in zip(u, v, strict=True))
+    lengths = sqrt(sum(a * a for a in u)) * sqrt(sum(b * b for b in v))
+    return across < cos(radians(ROUGH_TURN_DEG)) * lengths
+
+
+def _saturated(counts: Counts) -> bool:
+    """Whether a rate is beyond what 16 bits hold, as devices use them up to their range."""
+    limits = np.iinfo(np.int16)
+    return counts.dtype == np.int16 and bool(counts.min() == limits.min or counts.max() == limits.max)
+
+
+class _Budget:
+    """Keeps turns of so many samples in all.
+
+    When there are more, the longest turn is left out of those about the axis and in the direction of which
+    there are most samples: a short one says as much, with less noise. A turn that is there already, in a
+    stretch that the recording holds twice, is left out, too.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._turns: dict[int, Turn] = {}
+        self._kinds: dict[int, int] = {}
+        self._sizes = dict.fromkeys(range(6), 0)
+        self._seen: set[tuple[int, ...]] = set()
+        self._number = self._left_out = 0
+
+    def add(self, turn: Turn) -> None:
+        """Take a turn in."""
+        key = (len(turn), *turn.before.sums, *turn.before.gyro_sums, *turn.after.sums, *turn.after.gyro_sums)
+        if key in self._seen:
+            return
+        self._seen.add(key)
+        self._turns[self._number], self._kinds[self._number] = turn, _kind(turn)
+        self._sizes[self._kinds[self._number]] += len(turn)
+        self._number += 1
+        while sum(self._sizes.values()) > self._rows:
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        fullest = max(self._sizes, key=lambda kind: (self._sizes[kind], kind))
+        numbers = (number for number, kind in self._kinds.items() if kind == fullest)
+        longest = max(numbers, key=lambda number: (len(self._turns[number]), number))
+        self._sizes[fullest] -= len(self._turns.pop(longest))
+        del self._kinds[longest]
+        self._left_out += 1
+
+    def result(self) -> tuple[tuple[Turn, ...], int]:
+        """The turns, and how many were left out."""
+        return tuple(self._turns.values()), self._left_out
+
+
+def _kind(turn: Turn) -> int:
+    """About which axis it turns most, and in which direction: 0 to 5, exact."""
+    before, after, n = turn.before, turn.after, len(turn)
+    rests = before.samples + after.samples
+    sums = turn.counts.sum(axis=0, dtype=np.int64).tolist()
+    still = zip(before.gyro_sums, after.gyro_sums, strict=True)
+    turned = [total * rests - (one + other) * n for total, (one, other) in zip(sums, still, strict=True)]
+    axis = max(range(3), key=lambda index: abs(turned[index]))
+    return 2 * axis + int(turned[axis] > 0)
+
+
+class _Rates:
+    """Sums at rest by blocks of so many samples; two become one where there are too many."""
+
+    def __init__(self, block_samples: int) -> None:
+        self._block_samples = block_samples
+        self._sums = np.zeros((MAX_BLOCKS, 6), np.int64)
+
+    def add(self, rows: NDArray[np.int64], length: int) -> None:
+        """Take windows at rest in."""
+        if not len(rows):
+            return
+        while rows[-1, _SAMPLE] // self._block_samples >= MAX_BLOCKS:
+            pairs = self._sums.reshape(MAX_BLOCKS // 2, 2, -1).sum(axis=1)
+            self._sums = np.concatenate([pairs, np.zeros_like(pairs)])
+            self._block_samples *= 2
+        block = rows[:, _SAMPLE] // self._block_samples
+        number = np.full(len(rows), length, np.int64)
+        values = np.column_stack([number, rows[:, _GYRO], rows[:, _HEAT], number * rows[:, _WARM]])
+        np.add.at(self._sums, block, values)
+
+    def result(self) -> RestRates:
+        """The blocks with rest; without temperature if one of them lacks it."""
+        held = self._sums[self._sums[:, 0] > 0]
+        warm = bool(len(held)) and bool((held[:, 0] == held[:, 5]).all())
+        return RestRates(held[:, 0], held[:, 1:4], held[:, 4] if warm else None)

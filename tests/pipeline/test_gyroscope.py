@@ -1,0 +1,150 @@
+"""The gyroscope of whole recordings: real ones, and such with a known truth, from file to Parquet."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from math import pi
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.rotations import Turns
+from accelcal_cli.pipeline.gyroscope import turning
+from accelcal_cli.pipeline.survey import open_marked
+from tests.cli.run import run
+from tests.formats.make_hdf5 import write
+
+Capture = pytest.CaptureFixture[str]
+
+XSENS_ZERO, XSENS_PER_G = 32_768, 4000
+XSENS_PER_RAD = 4768
+"""One scale for all axes: what is left are those of each axis, and their misalignment."""
+
+
+@pytest.fixture(scope="module")
+def xsens(real_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Readings of an Xsens MTi in 42 poses, 8.5 minutes, less the middle of its converter."""
+    accel, gyro = (
+        np.loadtxt(real_data / "imu" / f"xsens_mti_{name}.txt")[:, 1:] - XSENS_ZERO
+        for name in ("acc", "gyro")
+    )
+    path = tmp_path_factory.mktemp("xsens") / "xsens.h5"
+    about = {"sample_rate": 100.0, "units": "counts", "lsb_per_g": float(XSENS_PER_G)}
+    write(path, {"accel": accel.astype(np.int16), "gyro": gyro.astype(np.int16)}, about)
+    with h5py.File(path, "r+") as file:
+        file["gyro"].attrs["dps_per_lsb"] = 180 / pi / XSENS_PER_RAD
+    return path
+
+
+def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
+    told = run(capsys, "calibrate", path, "--json", "-q", *words)
+    assert told.code == 0, told
+    report: dict[str, Any] = json.loads(told.out)
+    return report
+
+
+def test_a_real_sensor(xsens: Path, capsys: Capture) -> None:
+    report = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")
+    found = report["gyroscope"]
+    assert found["outcome"] == "calibrated", found["message"]
+    assert 30 <= found["pairs"] <= 42
+    assert found["holdout_deg"]["after"] < 0.55
+    assert 2 < found["holdout_deg"]["before"] < 3.5
+    assert found["holdout_deg"]["mean_after"] < 0.55
+    with_columns = pq.read_table(xsens.with_name("xsens.calibrated.parquet"))
+    assert json.loads(with_columns.schema.metadata[b"accelcal"])["gyroscope"] == found
+    told = run(capsys, "verify", xsens.with_name("xsens.calibration.json"), xsens, "--values")
+    assert told.code == 0, told
+
+
+def test_parquet_holds_what_the_report_says(xsens: Path, capsys: Capture) -> None:
+    found = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")["gyroscope"]
+    table = pq.read_table(xsens.with_name("xsens.calibrated.parquet"))
+    with open_marked(xsens, ReadOptions()) as reader:
+        counts = np.concatenate([chunk.gyro_counts for chunk in reader.chunks(7000)])
+    raw = counts * (180 / pi / XSENS_PER_RAD)
+    right = (raw - found["bias_dps"]) @ np.array(found["scale"]).T
+    for axis, name in enumerate(("gx", "gy", "gz")):
+        np.testing.assert_allclose(table[name].to_numpy(), right[:, axis], rtol=1e-6, atol=1e-5)
+        assert table.schema.field(name).metadata[b"unit"] == b"deg/s"
+
+
+def test_a_refused_gyroscope_stays_raw(xsens: Path, tmp_path: Path, capsys: Capture) -> None:
+    """The movement of the first pose after the other, with the gyroscope of no turn at all."""
+    still = tmp_path / "still.h5"
+    still.write_bytes(xsens.read_bytes())
+    with h5py.File(still, "r+") as file:
+        step = file["gyro"].attrs["dps_per_lsb"]
+        del file["gyro"]
+        noise = np.random.default_rng(1).integers(-9, 10, (len(file["accel"]), 3)).astype(np.int16)
+        file.create_dataset("gyro", data=noise + np.int16(50)).attrs["dps_per_lsb"] = step
+    found = calibrated(capsys, still, "--segment-seconds", 1)["gyroscope"]
+    assert (found["outcome"], found["scale"]) == ("refused", None)
+    assert found["bias_dps"] == pytest.approx([50 * step] * 3, rel=0.01)
+    table = pq.read_table(tmp_path / "still.calibrated.parquet")
+    np.testing.assert_array_equal(table["gy"].to_numpy(), ((noise[:, 1] + 50) * step).astype(np.float32))
+
+
+def seen(path: Path, chunk_samples: int) -> Turns:
+    with open_marked(path, ReadOptions()) as reader:
+        observer = turning(reader.recording)
+        assert observer is not None
+        for chunk in reader.chunks(chunk_samples):
+            observer.see(chunk)
+    return observer.result()
+
+
+def test_the_same_bits_for_any_chunk_size(xsens: Path, capsys: Capture) -> None:
+    reports = [
+        calibrated(capsys, xsens, "--segment-seconds", 1, "--report-only", "--chunk-samples", size)
+        for size in (997, 4096, 1 << 18)
+    ]
+    assert reports[0]["gyroscope"] == reports[1]["gyroscope"] == reports[2]["gyroscope"]
+    one, other = seen(xsens, 777), seen(xsens, 1 << 18)
+    for left, right in zip(one.turns, other.turns, strict=True):
+        assert (left.before.sums, left.after.gyro_sums) == (right.before.sums, right.after.gyro_sums)
+        np.testing.assert_array_equal(left.counts, right.counts)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_known_truth(real_data: Path, tmp_path: Path, capsys: Capture, seed: int) -> None:
+    """Recordings of an independent generator: the scale within its errors, and the bias, from both files."""
+    tool = real_data.parent / "tools" / "make_recording.py"
+    words = ["--days", "1", "--gyro", "--seed", str(seed), "--truth", str(seed), "--out", str(tmp_path / "a")]
+    subprocess.run([sys.executable, tool, *words], check=True, capture_output=True)
+    truth = json.loads((tmp_path / "a.truth.json").read_text())
+    scale = np.linalg.inv(truth["gyro_A"])
+    perfect = seen(tmp_path / "a_gyro.h5", 1 << 18)
+    for name in ("a_gyro.h5", "a_ax6.cwa"):
+        found = calibrated(capsys, tmp_path / name, "--report-only", "--no-temperature")["gyroscope"]
+        off = np.abs(np.array(found["scale"]) - scale)
+        assert off.max() < 5e-3
+        assert (off / np.array(found["standard_errors"]["scale"])).max() < 3
+        assert np.abs(np.array(found["bias_dps"]) - truth["gyro_bias_dps"]).max() < 0.02
+        assert found["holdout_deg"]["after"] < 1.3 * left_by(scale, truth, perfect)
+
+
+def left_by(scale: np.ndarray, truth: dict[str, Any], turns: Turns) -> float:
+    """Median angle that the true parameters leave on the same turns, by one rotation a sample."""
+    angles = []
+    for turn in turns.turns:
+        ends = [np.array(rest.sums) / rest.samples / truth["lsb_per_g"] for rest in (turn.before, turn.after)]
+        u, v = (np.array(truth["K"]) @ (end - truth["b"]) for end in ends)
+        u, v = u / np.linalg.norm(u), v / np.linalg.norm(v)
+        if u @ v > np.cos(np.radians(20)):
+            continue
+        rate = (turn.counts / truth["gyro_lsb_per_dps"] - truth["gyro_bias_dps"]) @ scale.T
+        for angle in np.radians(rate / truth["fs"]):
+            size = np.linalg.norm(angle)
+            axis = angle / max(size, 1e-12)
+            u = u * np.cos(size) + np.cross(u, axis) * np.sin(size) + axis * (axis @ u) * (1 - np.cos(size))
+        angles.append(np.degrees(np.arccos(min(1.0, u @ v))))
+    return float(np.median(angles))
