@@ -19,10 +19,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk, Device, Recording
+from accelcal_cli.core.rotations import EQUATION
 
 SCALE_ERROR = 0.05
 MISALIGNMENT = 0.025
 OFFSET_G = 0.05
+GYRO_SCALE_ERROR, GYRO_MISALIGNMENT, GYRO_BIAS_DPS = 0.03, 0.02, 1.5
+SPIN_DPS = 45.0
+"""How fast the wrist turns about the vertical, which gravity does not show, while it turns otherwise."""
 
 SLEEP_POSTURES = (
     (0.0, 0.1, -1.0),
@@ -102,10 +106,60 @@ def draw_gain_and_offset(seed: int, size: float, misalignment: float) -> tuple[F
 
 
 @dataclass(frozen=True, slots=True)
+class GyroSensor:
+    """A gyroscope with known errors, in the convention of the report: w = S (r - b - c (T - Tref)).
+
+    Attributes:
+        scale: S, (3, 3).
+        bias_dps: b, (3,); slope_dps_per_c: c, (3,).
+        noise_dps: standard deviation of white noise on each axis.
+    """
+
+    scale: Floats
+    bias_dps: Floats
+    slope_dps_per_c: Floats
+    noise_dps: float = 0.1
+    lsb_per_dps: float = 16.384
+    reference_c: float = 30.0
+
+    def counts(self, rate_dps: Floats, temperature_c: Floats, random: RandomState) -> NDArray[np.int16]:
+        """Raw counts (n, 3) of true angular rates (n, 3) in the sensor's frame."""
+        raw = rate_dps @ np.linalg.inv(self.scale).T + self.bias_dps
+        raw += np.multiply.outer(temperature_c - self.reference_c, self.slope_dps_per_c)
+        raw += self.noise_dps * random.standard_normal(raw.shape)
+        return np.clip(np.rint(raw * self.lsb_per_dps), -32_768, 32_767).astype(np.int16)
+
+    def as_json(self) -> dict[str, Any]:
+        """The truth file's `gyroscope` object."""
+        return {
+            "equation": EQUATION,
+            "scale": self.scale.tolist(),
+            "bias_dps": self.bias_dps.tolist(),
+            "slope_dps_per_c": self.slope_dps_per_c.tolist(),
+            "reference_c": self.reference_c,
+            "noise_dps": self.noise_dps,
+            "lsb_per_dps": self.lsb_per_dps,
+        }
+
+
+def draw_gyroscope(seed: int, size: float, slope_dps_per_c: Floats) -> GyroSensor:
+    """Errors drawn uniformly, of the size that devices have, times `size`."""
+    draw = RandomState(seed + 5_000_011).uniform(-1, 1, 12) * size
+    scale = np.eye(3) + GYRO_MISALIGNMENT * draw[:9].reshape(3, 3)
+    scale[[0, 1, 2], [0, 1, 2]] = 1 + GYRO_SCALE_ERROR * draw[[0, 4, 8]]
+    return GyroSensor(scale, GYRO_BIAS_DPS * draw[9:], slope_dps_per_c)
+
+
+@dataclass(frozen=True, slots=True)
 class Bout:
-    """Some seconds of wear: acceleration (n, 3) in g, motionless samples (n,), and whether worn."""
+    """Some seconds of wear: acceleration (n, 3) in g, motionless samples (n,), and whether worn.
+
+    Attributes:
+        direction: (n, 3) unit vectors of gravity's part in it.
+    """
 
     acceleration: Floats
+    direction: Floats
     still: NDArray[np.bool_]
     worn: bool
 
@@ -116,10 +170,15 @@ def unit(vector: Floats) -> Floats:
 
 
 class Wearer:
-    """Makes bouts one after another; the wrist turns from each posture to the next."""
+    """Makes bouts one after another; the wrist turns from each posture to the next.
 
-    def __init__(self, rate_hz: float, seed: int) -> None:
+    Args:
+        smooth: no movement begins with a leap, which a gyroscope could not follow.
+    """
+
+    def __init__(self, rate_hz: float, seed: int, *, smooth: bool = False) -> None:
         self.rate_hz = rate_hz
+        self.smooth = smooth
         self.random = RandomState(seed)
         self.direction = unit(np.array(TABLE))
 
@@ -182,19 +241,20 @@ class Wearer:
         path, turning = self._turn(target, seconds)
         still = np.zeros(len(path), np.bool_)
         still[turning + round(SETTLE_SECONDS * self.rate_hz) :] = True
-        return Bout(path, still, worn=True)
+        return Bout(path, path, still, worn=True)
 
     def _tremor(self, target: Floats, seconds: float) -> Bout:
         path, _ = self._turn(target, seconds)
         size = self.random.uniform(0.004, 0.03)
-        return Bout(path + self._waves(len(path), size, 0.3, 9.0), np.zeros(len(path), np.bool_), worn=True)
+        shaken = path + self._waves(len(path), size, 0.3, 9.0)
+        return Bout(shaken, unit(shaken), np.zeros(len(path), np.bool_), worn=True)
 
     def _moving(self, target: Floats, seconds: float, size: float) -> Bout:
         path, _ = self._turn(target, seconds)
         swaying = unit(path + self._waves(len(path), size, 0.1, 0.6))
         self.direction = swaying[-1]
         shaken = swaying + self._waves(len(path), size * self.random.uniform(0.2, 1.0), 0.5, 4.0)
-        return Bout(shaken, np.zeros(len(path), np.bool_), worn=True)
+        return Bout(shaken, swaying, np.zeros(len(path), np.bool_), worn=True)
 
     def _walking(self, seconds: float) -> Bout:
         path, _ = self._turn(self._near((ARM_DOWN,), 0.15), seconds)
@@ -203,14 +263,21 @@ class Wearer:
         swing = self.random.uniform(0.1, 0.5) * np.sin(np.pi * steps * time + 6.28 * self.random.rand())
         impact = self.random.uniform(0.1, 0.6) * np.sin(2 * np.pi * steps * time) ** 3
         side = unit(self.random.randn(3))
-        swung = unit(path + swing[:, None] * side)
+        swung = unit(path + swing[:, None] * side * self._beginning(len(path)))
         self.direction = swung[-1]
-        return Bout(swung * (1 + impact)[:, None], np.zeros(len(path), np.bool_), worn=True)
+        return Bout(swung * (1 + impact)[:, None], swung, np.zeros(len(path), np.bool_), worn=True)
 
     def _waves(self, number: int, size: float, low_hz: float, high_hz: float) -> Floats:
         time = np.arange(number)[:, None] / self.rate_hz
         frequency = self.random.uniform(low_hz, high_hz, 3)
-        return np.asarray(size * np.sin(2 * np.pi * (frequency * time + self.random.rand(3))))
+        waves = size * np.sin(2 * np.pi * (frequency * time + self.random.rand(3)))
+        return np.asarray(waves * self._beginning(number))
+
+    def _beginning(self, number: int) -> Floats:
+        """What movements are multiplied by, (n, 1): where they are smooth they grow within a second."""
+        if not self.smooth:
+            return np.ones((number, 1))
+        return np.minimum(1.0, np.arange(number) / self.rate_hz)[:, np.newaxis]
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +294,7 @@ class Plan:
     sensor: Sensor
     temperature: bool = True
     unit_samples: int = 1
+    gyroscope: GyroSensor | None = None
 
     @property
     def samples(self) -> int:
@@ -275,6 +343,7 @@ def describe(plan: Plan, path: Path, format_name: str) -> Recording:
         start_us=START_US,
         samples=plan.samples,
         has_temperature=plan.temperature,
+        gyro_dps_per_lsb=None if plan.gyroscope is None else (1 / plan.gyroscope.lsb_per_dps,) * 3,
     )
 
 
@@ -282,8 +351,9 @@ def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
     """Chunks of a plan, one a bout; fills `truth` on the way."""
     noise = RandomState(plan.seed + 1_000_003)
     rate = rate_fraction(plan.rate_hz)
+    turning = None if plan.gyroscope is None else Turning(plan.gyroscope, plan.rate_hz, plan.seed)
     done = 0
-    for bout in Wearer(plan.rate_hz, plan.seed).bouts():
+    for bout in Wearer(plan.rate_hz, plan.seed, smooth=turning is not None).bouts():
         number = min(len(bout.still), plan.samples - done)
         temperature = temperature_c(done, number, plan.rate_hz, worn=bout.worn)
         counts = plan.sensor.counts(bout.acceleration[:number], temperature, noise)
@@ -294,10 +364,46 @@ def stream(plan: Plan, truth: Truth) -> Iterator[Chunk]:
             UniformClock(START_US, done, rate),
             0,
             temperature_mc=np.rint(temperature * 1000).astype(np.int32) if plan.temperature else None,
+            gyro_counts=None if turning is None else turning.counts(bout.direction[:number], temperature),
         )
         done += number
         if done == plan.samples:
             return
+
+
+class Turning:
+    """What a gyroscope measures while gravity's direction moves, one bout after another."""
+
+    def __init__(self, sensor: GyroSensor, rate_hz: float, seed: int) -> None:
+        self._sensor, self._rate_hz = sensor, rate_hz
+        self._random = RandomState(seed + 2_000_003)
+        self._before = unit(np.array(TABLE))
+
+    def counts(self, direction: Floats, temperature: Floats) -> NDArray[np.int16]:
+        """Raw counts (n, 3) of a bout with these directions (n, 3)."""
+        before = np.concatenate([self._before[np.newaxis], direction[:-1]])
+        self._before = direction[-1]
+        rates = self._rates(before, direction)
+        return self._sensor.counts(rates, temperature, self._random)
+
+    def _rates(self, before: Floats, after: Floats) -> Floats:
+        """Angular rates [deg/s] by which each direction becomes the next, exactly, (n, 3).
+
+        The shortest turn that does so, then one about the new direction, as one turn: the product of
+        their quaternions. A direction that is fixed in the room turns the other way than the sensor.
+        """
+        across, along = np.cross(after, before), (after * before).sum(axis=1)
+        shortest = np.column_stack([1 + along, across])
+        angle = np.degrees(np.arctan2(np.sqrt((across**2).sum(axis=1)), along))
+        share = np.minimum(1.0, angle * self._rate_hz / SPIN_DPS)
+        spin = np.radians(self._random.uniform(-SPIN_DPS, SPIN_DPS) * share / self._rate_hz) / 2
+        w, v = shortest[:, :1], shortest[:, 1:]
+        c, a = np.cos(spin)[:, np.newaxis], np.sin(spin)[:, np.newaxis] * after
+        real = w * c - (v * a).sum(axis=1, keepdims=True)
+        vector = w * a + c * v + np.cross(v, a)
+        length = np.sqrt((vector**2).sum(axis=1, keepdims=True))
+        turned = 2 * np.arctan2(length, real)
+        return np.asarray(np.degrees(turned * vector / np.maximum(length, 1e-300)) * self._rate_hz)
 
 
 def temperature_c(first: int, number: int, rate_hz: float, *, worn: bool) -> Floats:

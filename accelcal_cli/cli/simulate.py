@@ -15,7 +15,7 @@ from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.formats import named_encoder
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
+from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset, draw_gyroscope
 
 
 @click.command("simulate")
@@ -41,6 +41,9 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset
               help="Counts per g.")  # fmt: skip
 @click.option("--range-g", type=Within(1, 10_000), default=8.0, show_default=True,
               help="Range of the sensor.")  # fmt: skip
+@click.option("--gyro", is_flag=True, help="Record a gyroscope too (hdf5, raw, cwa as an AX6).")
+@click.option("--gyro-temp-slope", type=Within(-10, 10), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
+              help="Change of its bias in deg/s per degree Celsius.")  # fmt: skip
 @click.option("--no-temperature", is_flag=True, help="Record no temperature.")
 @click.option("--force", is_flag=True, help="Replace existing files.")
 @click.option("--json", "as_json", is_flag=True, help="Print the content of OUT.truth.json.")
@@ -75,4 +78,9 @@ def _plan(values: dict[str, Any]) -> Plan:
         lsb_per_g=values["lsb_per_g"],
         range_g=values["range_g"],
     )
-    return Plan(values["days"], values["rate_hz"], values["seed"], sensor, not values["no_temperature"])
+    slope = np.array(values["gyro_temp_slope"])
+    if slope.any() and not values["gyro"]:
+        raise UsageError("--gyro-temp-slope is of a gyroscope", hint="add --gyro")
+    gyroscope = draw_gyroscope(truth, values["errors"], slope) if values["gyro"] else None
+    warm = not values["no_temperature"]
+    return Plan(values["days"], values["rate_hz"], values["seed"], sensor, warm, gyroscope=gyroscope)

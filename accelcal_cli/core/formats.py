@@ -306,6 +306,7 @@ class Encoder:
             recording stands alone.
         sampling: how a requested recording is sampled. Raises UsageError if no device of the
             format has such a rate, scale or range.
+        gyroscope: whether it writes that of recordings that have one.
     """
 
     name: str
@@ -313,3 +314,4 @@ class Encoder:
     write: Callable[[Path, Recording, Iterable[Chunk]], None]
     companion: Companion | None = None
     sampling: Callable[[Recording], Sampling] = any_sampling
+    gyroscope: bool = False

@@ -6,15 +6,15 @@ The same two files make the same bytes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import counted
 from accelcal_cli.pages import figures, words
 from accelcal_cli.pages.along import Along, UnfitError, along
 from accelcal_cli.pages.figures import NEAR, Figure
+from accelcal_cli.pages.gyroscope import gyroscope_of
 from accelcal_cli.pages.hours import hours
-from accelcal_cli.pages.rendering import rendered
+from accelcal_cli.pages.rendering import Rows, Table, decimals, rendered
 from accelcal_cli.pages.svg import number
 from accelcal_cli.pages.words import Report
 
@@ -38,18 +38,6 @@ WINDOWS = {
     "temperature_left_out": "left out: temperature that cannot be",
     "saturated_left_out": "left out: near where an axis saturates",
 }
-
-Rows = list[list[str]]
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table: its caption, names of columns, and rows of cells; words: which columns hold words."""
-
-    caption: str
-    head: list[str]
-    rows: Rows
-    words: tuple[int, ...] = (0,)
 
 
 def page(report: Report, quality: Mapping[str, Any] | None = None) -> str:
@@ -78,6 +66,7 @@ def page(report: Report, quality: Mapping[str, Any] | None = None) -> str:
         coefficients=_coefficients(report),
         models=_models(report),
         misfits=_misfits(report),
+        gyroscope=gyroscope_of(report),
         health=_health(report),
         windows=_windows(report),
         problems=_problems(report),
@@ -161,7 +150,7 @@ def _coefficients(report: Report) -> Table | None:
         slopes = calibration["temperature"]["slope_g_per_c"]
         values |= {f"s{axis}": slope for axis, slope in zip("xyz", slopes, strict=True)}
     rows = [
-        [name, words.MEANINGS.get(name, ""), _decimals(value), _decimals(errors.get(name))]
+        [name, words.MEANINGS.get(name, ""), decimals(value), decimals(errors.get(name))]
         for name, value in values.items()
     ]
     return Table(
@@ -170,11 +159,6 @@ def _coefficients(report: Report) -> Table | None:
         rows,
         (0, 1),
     )
-
-
-def _decimals(value: float | None) -> str:
-    """A coefficient or its standard error, to a millionth."""
-    return "–" if value is None else f"{value:.6f}".replace("-", "−")
 
 
 def _models(report: Report) -> Table | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Any
@@ -17,6 +18,23 @@ from markupsafe import Markup
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import printable
+
+Rows = list[list[str]]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: its caption, names of columns, and rows of cells; words: which columns hold words."""
+
+    caption: str
+    head: list[str]
+    rows: Rows
+    words: tuple[int, ...] = (0,)
+
+
+def decimals(value: float | None) -> str:
+    """A coefficient or its standard error, to a millionth."""
+    return "–" if value is None else f"{value:.6f}".replace("-", "−")
 
 
 def resource(name: str) -> str:

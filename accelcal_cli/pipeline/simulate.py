@@ -12,7 +12,7 @@ from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, UsageError
 from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.recording import Chunk
-from accelcal_cli.formats import named_encoder
+from accelcal_cli.formats import all_encoders, named_encoder
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.pipeline.jobs import Progress, refuse_nameless
 from accelcal_cli.simulate import Plan, Truth, describe, stream
@@ -31,6 +31,9 @@ def simulate(
         OutputError: a file exists already and `force` is not given, or cannot be written.
     """
     encoder = named_encoder(format_name)
+    if plan.gyroscope is not None and not encoder.gyroscope:
+        others = ", ".join(one.name for one in all_encoders() if one.gyroscope)
+        raise UsageError(f"{format_name} is not written with a gyroscope", hint=f"use one of {others}")
     plan = _as_sampled(plan, encoder.sampling(describe(plan, out, format_name)))
     refuse_nameless(out)
     base = out.parent / (out.name.removesuffix(encoder.suffix) or out.name)
@@ -74,5 +77,6 @@ def _truth_json(plan: Plan, truth: Truth, format_name: str) -> dict[str, Any]:
         "samples": plan.samples,
         "equation": "a = K (v + o + s (T - Tref))",
         "sensor": plan.sensor.as_json(),
+        **({} if plan.gyroscope is None else {"gyroscope": plan.gyroscope.as_json()}),
         "still": truth.as_json(),
     }

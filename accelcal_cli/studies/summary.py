@@ -30,11 +30,13 @@ AXES = ("x", "y", "z")
 TEXT = (
     "path", "outcome", "message", "model", "format", "device_model", "device_serial", "device_firmware",
     "start_time", "time_zone", "sha256", "accelcal_version", "parquet", "report",
-    "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "prior",
+    "borrowed_from", "pool", "own_outcome", "own_message", "change", "change_at", "misfits", "gyroscope",
+    "prior",
 )  # fmt: skip
 WHOLE = (
     "exit_code", "bytes", "samples", "gaps", "postures", "points", "cells", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "pool_recordings",
+    "gyro_pairs",
 )  # fmt: skip
 PARAMETERS = (
     *PARAMETER_NAMES[:6], *(f"offset_{axis}_g" for axis in AXES),
@@ -47,6 +49,7 @@ COLUMNS = (
     "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
     *SPHERE_COLUMNS, "change", "change_at", "change_mg", "misfits",
+    "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs",
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
@@ -79,7 +82,14 @@ def of_report(
     verdict["prior"] = report["settings"].get("prior")
     figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
     return (
-        dict.fromkeys(COLUMNS) | identity | verdict | figures | _change(report) | _misfits(report) | outputs
+        dict.fromkeys(COLUMNS)
+        | identity
+        | verdict
+        | figures
+        | _change(report)
+        | _misfits(report)
+        | _gyroscope(report)
+        | outputs
     )
 
 
@@ -129,6 +139,15 @@ def _misfits(report: dict[str, Any]) -> dict[str, Any]:
     if misfits is None:
         return {}
     return {"misfits": ", ".join(one["kind"] for one in misfits if one["found"]) or "none"}
+
+
+def _gyroscope(report: dict[str, Any]) -> dict[str, Any]:
+    found = report.get("gyroscope")
+    if found is None:
+        return {}
+    held = found["holdout_deg"] or {}
+    angles = {f"gyro_{when}_deg": held.get(when) for when in ("before", "after")}
+    return {"gyroscope": found["outcome"], "gyro_pairs": found["pairs"], **angles}
 
 
 def _coverage(report: dict[str, Any]) -> dict[str, Any]:

@@ -69,8 +69,8 @@ Sectors = NDArray[Any]
 """(n,) of SECTOR."""
 
 PACKED = 0x30
-AXES_3X16 = 0x32
-FULL_ROWS = {PACKED: 120, AXES_3X16: 80, 0x62: 40, 0x92: 26}
+AXES_3X16, AXES_6X16 = 0x32, 0x62
+FULL_ROWS = {PACKED: 120, AXES_3X16: 80, AXES_6X16: 40, 0x92: 26}
 """Samples in a full sector, by the byte that tells axes and packing: packed x y z; 16-bit x y z;
 gyroscope and accelerometer; gyroscope, accelerometer and magnetometer."""
 

@@ -1,4 +1,4 @@
-"""Writes Axivity AX3 recordings: sectors of 80 unpacked samples with checksums.
+"""Writes Axivity AX3 and, with a gyroscope, AX6 recordings: sectors of unpacked samples with checksums.
 
 Sources: the vendor's format document `Docs/ax3/cwa.h` and the notes beside it, `ax3-technical.md`
 and `ax3-auxiliary.md` (github.com/openmovementproject/openmovement). Each sector is stamped at that of its
@@ -16,14 +16,13 @@ from urllib.parse import quote_plus
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.errors import OutputError, UsageError
 from accelcal_cli.core.formats import Encoder, Sampling
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats import _writing
 from accelcal_cli.formats.cwa import HEADER_MAGIC, sector
 
-SAMPLES = sector.FULL_ROWS[sector.AXES_3X16]
-HARDWARE, FIRMWARE = 0x17, 47
+HARDWARE, GYRO_HARDWARE, FIRMWARE = 0x17, 0x64, 47
 SESSION = 1
 FULL_BATTERY = 205
 SAMPLES_LOST = 0x20
@@ -31,6 +30,8 @@ TICKS_PER_S = 1 << 15
 RATE_CODES = {float(sector.rate_of(code)): code for code in range(6, 16)}
 RANGE_CODES = {16.0: 0x00, 8.0: 0x40, 4.0: 0x80, 2.0: 0xC0}
 LSB_PER_G = 256.0
+GYRO_BITS = {8000 / (1 << bits) / (1 << 15): bits for bits in range(2, 7)}
+"""By deg/s in one count: ranges from 2000 to 125 deg/s."""
 NOT_MEASURED = 0
 WARMEST = 0x3FE
 ALWAYS, NEVER = 0, 0xFFFF_FFFF
@@ -38,13 +39,17 @@ UNSET = b"\xff"
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Any number of samples; of a rate, scale and range that an AX3 can be set to.
+    """Any number of samples; of a rate, scale and range that an AX3 or AX6 can be set to.
 
     Raises:
         UsageError: there is no such setting.
     """
-    rate_hz = _writing.known_rate(recording, RATE_CODES, "an Axivity AX3")
-    _writing.known_scale(recording, [(LSB_PER_G, range_g) for range_g in RANGE_CODES], "an Axivity AX3")
+    device = f"an Axivity {'AX6' if has_gyroscope(recording) else 'AX3'}"
+    rate_hz = _writing.known_rate(recording, RATE_CODES, device)
+    _writing.known_scale(recording, [(LSB_PER_G, range_g) for range_g in RANGE_CODES], device)
+    turns = recording.gyro_dps_per_lsb
+    if turns is not None and (turns[0] not in GYRO_BITS or len(set(turns)) > 1):
+        raise UsageError(f"{device} has no gyroscope of such a scale", hint=_writing.OTHER_FORMAT)
     return Sampling(rate_hz)
 
 
@@ -59,7 +64,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
     with _writing.new_file(path) as file:
         file.write(header(path, recording))
         sequence = 0
-        for rows in _writing.page_runs(chunks, SAMPLES):
+        for rows in _writing.page_runs(chunks, sector.FULL_ROWS[axes_code(recording)]):
             sectors = data_sectors(path, rows, recording)
             sectors["sequence"] = sequence + np.arange(len(sectors))
             file.write(with_checksums(sectors).data)
@@ -72,7 +77,7 @@ def header(path: Path, recording: Recording) -> bytes:
     second = np.array([_writing.start_us(path, recording) // 1_000_000])
     return sector.HEADER.pack(
         HEADER_MAGIC,
-        HARDWARE,
+        GYRO_HARDWARE if has_gyroscope(recording) else HARDWARE,
         number & 0xFFFF,
         SESSION,
         number >> 16,
@@ -93,6 +98,16 @@ def header(path: Path, recording: Recording) -> bytes:
     )
 
 
+def has_gyroscope(recording: Recording) -> bool:
+    """Whether it is an AX6's."""
+    return recording.gyro_dps_per_lsb is not None
+
+
+def axes_code(recording: Recording) -> int:
+    """The byte that states axes and packing."""
+    return sector.AXES_6X16 if has_gyroscope(recording) else sector.AXES_3X16
+
+
 def rate_code(recording: Recording) -> int:
     """The byte that states rate and range."""
     return RATE_CODES[recording.rate_hz] | RANGE_CODES[recording.range_g or 0.0]
@@ -101,16 +116,22 @@ def rate_code(recording: Recording) -> int:
 def data_sectors(path: Path, rows: Chunk, recording: Recording) -> NDArray[np.void]:
     """Full sectors, or a single one that is not full; without number and checksum."""
     _writing.check_bits(path, rows, 16)
-    width = min(SAMPLES, len(rows))
+    axes = axes_code(recording)
+    width = min(sector.FULL_ROWS[axes], len(rows))
     sectors = np.zeros(len(rows) // width, sector.SECTOR)
     sectors["magic"] = sector.MAGIC
     sectors["session"] = SESSION
-    sectors["temperature"] = temperature_words(rows, len(sectors))
+    sectors["light"] = light_word(recording)
+    sectors["temperature"] = temperature_words(rows, len(sectors), axes)
     sectors["events"][0] = SAMPLES_LOST * rows.is_fresh
     sectors["battery"] = FULL_BATTERY
-    sectors["rate"], sectors["axes"] = rate_code(recording), sector.AXES_3X16
+    sectors["rate"], sectors["axes"] = rate_code(recording), axes
     sectors["count"] = width
-    sectors["data"].view("<i2")[:, : 3 * width] = rows.counts.reshape(-1, 3 * width)
+    values = rows.counts
+    if has_gyroscope(recording) and rows.gyro_counts is not None:
+        values = np.concatenate([rows.gyro_counts, rows.counts], axis=1)
+    numbers = values.shape[1] * width
+    sectors["data"].view("<i2")[:, :numbers] = values.reshape(-1, numbers)
     stamp(path, sectors, rows.time_us.reshape(-1, width), int(recording.rate_hz))
     return sectors
 
@@ -149,12 +170,21 @@ def packed_times(path: Path, second: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.asarray(date | of_day // 3600 << 12 | of_day // 60 % 60 << 6 | of_day % 60)
 
 
-def temperature_words(rows: Chunk, sectors: int) -> NDArray[np.int64]:
-    """Mean temperature of each sector in units of the sensor of hardware 1.7: C = raw * 0.15 - 20.5."""
-    means_mc = _writing.page_means_mc(rows, SAMPLES)
+def light_word(recording: Recording) -> int:
+    """No light; above it the range of the gyroscope. The unit of the accelerometer, 1/256 g, is 0."""
+    return 0 if recording.gyro_dps_per_lsb is None else GYRO_BITS[recording.gyro_dps_per_lsb[0]] << 10
+
+
+def temperature_words(rows: Chunk, sectors: int, axes: int) -> NDArray[np.int64]:
+    """Mean temperature of each sector, as the sensor of the hardware measures it.
+
+    That of an AX3 of hardware 1.7 is C = raw * 0.15 - 20.5, that of an AX6 raw * 75 / 256 - 50.
+    """
+    means_mc = _writing.page_means_mc(rows, sector.FULL_ROWS[axes])
     if means_mc is None:
         return np.full(sectors, NOT_MEASURED)
-    return np.clip(np.rint((means_mc + 20_500) / 150), 1, WARMEST).astype(np.int64)
+    raw = (means_mc + 20_500) / 150 if axes == sector.AXES_3X16 else (means_mc + 50_000) * 256 / 75_000
+    return np.clip(np.rint(raw), 1, WARMEST).astype(np.int64)
 
 
 def with_checksums(sectors: NDArray[np.void]) -> NDArray[np.void]:
@@ -164,4 +194,4 @@ def with_checksums(sectors: NDArray[np.void]) -> NDArray[np.void]:
     return sectors
 
 
-ENCODER = Encoder("cwa", ".cwa", write, sampling=sampling)
+ENCODER = Encoder("cwa", ".cwa", write, sampling=sampling, gyroscope=True)

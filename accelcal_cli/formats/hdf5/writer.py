@@ -186,4 +186,4 @@ def _set(dataset: Any, attributes: dict[str, Any]) -> None:
             dataset.attrs[name] = value
 
 
-ENCODER = Encoder(name="hdf5", suffix=".h5", write=write)
+ENCODER = Encoder(name="hdf5", suffix=".h5", write=write, gyroscope=True)

@@ -119,4 +119,4 @@ def toml(value: float | str) -> str:
     return json.dumps(value) if isinstance(value, str) else repr(float(value))
 
 
-ENCODER = Encoder("raw", SUFFIX, write, Companion(LAYOUT_SUFFIX, layout_text))
+ENCODER = Encoder("raw", SUFFIX, write, Companion(LAYOUT_SUFFIX, layout_text), gyroscope=True)
