@@ -115,7 +115,7 @@ class Bias:
 
     Attributes:
         dps: b [deg/s], at `reference_c` where there is a slope.
-        standard_errors: of b [deg/s].
+        standard_errors: of b [deg/s]; None where one block of time cannot tell.
         slope_dps_per_c: c [deg/s per degree C], zero where it does not pay.
         reference_c: Tref; None without a slope.
         rest_s: how long it rested.
@@ -124,7 +124,7 @@ class Bias:
     """
 
     dps: Triple
-    standard_errors: Triple
+    standard_errors: Triple | None
     slope_dps_per_c: Triple
     reference_c: float | None
     rest_s: float

@@ -47,12 +47,16 @@ def bias_at_rest(
             warmth = celsius - reference if _pays(constant, with_slope) else None
     lines = [_line(dps[:, axis], weights, warmth) for axis in range(3)]
     here = np.zeros(len(dps)) if warmth is None else warmth
+
+    def off_line(axis: int) -> float:
+        return _error(dps[:, axis] - _along(lines[axis], here), weights)
+
     off = [_lengths(dps), constant, with_slope]
     raw, fixed, sloped = (None if one is None else mean(one) for one in off)
     assert raw is not None
     return Bias(
         dps=_of_axes(lambda axis: lines[axis][0]),
-        standard_errors=_of_axes(lambda axis: _error(dps[:, axis] - _along(lines[axis], here), weights)),
+        standard_errors=None if len(rates) < 2 else _of_axes(off_line),
         slope_dps_per_c=_of_axes(lambda axis: lines[axis][1]),
         reference_c=None if warmth is None else reference,
         rest_s=float(rates.samples.sum()) * period_s,
@@ -126,8 +130,8 @@ def _least_squares(dps: Floats, weights: Floats, warmth: Floats | None) -> Line:
 
 
 def _error(off: Floats, weights: Floats) -> float:
-    """Standard error of a weighted mean by how the blocks scatter; 0 for one block."""
+    """Standard error of a weighted mean by how two or more blocks scatter."""
     total = fsum(weights.tolist())
     square = fsum((weights * weights * off * off).tolist())
     number = len(off)
-    return sqrt(square * number / (number - 1)) / total if number > 1 else 0.0
+    return sqrt(square * number / (number - 1)) / total

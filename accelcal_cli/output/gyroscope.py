@@ -11,6 +11,7 @@ from accelcal_cli.output.report import significant
 def gyroscope_json(found: Gyroscope) -> dict[str, Any]:
     """The object: coefficients as exact as they are applied, errors to four digits."""
     bias, errors = found.bias, found.standard_errors
+    of_bias = None if bias is None else bias.standard_errors
     return {
         "outcome": found.outcome,
         "message": found.message,
@@ -20,7 +21,7 @@ def gyroscope_json(found: Gyroscope) -> dict[str, Any]:
         "temperature": None if bias is None else _temperature(bias),
         "standard_errors": {
             "scale": None if errors is None else [[significant(one) for one in row] for row in errors],
-            "bias_dps": None if bias is None else [significant(one) for one in bias.standard_errors],
+            "bias_dps": None if of_bias is None else [significant(one) for one in of_bias],
         },
         "pairs": found.pairs,
         "pairs_left_out": found.left_out,

@@ -46,7 +46,8 @@ def _coefficients(found: Mapping[str, Any]) -> Table | None:
         for row, values, off in zip("xyz", found["scale"], errors["scale"], strict=True)
         for column, value, error in zip("xyz", values, off, strict=True)
     ]
-    for axis, value, error in zip("xyz", found["bias_dps"], errors["bias_dps"], strict=True):
+    of_bias = errors["bias_dps"] or [None] * 3
+    for axis, value, error in zip("xyz", found["bias_dps"], of_bias, strict=True):
         rows.append([f"b{axis}", f"bias of {axis} [deg/s]", decimals(value), decimals(error)])
     if found["temperature"] is not None:
         for axis, value in zip("xyz", found["temperature"]["slope_dps_per_c"], strict=True):

@@ -37,6 +37,8 @@ def test_no_rest_no_bias_and_few_blocks_no_held_out_error() -> None:
     found = bias(np.ones((3, 3)))
     assert found is not None and found.constant_dps is None
     assert found.dps == pytest.approx((0.1, 0.1, 0.2))
+    alone = bias(np.ones((1, 3)))
+    assert alone is not None and alone.standard_errors is None
 
 
 def test_its_error_is_that_of_the_mean() -> None:
