@@ -16,6 +16,8 @@ from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.cases import ALL, Plan, methods
+from accelcal_cli.evaluate.gyroscope import TABLE_8 as TABLE_8_GYROSCOPE
+from accelcal_cli.evaluate.gyroscope import TurnResidual, turn_residuals
 from accelcal_cli.evaluate.simulation import TABLE_8, TABLE_8_GRAVITY, Residuals, gravity_residuals
 from accelcal_cli.output.report import significant
 from accelcal_cli.pipeline.given import gravity
@@ -50,9 +52,12 @@ def command(label: str, as_json: bool, **values: Any) -> None:
     with progress_bars("gravity", quiet=values["quiet"], unit="cases") as bars:
         progress = bars("fitting", values["cases"])
         residuals = gravity_residuals(plan, method, values["cases"], values["seed"], progress)
-    exit_codes.show(
-        json.dumps(_record(plan, values, label, residuals)) if as_json else _text(plan, values, residuals)
-    )
+    turned = turn_residuals(plan, method, values["cases"], values["seed"])
+    if as_json:
+        record = _record(plan, values, label, residuals) | {"gyroscope": _gyroscope_record(turned)}
+        exit_codes.show(json.dumps(record))
+    else:
+        exit_codes.show(f"{_text(plan, values, residuals)}\n{_gyroscope_text(plan, turned)}")
 
 
 def _rest_g(values: dict[str, Any]) -> Fraction:
@@ -96,3 +101,21 @@ def _text(plan: Plan, values: dict[str, Any], residuals: tuple[Residuals, ...]) 
         "E: mean of (|A|^2 - g^2)^2 over the fitted points, m4/s8; the paper does not say against which g."
     )
     return "\n".join([head, about, aligned(names, rows)])
+
+
+def _gyroscope_record(turned: tuple[TurnResidual, ...]) -> dict[str, Any]:
+    fits = [
+        {**asdict(row), "holdout_deg": row.holdout_deg and significant(row.holdout_deg)} for row in turned
+    ]
+    return {"published": dict(zip(("default", "local"), TABLE_8_GYROSCOPE, strict=True)), "fits": fits}
+
+
+def _gyroscope_text(plan: Plan, turned: tuple[TurnResidual, ...]) -> str:
+    known = round(float(plan.rest_g) * STANDARD_GRAVITY, 6) == TABLE_8_GRAVITY
+    rows = [
+        (f"{row.assumed_m_s2:.5f} m/s2", figure(row.holdout_deg), f"{paper:.4f}" if known else "-")
+        for row, paper in zip(turned, TABLE_8_GYROSCOPE, strict=True)
+    ]
+    head = f"A gyroscope, calibrated with the first {turned[0].fitted} of these accelerometers:"
+    names = ("gravity assumed", "degrees off after a turn, held out", "paper's E")
+    return "\n".join([head, aligned(names, rows)])

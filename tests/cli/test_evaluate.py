@@ -147,8 +147,10 @@ def test_wrong_words_are_answered(capsys: Capture, words: tuple[str, ...], part:
 def test_gravity_shows_the_paper_beside(capsys: Capture) -> None:
     ran = run(capsys, "evaluate", "gravity", "--cases", 3)
     assert ran.code == 0
-    assert [line.split()[0] for line in ran.lines[4:]] == ["9.80665", "9.81676"]
+    assert [line.split()[0] for line in ran.lines[4:6]] == ["9.80665", "9.81676"]
     assert "0.6015" in ran.lines[4] and "0.0090" in ran.lines[5]
+    assert [line.split()[0] for line in ran.lines[9:]] == ["9.80665", "9.81676"]
+    assert "0.2015" in ran.lines[9] and "0.1276" in ran.lines[10]
 
 
 def test_gravity_of_a_place(capsys: Capture) -> None:
@@ -157,6 +159,8 @@ def test_gravity_of_a_place(capsys: Capture) -> None:
     place = json.loads(run(capsys, "gravity", "--latitude", 78, "--altitude", 300, "--json").out)
     assert found["local_m_s2"] == found["fits"][1]["assumed_m_s2"] == place["local_m_s2"]
     assert found["published"] == {"default": 0.6015, "local": 0.009}
+    assert found["gyroscope"]["published"] == {"default": 0.2015, "local": 0.1276}
+    assert [one["fitted"] for one in found["gyroscope"]["fits"]] == [2, 2]
     assert "0.6015" not in run(capsys, *words[:-1]).out, "the paper's figures are of another place"
 
 

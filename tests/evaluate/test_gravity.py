@@ -9,6 +9,7 @@ import pytest
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
 from accelcal_cli.evaluate.cases import Plan, methods
+from accelcal_cli.evaluate.gyroscope import turn_residuals
 from accelcal_cli.evaluate.simulation import Residuals, gravity_residuals
 
 LOCAL, STANDARD = 9.81676, 9.80665
@@ -43,6 +44,17 @@ def test_with_noise_the_residual_is_that_of_the_noise() -> None:
     assert local.against_true == local.against_assumed
     assert default.against_true == pytest.approx(expected + SHIFT, rel=0.05)
     assert local.norm_error_mg < 0.5 * default.norm_error_mg
+
+
+def test_a_wrong_gravity_leaves_directions_and_so_the_gyroscope_as_they_are() -> None:
+    plan = Plan(90, 0.0005, rest_g=standard_g(LOCAL))
+    default, local = turn_residuals(plan, methods(("gauss-newton",))[0], 3, 1)
+    assert (default.assumed_m_s2, local.assumed_m_s2) == (STANDARD, LOCAL)
+    assert default.fitted == local.fitted == 3
+    assert default.holdout_deg is not None and 0.02 < default.holdout_deg < 0.2
+    assert default.holdout_deg == pytest.approx(local.holdout_deg, rel=1e-3)
+    loud = turn_residuals(plan, methods(("gauss-newton",))[0], 0, 1)
+    assert [one.holdout_deg for one in loud] == [None, None]
 
 
 def test_the_same_seed_gives_the_same_residuals() -> None:
