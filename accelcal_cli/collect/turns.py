@@ -31,6 +31,9 @@ LONGEST_S = 30.0
 ROUGH_TURN_DEG = 15.0
 """By the raw values, so that all turns of 20 degrees by calibrated ones are among them."""
 
+MOST_DEG = 180.0
+"""Of what turns faster from sample to sample, the samples do not say in which direction."""
+
 MAX_ROWS = 1 << 19
 """Samples of all turns that are kept: 87 minutes of turning at 100 Hz, five days of a wrist; 3 MB."""
 
@@ -196,8 +199,14 @@ class TurnCollector:
         start, end = before.tail[0], after.head[0]
         period_us = int(end[_TIME] - start[_TIME]) / int(end[_SAMPLE] - start[_SAMPLE])
         turn = Turn(_rest(before.tail, self._length), _rest(after.head, self._length), counts, period_us)
-        if period_us > 0 and _turned(turn) and not _saturated(counts):
+        if period_us > 0 and _turned(turn) and not _saturated(counts) and self._is_followed(turn):
             self._kept.add(turn)
+
+    def _is_followed(self, turn: Turn) -> bool:
+        """Whether no axis turns by more than half a turn from one sample to the next."""
+        largest = np.abs(turn.counts.astype(np.int64)).max(axis=0)
+        angles = largest * np.abs(self._dps_per_lsb) * (turn.period_us / 1e6)
+        return bool((angles < MOST_DEG).all())
 
 
 def _turned(turn: Turn) -> bool:

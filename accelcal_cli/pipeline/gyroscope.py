@@ -9,6 +9,7 @@ they are.
 from __future__ import annotations
 
 from fractions import Fraction
+from math import ceil, isfinite, isqrt
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from accelcal_cli.core.rotations import Gyroscope, Turns
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.survey import Observer
-from accelcal_cli.segment import still_rule
+from accelcal_cli.segment import MOST_SQUARES, still_rule
 from accelcal_cli.segment.segmenter import Blocks, Segmenter, centred_squares, exact_sums
 
 WINDOW_S = 1.0
@@ -75,7 +76,7 @@ class _Resting:
         self._still = still_rule(
             (0, 1, 2), DEFAULT.stillness_threshold_g, DEFAULT.stillness_deviation_g, lsb_per_g
         )
-        self._limits = [(Fraction(QUIET_DPS) / Fraction(scale)) ** 2 for scale in dps_per_lsb]
+        self._limits = [_variance_limit(scale) for scale in dps_per_lsb]
         self._run = -1
 
     def take(self, blocks: Blocks) -> list[Windows]:
@@ -118,13 +119,20 @@ class _Resting:
             if not len(counts):
                 break
             spread = counts.max(axis=1).astype(np.int64) - counts.min(axis=1)
-            near = spread * spread < int(2 * length * limit) + 1  # wider ones vary more
+            near = spread <= isqrt(2 * length * limit)  # wider ones vary more
             quiet[index] = near
             index, counts = index[near], counts[near]
             if len(index):
                 centred, r = centred_squares(counts, spread[near], counts.sum(axis=1, dtype=np.int64))
-                quiet[index] = centred - r * r // length < int(length * limit)
+                quiet[index] = centred - r * r // length < min(length * limit, MOST_SQUARES)
         return quiet
+
+
+def _variance_limit(dps_per_lsb: float) -> int:
+    """Counts squared; 0, so that nothing is at rest, of a scale that says nothing."""
+    if not isfinite(dps_per_lsb) or not dps_per_lsb:
+        return 0
+    return ceil((Fraction(QUIET_DPS) / Fraction(dps_per_lsb)) ** 2)
 
 
 def _measured(blocks: Blocks) -> NDArray[np.bool_]:

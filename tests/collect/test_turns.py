@@ -161,6 +161,14 @@ def test_a_rate_at_the_end_of_16_bits_is_none() -> None:
     assert not collected(one).turns
 
 
+def test_what_no_sample_can_follow_is_none() -> None:
+    """0.1 deg/s in a count at 10 Hz: 18 000 counts are half a turn in a sample."""
+    for count, number in ((17_999, 1), (18_000, 0)):
+        one = windows("uummaa")
+        one.counts[25, 0] = count
+        assert len(collected(one).turns) == number
+
+
 def test_blocks_of_rest_become_longer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(turns, "MAX_BLOCKS", 4)
     found = collected(windows("u" * 600))

@@ -15,7 +15,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.points import IDENTITY, Calibration
 from accelcal_cli.core.rotations import Turns
+from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.gyroscope import turning
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import run
@@ -111,6 +113,22 @@ def test_the_same_bits_for_any_chunk_size(xsens: Path, capsys: Capture) -> None:
     for left, right in zip(one.turns, other.turns, strict=True):
         assert (left.before.sums, left.after.gyro_sums) == (right.before.sums, right.after.gyro_sums)
         np.testing.assert_array_equal(left.counts, right.counts)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e9])
+def test_any_scale_and_any_counts_are_taken(tmp_path: Path, scale: float) -> None:
+    """Nothing overflows: rates of 0.002 deg/s are rest whatever the counts, such of 1e9 are not."""
+    random = np.random.default_rng(1)
+    path = tmp_path / "a.h5"
+    accel = np.repeat(random.integers(-200, 200, (40, 3)), 500, axis=0).astype(np.int16)
+    gyro = random.integers(-(1 << 31), 1 << 31, accel.shape).astype(np.int32)
+    gyro[::700] = 0
+    write(path, {"accel": accel, "gyro": gyro}, {"sample_rate": 100.0, "units": "counts", "lsb_per_g": 256.0})
+    with h5py.File(path, "r+") as file:
+        file["gyro"].attrs["dps_per_lsb"] = scale
+    found = seen(path, 4096)
+    assert bool(found.turns) == bool(len(found.rates)) == (scale == 1e-12)
+    assert judge_gyroscope(found, Calibration("9", IDENTITY), None).outcome == "refused"
 
 
 @pytest.mark.nightly
