@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, Calibration, TemperatureScale
-from accelcal_cli.core.rotations import Rest, RestRates, Turn, Turns
+from accelcal_cli.core.rotations import Bias, Gyroscope, Rest, RestRates, Turn, Turns
 from accelcal_cli.judge import gyroscope
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from tests.judge.test_turning import by_quaternions
@@ -154,6 +154,15 @@ def test_without_a_calibration_of_the_accelerometer_there_is_the_bias_alone() ->
     found = judge_gyroscope(made(30), None, None)
     assert found.outcome == "refused" and "accelerometer" in found.message
     assert found.bias is not None and found.bias.dps[0] == 1.5
+
+
+def test_rates_are_calibrated_by_the_equation() -> None:
+    """w = S (r - b - c (T - Tref)) by hand: 10 - 1 - 0.5 * 2 = 8 on raw x; y and z are at their bias."""
+    bias = Bias((1.0, 2.0, 3.0), None, (0.5, 0.0, 0.0), 30.0, 60.0, 0.0, None, None)
+    found = Gyroscope("calibrated", "", 12, scale=((2, 0, 0), (0.5, 1, 0), (0, 0, 1)), bias=bias)
+    raw = [np.array([10.0]), np.array([2.0]), np.array([3.0])]
+    assert [one.tolist() for one in found.calibrated(raw, np.array([32.0]))] == [[16.0], [4.0], [0.0]]
+    assert [one.tolist() for one in found.calibrated(raw, None)] == [[18.0], [4.5], [0.0]]
 
 
 def test_a_jolt_counts_for_little() -> None:
