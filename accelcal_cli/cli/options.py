@@ -21,7 +21,7 @@ from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers
 from accelcal_cli.pipeline.given import read_options, settings
-from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request, real
 from accelcal_cli.pipeline.stated import Rules, folder_rules, read_rules
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -268,6 +268,7 @@ parts_option = click.option(
 
 def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[Path]:
     """What is named, several files with --parts as one recording; raises what `pattern_of` raises."""
+    recordings = tuple(real(one) if one.name in ("", "..") else one for one in recordings)
     files = len(recordings) > 1 and all(one.is_file() and not may_be_archive(one) for one in recordings)
     return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
 

@@ -259,11 +259,13 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
         path = printable(item.source)
         if values["as_json"]:
             stated = {one.field: {"value": plain(one.value), "from": one.origin} for one in item.choices}
-            exit_codes.show(
-                json.dumps({"path": path, "state": state} | ({"stated": stated} if stated else {}))
-            )
+            more = {"stated": stated or None, "message": item.refusal}
+            known = {name: value for name, value in more.items() if value is not None}
+            exit_codes.show(json.dumps({"path": path, "state": state, **known}))
         elif not values["quiet"]:
-            exit_codes.show("\t".join([path, state, *_stated(item)]))
+            exit_codes.show(
+                "\t".join([path, state, *_stated(item), *([item.refusal] if item.refusal else [])])
+            )
     return exit_codes.OK
 
 

@@ -47,7 +47,7 @@ def read_toml(path: Path, what: str, most_bytes: int) -> dict[str, Any]:
     """
     import tomllib  # few recordings have such a file
 
-    text = read_text(path, what, most_bytes)
+    text = read_text(path, what, most_bytes, "utf-8-sig")
     for number, line in enumerate(text.split("\n"), 1):
         if len(line) > LONGEST_LINE:
             raise UsageError(

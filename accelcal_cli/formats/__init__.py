@@ -26,7 +26,7 @@ from accelcal_cli.core.formats import (
     unused_note,
     without,
 )
-from accelcal_cli.core.parts import ARCHIVES, files_of, may_be_archive, set_of
+from accelcal_cli.core.parts import ARCHIVES, TAR_MAGIC, TAR_MAGIC_AT, files_of, may_be_archive, set_of
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.formats._others import refuse_others
@@ -87,6 +87,8 @@ def has_parts(path: Path) -> bool:
     if not may_be_archive(path):
         return False
     probe = probe_file(path, ReadOptions())
+    if probe.head[TAR_MAGIC_AT:].startswith(TAR_MAGIC):
+        return True  # whatever its members look like
     if any(item.sniff(probe) for item in all_formats()):
         return False
     from accelcal_cli.formats._parts.archive import is_archive

@@ -345,7 +345,9 @@ class Request:
             more = "with --parts it is read as the parts of one"
             raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)
         options = self.options_of(path)
-        unused = unused_options(path, options) if self.several else ()
+        said = () if self.as_given or self.several else self.choices_of(path)
+        unused = unused_options(path, options) if self.several or said else ()
+        unused = tuple(name for name in unused if self.several or name in said)
         return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)
 
     def for_jobs(self, planned: Sequence[Job]) -> Request:

@@ -33,6 +33,9 @@ STUDY_FILE = "study.toml"
 LARGEST_FILE = 1 << 20
 """Bytes."""
 
+ALONE = {"timezone", "start"}
+"""Options whose text can be checked by itself."""
+
 
 @dataclass(frozen=True, slots=True)
 class Rules:
@@ -143,11 +146,13 @@ def read_rules(path: Path, folder: Path | None = None) -> Rules:
 def folder_rules(folders: Sequence[Path]) -> tuple[Rules, ...]:
     """Those of each folder that has a `study.toml`; raises what `read_rules` raises."""
     found = ((folder / STUDY_FILE, folder) for folder in folders)
-    return tuple(read_rules(path, folder) for path, folder in found if is_file(path))
+    return tuple(read_rules(path, folder) for path, folder in found if os.path.lexists(path))
 
 
 def sidecar(path: Path) -> Path | None:
     """Where the options of one recording may lie: `NAME.toml` beside `NAME.csv` or `NAME.csv.gz`."""
+    if not path.name:
+        return None
     beside = path.with_name(named_layout(path).name.removesuffix(SUFFIX) + ".toml")
     return None if beside.name in (STUDY_FILE, FOLDER_NAME) else beside
 
@@ -168,7 +173,7 @@ def choices_of(path: Path, rules: Sequence[Rules], layout: Path | None = None) -
         and is_file(beside)
         and not (layout and is_file(layout) and layout.samefile(beside))
     ):
-        table = read_toml(beside, "the recording's options", LARGEST_FILE)
+        table = read_toml(beside, beside.name, LARGEST_FILE)
         said += [Choice(name, value, beside.name) for name, value in _values(table, beside).items()]
     return {choice.field: choice for choice in said}
 
@@ -181,12 +186,10 @@ def with_choices(options: ReadOptions, choices: Mapping[str, Choice], path: Path
     """
     if not choices:
         return options
-    values, nothing = (
-        {name: getattr(options, name) for name in ReadOptions.__dataclass_fields__},
-        ReadOptions(),
-    )
+    nothing = _unsaid()
+    values = {name: getattr(options, name) for name in nothing}
     for name, choice in choices.items():
-        if values[name] != getattr(nothing, name) and values[name] != choice.value:
+        if values[name] != nothing[name] and values[name] != choice.value:
             text = f"{option_name(name)} {words(values[name])} contradicts {choice} ({choice.origin})"
             raise UsageError(text, path=path, hint="say it in one place")
         values[name] = choice.value
@@ -216,11 +219,22 @@ def _values(table: Mapping[str, Any], path: Path, place: str = "") -> dict[str, 
     """Fields and values of a table's options; a layout's path begins at the table's file."""
     try:
         values = given.values_of({key.replace("-", "_"): value for key, value in table.items()}, ReadOptions)
+        if "layout" in values:
+            values["layout"] = path.parent / values["layout"]
+            from accelcal_cli.formats.raw.layout import load_layout  # few files name one
+
+            load_layout(values["layout"])
+        for name in ALONE & values.keys():
+            given.read_options(_unsaid() | {name: values[name]})
     except TypeError as error:
-        known = ", ".join(given.keywords(ReadOptions))
-        raise UsageError(f"{place}{error}", path=path, hint=f"reading options are {known}") from error
+        known = f"reading options are {', '.join(given.keywords(ReadOptions))}"
+        unknown = not {key.replace("-", "_") for key in table} <= given.keywords(ReadOptions).keys()
+        raise UsageError(f"{place}{error}", path=path, hint=known if unknown else None) from error
     except UsageError as error:
         raise UsageError(f"{place}{error.message}", path=path, hint=error.hint) from error
-    if "layout" in values:
-        values["layout"] = path.parent / values["layout"]
     return values
+
+
+def _unsaid() -> dict[str, Any]:
+    """All reading options as if none were given."""
+    return {name: getattr(ReadOptions(), name) for name in ReadOptions.__dataclass_fields__}

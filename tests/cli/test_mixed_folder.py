@@ -130,6 +130,9 @@ def test_what_two_say_differently_is_not_decided(mixed: Path, capsys: Capture) -
             '\'unit\' is not a table; write it below a pattern such as ["*.csv"], or ["*"] for all',
         ),
         ('["*.csv"\n', "line 1: study.toml is not valid TOML"),
+        ('["*.csv"]\ntimezone = "Mars/Olympus"\n', "study.toml: \"*.csv\": unknown time zone 'Mars/Olympus'"),
+        ('["*.csv"]\nstart = "yesterday"\n', 'study.toml: "*.csv": '),
+        ('["*.raw"]\nlayout = "nowhere.toml"\n', 'study.toml: "*.raw": the layout cannot be read'),
     ],
 )
 def test_a_file_that_says_nonsense_stops_the_study(
@@ -140,6 +143,31 @@ def test_a_file_that_says_nonsense_stops_the_study(
     assert (done.code, done.out) == (2, "")
     assert said in done.err
     assert not (mixed.parent / "out/study.csv").exists()
+
+
+def test_a_file_of_another_editor_is_read_and_one_that_is_gone_is_told(mixed: Path, capsys: Capture) -> None:
+    (mixed / "study.toml").write_bytes(b"\xef\xbb\xbf" + RULES.replace("\n", "\r\n").encode())
+    assert study(capsys, mixed, "--dry-run").code == 0
+    (mixed / "study.toml").unlink()
+    (mixed / "study.toml").symlink_to(mixed / "nowhere")
+    done = study(capsys, mixed)
+    assert (done.code, "study.toml: study.toml cannot be read" in done.err) == (2, True)
+
+
+def test_what_is_stated_and_means_nothing_is_noted_by_every_command(mixed: Path, capsys: Capture) -> None:
+    (mixed / "a.toml").write_text('unit = "mg"\n')
+    done = run(capsys, "calibrate", mixed / "a.raw", "-d", mixed.parent / "alone")
+    assert done.code == 0, done.err
+    report = json.loads((mixed.parent / "alone/a.calibration.json").read_text())
+    assert "--unit means nothing for format raw and was not used" in report["recording"]["notes"]
+
+
+def test_a_dry_run_says_why_a_recording_would_fail(mixed: Path, capsys: Capture) -> None:
+    (mixed / "g.toml").write_text('unit = "stone"\n')
+    (line,) = (
+        line for line in study(capsys, mixed, "--dry-run").lines if line.startswith(f"{mixed / 'g.csv'}\t")
+    )
+    assert "unit cannot be 'stone'" in line
 
 
 def test_a_recording_s_file_that_says_nonsense_costs_that_recording(mixed: Path, capsys: Capture) -> None:

@@ -210,6 +210,8 @@ def _as_one(path: Path, parts: Sequence[Part], found: _Found) -> Recording:
     """The description of all parts together."""
     first, last = parts[0].recording, parts[-1].recording
     notes = [f"{counted(len(parts), 'part')}, from {parts[0].path.name} to {parts[-1].path.name}"]
+    if len(parts) == 1:
+        notes = [f"1 part, {parts[0].path.name}"]
     if found.aside:
         more = f" and {len(found.aside) - SHOWN} more" if len(found.aside) > SHOWN else ""
         notes.append(f"no recordings, set aside: {', '.join(found.aside[:SHOWN])}{more}")

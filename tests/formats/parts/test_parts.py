@@ -23,6 +23,7 @@ from accelcal_cli.core.recording import joined
 from accelcal_cli.formats import open_recording
 from tests.cli.run import run, run_process
 from tests.cli.studies import rows, study
+from tests.formats import make_cwa
 from tests.formats.make_csv import read
 from tests.recordings import START, directions, still_counts, write_csv
 
@@ -256,6 +257,26 @@ def test_files_are_named_by_a_list_or_a_pattern(
     assert same(json.loads(pattern.out), expected)
     some = run(capsys, "calibrate", "--parts", *sensor_files(parts)[1:4], "-d", out)
     assert (some.code, "cannot be told from other files by a pattern" in some.err) == (2, True)
+
+
+def test_a_tar_is_unpacked_whatever_its_members_look_like(tmp_path: Path) -> None:
+    """The blocks of a tar file begin where sectors of other formats do."""
+    make_cwa.make(tmp_path, np.ones((960, 3), np.int16), 100.0, 256.0)
+    (source,) = tmp_path.glob("*.cwa")
+    for suffix in (".tar", ".tar.gz"):
+        path = ARCHIVES[suffix]([source], tmp_path / f"one{suffix}")
+        with open_recording(path, ReadOptions()) as reader, open_recording(source, ReadOptions()) as alone:
+            assert reader.recording.format == "cwa"
+            assert reader.recording.device == alone.recording.device
+            assert sum(map(len, reader.chunks(1000))) == sum(map(len, alone.chunks(1000)))
+
+
+def test_the_current_folder_may_hold_them(
+    parts: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
+) -> None:
+    monkeypatch.chdir(parts)
+    assert run(capsys, "calibrate", "--parts", ".", "--report-only").code == 0
+    assert (parts.parent / "S01.calibration.json").exists()
 
 
 def test_a_folder_is_taken_for_parts_only_if_asked(parts: Path, capsys: Capture) -> None:
