@@ -9,6 +9,7 @@ PARTS = {
     "methods": "Every optimizer on the same points of each recording (Table 3 in the paper).",
     "stillness": "Every stillness rule on the same recordings.",
     "segments": "Segments of recordings, whose claims are held against the rest.",
+    "homogeneity": "Devices that were moved together: how alike they are, raw and calibrated.",
     "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",
 }
 """Each lives in the module evaluate_NAME and binds `command`."""
