@@ -5,8 +5,8 @@ Also what is known of a simulated recording, and how far a calibration is from t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,6 +19,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, Calibration
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.judge.errors import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.output.files import parsed
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
@@ -132,11 +133,43 @@ def _judged(row: Row, verdict: Judgement, seconds: float | None) -> Row:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """One optimizer over several recordings.
+
+    Attributes:
+        recordings: how many it could calibrate; the others are left out.
+        improvement_percent: ratio of the means, as all R of F are.
+    """
+
+    optimizer: str
+    recordings: int
+    before_mg: float
+    after_mg: float
+    improvement_percent: float
+
+
+def means(rows: Sequence[Row]) -> list[Mean]:
+    """Of each optimizer that calibrated a recording; none if there is only one recording."""
+    found = []
+    for name in dict.fromkeys(row.optimizer for row in rows):
+        pairs = [
+            (row.before_mg, row.after_mg)
+            for row in rows
+            if row.optimizer == name and row.before_mg is not None and row.after_mg is not None
+        ]
+        if pairs and len({row.recording for row in rows}) > 1:
+            before, after = (mean(list(column)) for column in zip(*pairs, strict=True))
+            found.append(Mean(name, len(pairs), before, after, 100 * before / after))
+    return found
+
+
 def as_json(rows: list[Row]) -> dict[str, Any]:
-    """All rows, and the published ones beside them."""
+    """All rows, their means over recordings, and the published ones beside them."""
     names = ("method", "before_mg", "after_mg", "improvement_percent")
     return {
         "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
+        "means": [asdict(one) for one in means(rows)],
         "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
     }
 

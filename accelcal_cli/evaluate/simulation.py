@@ -31,7 +31,7 @@ from accelcal_cli import __version__
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
-from accelcal_cli.core.operations import predicted_seconds
+from accelcal_cli.core.operations import predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit, Operations, in_standard_g
 from accelcal_cli.evaluate.cases import Case, Method, Plan, Selection, as_points, make_case, measured
 from accelcal_cli.judge.errors import directions, jacobian
@@ -252,7 +252,7 @@ def _table(protocol: Protocol, plan: Plan, methods: tuple[Method, ...], step: St
     return Table(plan.number, noise_mg, bound, TABLE_2.get(noise_mg), scores)
 
 
-def as_json(protocol: Protocol, tables: tuple[Table, ...]) -> dict[str, Any]:
+def as_json(protocol: Protocol, tables: Sequence[Table]) -> dict[str, Any]:
     """Everything; errors are plain numbers, of offsets in g. `seconds_per_fit` alone varies by run."""
     return {
         "accelcal_version": __version__,
@@ -275,7 +275,8 @@ def _table_json(table: Table) -> dict[str, Any]:
 def _method(table: Table, scores: Scores) -> dict[str, Any]:
     method, seconds = scores.method, scores.seconds
     counted = asdict(scores.operations) if scores.operations.additions else None
-    predicted = predicted_seconds(scores.operations, method.optimizer.arithmetic)
+    spent = scores.operations, method.optimizer.arithmetic
+    predicted, charge = predicted_seconds(*spent), predicted_charge_mc(*spent)
     return {
         "method": method.label,
         "optimizer": method.optimizer.name,
@@ -291,6 +292,7 @@ def _method(table: Table, scores: Scores) -> dict[str, Any]:
         "iterations": scores.iterations,
         "operations": counted,
         "predicted_seconds": predicted and {name: significant(value) for name, value in predicted.items()},
+        "predicted_charge_mc": charge and {name: significant(value) for name, value in charge.items()},
         "seconds_per_fit": _short(seconds),
     }
 

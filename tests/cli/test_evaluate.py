@@ -127,7 +127,7 @@ def test_failures_are_named(capsys: Capture) -> None:
         (("--points", "20"), "multiple of 9"),
         (("--points", "18,"), None),
         (("--points", "few"), "not a list of numbers"),
-        (("--points", "5"), "not between 10 and 8192"),
+        (("--points", "5"), "not between 9 and 8192"),
         (("--noise-mg", "nan"), "not between"),
         (("--optimizer", "gradient"), "unknown optimizer"),
         (("--optimizer", "ellipsoid:paper"), "no settings of profile"),
