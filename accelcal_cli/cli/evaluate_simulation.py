@@ -17,7 +17,7 @@ from accelcal_cli.core.points import PARAMETER_NAMES
 from accelcal_cli.evaluate.cases import USUAL, Method, Selection, methods
 from accelcal_cli.evaluate.descent import NAME, Convergence, Numbers, Objective, Spread, convergence, descent
 from accelcal_cli.evaluate.descent import as_json as convergence_json
-from accelcal_cli.evaluate.simulation import COLUMNS, Protocol, Scores, Table, as_json, rows, run
+from accelcal_cli.evaluate.simulation import COLUMNS, Gauge, Protocol, Scores, Table, as_json, rows, run
 from accelcal_cli.output.files import csv_text
 
 NONE = "-"
@@ -107,6 +107,8 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
               metavar="MG[,MG...]", help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--selection", type=OneOf(get_args(Selection)), default="subsets", show_default=True,
               help="subsets: chosen by the paper's collector; random: any points.")  # fmt: skip
+@click.option("--gauge", type=click.Choice(get_args(Gauge)), default="lower", show_default=True,
+              help="Compare the paper's triangular K, or the symmetric S of Grammenos et al.")  # fmt: skip
 @click.option("--optimizer", "labels", multiple=True, type=METHOD, metavar="NAME[:paper]",
               help=f"May be repeated; `all` for all optimizers.  [default: {' '.join(USUAL)}]")  # fmt: skip
 @click.option("--rates", type=Listed(float, 0, 10), metavar="SCALE,MISALIGNMENT,OFFSET",
@@ -136,6 +138,7 @@ def command(**values: Any) -> None:
         points=values["points"],
         noise_mg=values["noise_mg"],
         selection=values["selection"],
+        gauge=values["gauge"],
     )
     with progress_bars("simulation", quiet=values["quiet"], unit="cases") as bars:
         more: tuple[Method, ...] = () if numbers is None else (descent(numbers),)

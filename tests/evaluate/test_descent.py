@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.evaluate.cases import Plan, make_case, methods
 from accelcal_cli.evaluate.descent import Numbers, Objective, convergence, descent, trace
+from accelcal_cli.evaluate.simulation import Protocol, in_gauge
+from accelcal_cli.evaluate.simulation import run as simulated
+from accelcal_cli.pipeline.jobs import no_progress
 from tests.cli.run import run
 from tests.optimize.oracle import residual
 
@@ -99,3 +103,26 @@ def test_g_s_symmetric_form_ends_where_the_lower_one_does() -> None:
     points = make_case(PLAN, 1, 0).points
     apart = np.subtract(lower.fit(points).parameters, symmetric.fit(points).parameters)
     assert symmetric.label == "gauss-newton:symmetric" and np.abs(apart).max() / ONE < 1e-6
+
+
+def test_a_gauge_does_not_change_lengths() -> None:
+    nine = np.array([1.05, 0.93, 1.01, 0.03, -0.04, 0.02, 0.01, 0.02, 0.03])
+    k, s = (np.zeros((3, 3)) for _ in range(2))
+    for matrix, values in ((k, nine), (s, in_gauge(nine, "symmetric"))):
+        matrix[[0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]] = values[:6]
+    s += np.tril(s, -1).T
+    assert s.T @ s == pytest.approx(k.T @ k)
+    assert np.linalg.eigvalsh(s).min() > 0 and (in_gauge(nine, "lower") == nine).all()
+
+
+def test_errors_in_the_symmetric_gauge_reach_their_own_bound() -> None:
+    """Half the misalignment of K stands on either side of the diagonal of S."""
+    protocol = Protocol(cases=150, points=(144,), noise_mg=(1.0,))
+    lower, symmetric = (
+        simulated(replace(protocol, gauge=gauge), methods(("gauss-newton",)), no_progress)[0]
+        for gauge in ("lower", "symmetric")
+    )
+    for table in (lower, symmetric):
+        assert table.scores[0].ratio_to_bound == pytest.approx(1, abs=0.08)
+    assert symmetric.published is None and lower.published is not None
+    assert np.mean(symmetric.bound[3:6]) < 0.7 * np.mean(lower.bound[3:6])
