@@ -181,6 +181,7 @@ def reproduced(
         poses=_unchanged(made_with.poses, recording, options.poses, "poses"),
         chunk_samples=options.chunk_samples,
         report_only=session or made_with.report_only,
+        effect=made_with.effect,
         coefficients=donor_of(document, options.coefficients),
         any_device=True,
         unused=noted_unused(document.report["recording"]),

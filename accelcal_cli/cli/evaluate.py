@@ -9,6 +9,8 @@ PARTS = {
     "methods": "Every optimizer on the same points of each recording (Table 3 in the paper).",
     "stillness": "Every stillness rule on the same recordings.",
     "segments": "Segments of recordings, whose claims are held against the rest.",
+    "homogeneity": "Devices that were moved together: how alike they are, raw and calibrated.",
+    "smoothing": "Noise at rest after a rolling mean or median (Table 1 of Grammenos et al. 2018).",
     "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",
 }
 """Each lives in the module evaluate_NAME and binds `command`."""

@@ -12,13 +12,14 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare
+from accelcal_cli.evaluate.methods import TABLE_3_OF_F, Row, as_json, compare, means
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
+MEANS = ("mean over recordings", "calibrated", "before mg", "after mg", "improved %")
 PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
 
 
@@ -68,7 +69,7 @@ def _shown(rows: list[Row], values: dict[str, Any]) -> str:
         fields = list(Row.__dataclass_fields__)
         return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
     published = [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
-    return "\n\n".join([*_tables(rows), aligned(PUBLISHED, published)])
+    return "\n\n".join([*_tables(rows), *_means(rows), aligned(PUBLISHED, published)])
 
 
 def _tables(rows: list[Row]) -> list[str]:
@@ -78,6 +79,21 @@ def _tables(rows: list[Row]) -> list[str]:
         refusals = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
         tables.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
     return tables
+
+
+def _means(rows: list[Row]) -> list[str]:
+    """A table of the means over recordings; none for a single one."""
+    lines = [
+        [
+            one.optimizer,
+            str(one.recordings),
+            number(one.before_mg, ".3f"),
+            number(one.after_mg, ".3f"),
+            number(one.improvement_percent, ".0f"),
+        ]
+        for one in means(rows)
+    ]
+    return [aligned(MEANS, lines)] if lines else []
 
 
 def _cells(row: Row) -> list[str]:

@@ -67,6 +67,7 @@ COMMANDS = {
     "inspect": "Show what a recording holds and predict its outcome.",
     "fit": "Fit still-window means from another tool and judge the fit.",
     "quality": "Show a recording's error by the hour, and whether its calibration holds.",
+    "effect": "Show what a calibration changes in measures of activity.",
     "apply": "Apply known coefficients to recordings of the same device.",
     "export": "Hand coefficients or calibrated data on to other tools.",
     "verify": "Reproduce a report from its recording, bit for bit.",

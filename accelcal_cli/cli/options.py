@@ -226,6 +226,9 @@ _KEEP_REFUSED = click.option(
     "--keep-refused", is_flag=True,
     help="Write the raw values of a refused recording to STEM.uncalibrated.parquet, marked as such.",
 )  # fmt: skip
+_EFFECT = click.option(
+    "--effect", is_flag=True, help="Also find what the calibration changes in ENMO, MAD, MVPA and others."
+)
 _INTEGERS = click.option(
     "--integers", is_flag=True, help="Also write each fit's points and result as fixed-point integers."
 )
@@ -293,7 +296,7 @@ def calibrating_options(command: Command) -> Command:
     options = (_recalibrate_option, method_options, damage_option, config_option, reading_options)
     for decorator in (*options, printing_options):
         command = decorator(command)
-    return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(command)))
+    return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))
 
 
 def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> Request:
@@ -310,6 +313,7 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
         keep_refused=values["keep_refused"],
         integers=values["integers"],
         windows=values.get("windows"),
+        effect=values["effect"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
         rules=rules_of(values, folders),

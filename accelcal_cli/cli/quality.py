@@ -59,7 +59,7 @@ def command(recording: Path, **values: Any) -> int:
     Prints a row for each hour, then a sentence; nothing is written. The exit code is 0 if the
     calibration holds, 1 if it has degraded, and 4 if the recording is refused or cannot tell.
     """
-    request = _request(recording, values)
+    request = request_beside(recording, values)
     with bytes_of(recording) as source, progress_bars(recording.name, quiet=values["quiet"]) as bars:
         found = quality(recording, request, bars, source)
     shown = as_json(found)
@@ -67,7 +67,7 @@ def command(recording: Path, **values: Any) -> int:
     return CODES[found.state]
 
 
-def _request(recording: Path, values: dict[str, Any]) -> Request:
+def request_beside(recording: Path, values: dict[str, Any]) -> Request:
     """What is asked for; raises UsageError for options that mean nothing."""
     path = values["coefficients"]
     if path is None and values["any_device"]:

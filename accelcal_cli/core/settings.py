@@ -401,12 +401,14 @@ class EffectiveSettings:
         report_only: no calibrated recording is written.
         input: how the recording was read.
         poses: a session's list of poses, by name and hash; None in both: its faces were found.
+        effect: what the calibration changes in measures of activity is found, too.
     """
 
     method: Settings | PoseSettings
     report_only: bool
     input: dict[str, Any]
     poses: tuple[str | None, str | None] = (None, None)
+    effect: bool = False
 
     @property
     def precision_mg(self) -> float | None:
@@ -417,7 +419,8 @@ class EffectiveSettings:
         """The report's `settings` object."""
         names = ("poses", "poses_sha256") if isinstance(self.method, PoseSettings) else ()
         poses = dict(zip(names, self.poses, strict=False))
-        return {**self.method.as_json(), "report_only": self.report_only, **poses, "input": self.input}
+        asked = {"report_only": self.report_only, **({"effect": True} if self.effect else {})}
+        return {**self.method.as_json(), **asked, **poses, "input": self.input}
 
 
 def with_stillness(settings: Settings, name: str) -> Settings:

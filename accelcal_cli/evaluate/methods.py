@@ -5,8 +5,8 @@ Also what is known of a simulated recording, and how far a calibration is from t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,6 +19,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, Calibration
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.judge.errors import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.output.files import parsed
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker, stem
@@ -26,6 +27,7 @@ from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
 
 TRUTH_SUFFIX = ".truth.json"
+SLOPE, NO_SLOPE = "temp_slope_g_per_c", (0.0, 0.0, 0.0)
 TABLE_3_OF_F = (
     ("our method", 25.1, 3.06, 820),
     ("non-iterative (Gietzelt et al.)", 25.1, 4.08, 615),
@@ -131,11 +133,43 @@ def _judged(row: Row, verdict: Judgement, seconds: float | None) -> Row:
     )
 
 
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """One optimizer over several recordings.
+
+    Attributes:
+        recordings: how many it could calibrate; the others are left out.
+        improvement_percent: ratio of the means, as all R of F are.
+    """
+
+    optimizer: str
+    recordings: int
+    before_mg: float
+    after_mg: float
+    improvement_percent: float
+
+
+def means(rows: Sequence[Row]) -> list[Mean]:
+    """Of each optimizer that calibrated a recording; none if there is only one recording."""
+    found = []
+    for name in dict.fromkeys(row.optimizer for row in rows):
+        pairs = [
+            (row.before_mg, row.after_mg)
+            for row in rows
+            if row.optimizer == name and row.before_mg is not None and row.after_mg is not None
+        ]
+        if pairs and len({row.recording for row in rows}) > 1:
+            before, after = (mean(list(column)) for column in zip(*pairs, strict=True))
+            found.append(Mean(name, len(pairs), before, after, 100 * before / after))
+    return found
+
+
 def as_json(rows: list[Row]) -> dict[str, Any]:
-    """All rows, and the published ones beside them."""
+    """All rows, their means over recordings, and the published ones beside them."""
     names = ("method", "before_mg", "after_mg", "improvement_percent")
     return {
         "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
+        "means": [asdict(one) for one in means(rows)],
         "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
     }
 
@@ -148,11 +182,13 @@ class Truth:
         gain: K, (3, 3).
         offset_g: o, (3,) at the reference temperature.
         reference_c: Tref.
+        slope_g_per_c: s, (3,).
     """
 
     gain: NDArray[np.float64]
     offset_g: NDArray[np.float64]
     reference_c: float
+    slope_g_per_c: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
 
 def truth_beside(recording: Path) -> Truth | None:
@@ -180,14 +216,17 @@ def truth_beside(recording: Path) -> Truth | None:
 def _truth(known: dict[str, Any]) -> Truth:
     if "sensor" in known:
         sensor = known["sensor"]
-        return _checked(sensor["gain"], sensor["offset_g"], sensor["reference_c"])
-    return _checked(known["K"], [-value for value in known["b"]], known.get("temp_ref_c", 0.0))
+        slope = sensor.get("slope_g_per_c", NO_SLOPE)
+        return _checked(sensor["gain"], sensor["offset_g"], sensor["reference_c"], slope)
+    offset, slope = ([-value for value in values] for values in (known["b"], known.get(SLOPE, NO_SLOPE)))
+    return _checked(known["K"], offset, known.get("temp_ref_c", 0.0), slope)
 
 
-def _checked(gain: Any, offset_g: Any, reference_c: Any) -> Truth:
-    truth = Truth(np.array(gain, np.float64), np.array(offset_g, np.float64), float(reference_c))
-    if truth.gain.shape != (3, 3) or truth.offset_g.shape != (3,):
-        raise ValueError("K is not 3 x 3, or o not three numbers")
+def _checked(gain: Any, offset_g: Any, reference_c: Any, slope_g_per_c: Any) -> Truth:
+    k, offset, slope = (np.array(value, np.float64) for value in (gain, offset_g, slope_g_per_c))
+    truth = Truth(k, offset, float(reference_c), slope)
+    if truth.gain.shape != (3, 3) or not truth.offset_g.shape == truth.slope_g_per_c.shape == (3,):
+        raise ValueError("K is not 3 x 3, or o or s not three numbers")
     return truth
 
 

@@ -22,7 +22,7 @@ from fractions import Fraction
 from itertools import product
 from statistics import median
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,7 @@ from accelcal_cli import __version__
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
-from accelcal_cli.core.operations import predicted_seconds
+from accelcal_cli.core.operations import predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit, Operations, in_standard_g
 from accelcal_cli.evaluate.cases import Case, Method, Plan, Selection, as_points, make_case, measured
 from accelcal_cli.judge.errors import directions, jacobian
@@ -45,6 +45,10 @@ MG = 1e-3
 MEAN_OF_ABSOLUTE = float(np.sqrt(2 / np.pi))
 """Mean |x| of a normal distribution with standard deviation 1."""
 NINE = PARAMETER_NAMES[:9]
+ROWS, COLUMNS_OF_K = [0, 1, 2, 1, 2, 2], [0, 1, 2, 0, 0, 1]
+"""Where the first six parameters stand in K, or in S."""
+STEP = 1e-6
+Gauge = Literal["lower", "symmetric"]
 COLUMNS = (
     "points", "noise_mg", "source", "model", "parameter", "mean_abs_error", "sd_abs_error", "cases", "failed",
 )  # fmt: skip
@@ -110,6 +114,7 @@ class Tally:
     """Takes cases in, one by one."""
 
     method: Method
+    gauge: Gauge = "lower"
     errors: list[Real] = field(default_factory=list)
     bounds: list[Real] = field(default_factory=list)
     fits: list[Fit] = field(default_factory=list)
@@ -126,7 +131,10 @@ class Tally:
             return
         self.seconds.append(perf_counter() - began)
         self.fits.append(fit)
-        self.errors.append(np.subtract(fit.parameters, case.truth)[:9] / ONE)
+        found, true = (
+            in_gauge(np.array(nine[:9]) / ONE, self.gauge) for nine in (fit.parameters, case.truth)
+        )
+        self.errors.append(found - true)
         self.bounds.append(bound)
 
     def scores(self) -> Scores:
@@ -172,9 +180,30 @@ def fisher_information(still_g: Real, truth: tuple[int, ...], noise_g: float) ->
     return np.asarray((rows / spread).T @ (rows / spread))
 
 
-def expected_errors(still_g: Real, truth: tuple[int, ...], noise_g: float) -> Real:
+def in_gauge(nine: Real, gauge: Gauge) -> Real:
+    """Nine parameters (9,) of F as those of a gauge: of K, or of G's symmetric S with S^T S = K^T K."""
+    if gauge == "lower":
+        return nine
+    k = np.zeros((3, 3))
+    k[ROWS, COLUMNS_OF_K] = nine[:6]
+    squares, axes = np.linalg.eigh(k.T @ k)
+    s = axes * np.sqrt(squares) @ axes.T
+    return np.concatenate([s[ROWS, COLUMNS_OF_K], nine[6:]])
+
+
+def _slopes(nine: Real, gauge: Gauge) -> Real:
+    """Derivatives (9, 9) of a gauge's parameters with respect to F's, by central differences."""
+    steps = STEP * np.eye(9)
+    ends = [(in_gauge(nine + step, gauge) - in_gauge(nine - step, gauge)) / (2 * STEP) for step in steps]
+    return np.array(ends).T
+
+
+def expected_errors(still_g: Real, truth: tuple[int, ...], noise_g: float, gauge: Gauge = "lower") -> Real:
     """Least mean |error| (9,) of an unbiased estimate, were its errors normal."""
     covariance = np.linalg.inv(fisher_information(still_g, truth, noise_g))
+    if gauge != "lower":
+        slopes = _slopes(np.array(truth[:9]) / ONE, gauge)
+        covariance = slopes @ covariance @ slopes.T
     return np.asarray(MEAN_OF_ABSOLUTE * np.sqrt(np.diag(covariance)))
 
 
@@ -188,6 +217,7 @@ class Protocol:
         points: numbers of points, a table for each.
         noise_mg: standard deviations of the noise on each axis, a table for each.
         selection: `subsets`: F's collector takes the points from a stream; `random`: any.
+        gauge: whose parameters are compared: F's lower triangular K, or G's symmetric S.
     """
 
     cases: int = 500
@@ -195,6 +225,7 @@ class Protocol:
     points: tuple[int, ...] = (18, 144, 432)
     noise_mg: tuple[float, ...] = (1.0, 5.0)
     selection: Selection = "subsets"
+    gauge: Gauge = "lower"
 
     def plans(self) -> list[Plan]:
         """A plan for each table; raises UsageError if nine subsets cannot share the points."""
@@ -239,20 +270,21 @@ def run(
 
 
 def _table(protocol: Protocol, plan: Plan, methods: tuple[Method, ...], step: Step) -> Table:
-    tallies, bounds = [Tally(method) for method in methods], []
+    tallies, bounds = [Tally(method, protocol.gauge) for method in methods], []
     for index in range(protocol.cases):
         case = make_case(plan, protocol.seed, index)
-        bounds.append(expected_errors(case.still_g, case.truth, plan.noise_g))
+        bounds.append(expected_errors(case.still_g, case.truth, plan.noise_g, protocol.gauge))
         for tally in tallies:
             tally.take(case, bounds[-1])
         step(index + 1)
     bound = tuple(np.mean(bounds, axis=0).tolist())
     scores = tuple(tally.scores() for tally in tallies)
     noise_mg = round(plan.noise_g / MG, 9)
-    return Table(plan.number, noise_mg, bound, TABLE_2.get(noise_mg), scores)
+    published = TABLE_2.get(noise_mg) if protocol.gauge == "lower" else None
+    return Table(plan.number, noise_mg, bound, published, scores)
 
 
-def as_json(protocol: Protocol, tables: tuple[Table, ...]) -> dict[str, Any]:
+def as_json(protocol: Protocol, tables: Sequence[Table]) -> dict[str, Any]:
     """Everything; errors are plain numbers, of offsets in g. `seconds_per_fit` alone varies by run."""
     return {
         "accelcal_version": __version__,
@@ -275,7 +307,8 @@ def _table_json(table: Table) -> dict[str, Any]:
 def _method(table: Table, scores: Scores) -> dict[str, Any]:
     method, seconds = scores.method, scores.seconds
     counted = asdict(scores.operations) if scores.operations.additions else None
-    predicted = predicted_seconds(scores.operations, method.optimizer.arithmetic)
+    spent = scores.operations, method.optimizer.arithmetic
+    predicted, charge = predicted_seconds(*spent), predicted_charge_mc(*spent)
     return {
         "method": method.label,
         "optimizer": method.optimizer.name,
@@ -291,6 +324,7 @@ def _method(table: Table, scores: Scores) -> dict[str, Any]:
         "iterations": scores.iterations,
         "operations": counted,
         "predicted_seconds": predicted and {name: significant(value) for name, value in predicted.items()},
+        "predicted_charge_mc": charge and {name: significant(value) for name, value in charge.items()},
         "seconds_per_fit": _short(seconds),
     }
 

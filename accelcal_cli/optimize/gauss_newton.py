@@ -120,5 +120,5 @@ OPTIMIZER = Optimizer(
     name="gauss-newton",
     title="damped Gauss-Newton (Grammenos, Mascolo, Crowcroft 2018)",
     fit=fit,
-    settings={"default": DEFAULT},
+    settings={"default": DEFAULT, "symmetric": Settings(form="symmetric")},
 )

@@ -20,7 +20,7 @@ from accelcal_cli.core.errors import counted
 from accelcal_cli.core.parallel import background_call
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
-from accelcal_cli.core.recording import Reader, Recording
+from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
 from accelcal_cli.core.settings import NO_PRIOR, Settings
 from accelcal_cli.core.system import give_back_freed_memory
@@ -34,6 +34,7 @@ from accelcal_cli.output.gyroscope import gyroscope_json
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, survey
+from accelcal_cli.pipeline.effect import EPOCH_S, Effect, versions_of
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.gyroscope import gyroscope_of, turning
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
@@ -346,9 +347,12 @@ class RecordingRun:
         jobs.check_unchanged(self.bytes_at, self.before)
         kept = outputs.keeps(data.judgement.calibration is not None, self.request)
         written = self.job.uncalibrated if kept else self.job.parquet if writes_parquet(data) else None
-        if written is not None:
-            over = self._write_parquet(data, written)
-            data = data if kept else replace(data, clipped_after=over)
+        if written is None:
+            data = self.count_beyond(data)
+        else:
+            effect = self._effect(data)
+            over = self._write_parquet(data, written, effect)
+            data = _with_effect(data if kept else replace(data, clipped_after=over), effect)
         for path in {self.job.parquet, self.job.uncalibrated} - {written}:
             outputs.remove_stale_parquet(path, metadata)
         if integers is None:
@@ -366,14 +370,14 @@ class RecordingRun:
         outputs.save_report(self.job.report, report)
         return Result(self.job, report, kept=kept)
 
-    def _write_parquet(self, data: ReportInput, path: Path) -> int:
+    def _write_parquet(self, data: ReportInput, path: Path, effect: Effect | None) -> int:
         """Second pass; returns how many of the samples written lie beyond the sensor's range."""
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.parquet import ParquetSink
 
         columns, threads = export.columns_of(data), self.request.threads
         shown, metadata = self.progress("writing", data.recording.total_bytes), reports.parquet_metadata(data)
-        chunks = self.reader.chunks(self.request.chunk_samples)
+        chunks = self._chunks(effect)
         with (
             replacing(path) as temporary,
             ParquetSink(temporary, path, columns, metadata, threads) as sink,
@@ -385,16 +389,36 @@ class RecordingRun:
             return over
 
     def count_beyond(self, data: ReportInput) -> ReportInput:
-        """Second pass without writing: what writing would have counted."""
-        if not writes_parquet(data):
-            return data
-        range_g = data.recording.range_g
-        if range_g is None:
-            return replace(data, clipped_after=0)
+        """Second pass without writing: what writing would have found."""
+        range_g, effect = data.recording.range_g, self._effect(data)
+        over = 0 if writes_parquet(data) else None
         shown = self.progress("applying", data.recording.total_bytes)
+        if over is not None and range_g is not None:
+            parts = export.calibrated(self._chunks(effect), export.transform_of(data), shown)
+            over = sum(export.beyond(xyz, range_g) for _, xyz in parts)
+        elif effect is not None:
+            for chunk in self._chunks(effect):
+                shown(chunk.end_byte)
+        return _with_effect(replace(data, clipped_after=over), effect)
+
+    def _effect(self, data: ReportInput) -> Effect | None:
+        """What measures activity along the second pass, if it is asked for and there is a calibration."""
+        if not self.request.effect or data.judgement.calibration is None:
+            return None
+        return Effect(versions_of(data), data.recording, EPOCH_S)
+
+    def _chunks(self, effect: Effect | None) -> Iterator[Chunk]:
+        """The chunks of the second pass."""
         chunks = self.reader.chunks(self.request.chunk_samples)
-        parts = export.calibrated(chunks, export.transform_of(data), shown)
-        return replace(data, clipped_after=sum(export.beyond(xyz, range_g) for _, xyz in parts))
+        return chunks if effect is None else effect.watch(chunks)
+
+
+def _with_effect(data: ReportInput, effect: Effect | None) -> ReportInput:
+    """The result with what was measured, after the second pass."""
+    if effect is None:
+        return data
+    effect.finish()
+    return replace(data, taken=data.taken | {"effect": effect.result()})
 
 
 def writes_parquet(data: ReportInput) -> bool:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.course import Course
 from accelcal_cli.core.parallel import prefetch
+from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
@@ -122,20 +123,26 @@ def steps_per_g(precision_mg: float | None) -> float | None:
     return None if precision_mg is None else 2.0 ** ceil(log2(1000 / precision_mg))
 
 
-def transform_of(data: ReportInput) -> Transform:
-    """What applies a result's calibration to its recording; without one, raw values stay as they are."""
-    calibration = data.judgement.calibration
+def transform(
+    calibration: Calibration | None, lsb_per_g: float, precision_mg: float | None = None
+) -> Transform:
+    """What applies a calibration to counts; without one, raw values stay as they are."""
     if calibration is None:
-        return Transform(np.eye(3), np.zeros(3), np.zeros(3), 0.0, data.recording.lsb_per_g)
+        return Transform(np.eye(3), np.zeros(3), np.zeros(3), 0.0, lsb_per_g)
     return Transform(
         calibration.gain(),
         calibration.offset_g(),
         calibration.slope_g_per_c(),
         calibration.reference_c(),
-        data.recording.lsb_per_g,
-        steps_per_g(data.settings.precision_mg),
+        lsb_per_g,
+        steps_per_g(precision_mg),
         calibration.course,
     )
+
+
+def transform_of(data: ReportInput) -> Transform:
+    """What applies a result's calibration to its recording."""
+    return transform(data.judgement.calibration, data.recording.lsb_per_g, data.settings.precision_mg)
 
 
 def calibrated(

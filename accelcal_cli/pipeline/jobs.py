@@ -293,6 +293,7 @@ class Request:
         keep_refused: write the raw values of a recording that is refused.
         integers: also write the fit's points and result as integers.
         windows: where all still windows go; None: nowhere.
+        effect: also find what the calibration changes in measures of activity.
         force: overwrite what accelcal did not write, and redo what is up to date.
         command: the command line, for the provenance.
         threads: how many may work at a time on one recording.
@@ -311,6 +312,7 @@ class Request:
     keep_refused: bool = False
     integers: bool = False
     windows: Path | None = None
+    effect: bool = False
     force: bool = False
     command: tuple[str, ...] = ()
     coefficients: Coefficients | None = None
@@ -371,7 +373,7 @@ class Request:
         """
         poses = (None, None) if self.poses is None else (self.poses.name, sha256(self.poses))
         used = input_settings(self.options, companion)
-        return EffectiveSettings(self.settings, self.report_only, used, poses)
+        return EffectiveSettings(self.settings, self.report_only, used, poses, self.effect)
 
 
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:

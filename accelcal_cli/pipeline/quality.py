@@ -75,7 +75,7 @@ def quality(
         AccelcalError: it cannot be read, or the coefficients cannot be applied to it (see `apply`).
     """
     with open_run(Job(path, path, path), request, progress, source) as run:
-        ready, judge = _judged_by(run)
+        ready, judge = judged_by(run)
         if not isinstance(judge.method(ready.reader.recording).procedure, TimedCellProcedure):
             raise UsageError(
                 f"profile {judge.settings.profile} keeps no windows along time",
@@ -91,7 +91,7 @@ def quality(
     return _of_own(start, found) if request.coefficients is None else _of_given(start, found, judge.settings)
 
 
-def _judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
+def judged_by(run: RecordingRun) -> tuple[RecordingRun, Judge]:
     """The run with the settings that go with what is checked, and who judges that."""
     request = run.request
     if request.coefficients is None:

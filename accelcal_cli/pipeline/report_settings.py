@@ -25,6 +25,9 @@ POINTS = "points"
 """What `fit` calls the format of its tables."""
 
 NOT_SETTINGS = ("report_only", "input")
+IF_ASKED = ("effect",)
+"""What a report of `calibrate` has beside its settings only where it was asked for."""
+
 FIXED = tuple(name for name in PoseSettings().as_json() if name not in PoseSettings.__dataclass_fields__)
 """What a report of a session says of its method, and no user can change."""
 
@@ -131,6 +134,7 @@ class ReportSettings:
         poses: the list of poses of a session, None without one.
         missing: settings that the report does not name; this version's defaults stand for them.
         unknown: settings that it names and this version does not have; they are not used.
+        effect: whether measures of activity were asked for.
     """
 
     settings: Settings | PoseSettings
@@ -140,6 +144,7 @@ class ReportSettings:
     poses: NamedFile | None
     missing: tuple[str, ...]
     unknown: tuple[str, ...]
+    effect: bool = False
 
 
 def settings_from_report(document: Document) -> ReportSettings:
@@ -174,13 +179,14 @@ def _from_values(values: dict[str, Any]) -> ReportSettings:
         poses=_file(values, "poses"),
         missing=missing,
         unknown=unknown,
+        effect=_typed(values, "effect", bool, default=False),
     )
 
 
 def _settings(values: Mapping[str, Any]) -> Restored[Any]:
     if values.get("profile") == SIX_POSE:
         return restored(PoseSettings, _without(values, NOT_POSE_SETTINGS))
-    return restored(Settings, _without(values, NOT_SETTINGS))
+    return restored(Settings, _without(values, NOT_SETTINGS + IF_ASKED))
 
 
 def _options(values: Mapping[str, Any]) -> Restored[ReadOptions]:

@@ -43,13 +43,20 @@ PARAMETERS = (
     *(f"slope_{axis}_g_per_c" for axis in AXES),
 )  # fmt: skip
 """Columns of the parameters, in the order of PARAMETER_NAMES."""
+EFFECT = {
+    ("raw", "enmo_mg"): "enmo_raw_mg", ("calibrated", "enmo_mg"): "enmo_mg",
+    ("raw", "enmo_differs_mg"): "enmo_differs_mg", ("calibrated", "mad_mg"): "mad_mg",
+    ("raw", "mvpa_min"): "mvpa_raw_min", ("calibrated", "mvpa_min"): "mvpa_min",
+    ("raw", "inactive_min"): "inactive_raw_min", ("calibrated", "inactive_min"): "inactive_min",
+}  # fmt: skip
+"""Columns of measures of activity, by version and name in the report's `effect`."""
 COLUMNS = (
     "path", "outcome", "exit_code", "message", "model",
     "borrowed_from", "pool", "pool_recordings", "windows_before_mg", "windows_after_mg",
     "own_outcome", "own_message", "own_after_mg", "prior",
     "before_mg", "after_mg", "ci95_low_mg", "ci95_high_mg", "improvement_percent", "postures", "points",
     *SPHERE_COLUMNS, "change", "change_at", "change_mg", "misfits",
-    "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs",
+    "gyroscope", "gyro_before_deg", "gyro_after_deg", "gyro_pairs", *EFFECT.values(),
     "format", "device_model", "device_serial", "device_firmware", "start_time", "time_zone", "duration_s",
     "rate_hz", "rate_hz_measured", "lsb_per_g", "range_g", "samples", "gaps", "filled_samples",
     "clipped_samples_before", "clipped_samples_after", "problems", "cells", "condition_number",
@@ -81,16 +88,8 @@ def of_report(
     verdict = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
     verdict["prior"] = report["settings"].get("prior")
     figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
-    return (
-        dict.fromkeys(COLUMNS)
-        | identity
-        | verdict
-        | figures
-        | _change(report)
-        | _misfits(report)
-        | _gyroscope(report)
-        | outputs
-    )
+    found = _change(report) | _misfits(report) | _gyroscope(report) | _effect(report)
+    return dict.fromkeys(COLUMNS) | identity | verdict | figures | found | outputs
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
@@ -148,6 +147,12 @@ def _gyroscope(report: dict[str, Any]) -> dict[str, Any]:
     held = found["holdout_deg"] or {}
     angles = {f"gyro_{when}_deg": held.get(when) for when in ("before", "after")}
     return {"gyroscope": found["outcome"], "gyro_pairs": found["pairs"], **angles}
+
+
+def _effect(report: dict[str, Any]) -> dict[str, Any]:
+    """Measures of activity, where they were asked for."""
+    versions = report.get("effect", {}).get("versions", {})
+    return {column: versions[name][key] for (name, key), column in EFFECT.items() if name in versions}
 
 
 def _coverage(report: dict[str, Any]) -> dict[str, Any]:

@@ -70,7 +70,8 @@ def test_json_holds_all_of_it(capsys: Capture) -> None:
     found = timeless(run(capsys, *QUICK, "fixed32:paper", "--json").out)
     assert found["accelcal_version"] == __version__
     assert found["protocol"] == {
-        "cases": 3, "seed": 1, "points": [18], "noise_mg": [1.0, 5.0], "selection": "subsets"
+        "cases": 3, "seed": 1, "points": [18], "noise_mg": [1.0, 5.0], "selection": "subsets",
+        "gauge": "lower",
     }  # fmt: skip
     one, five = found["tables"]
     assert one["published"]["mean_abs_error"]["k_yx"] == 1.49e-3
@@ -127,7 +128,7 @@ def test_failures_are_named(capsys: Capture) -> None:
         (("--points", "20"), "multiple of 9"),
         (("--points", "18,"), None),
         (("--points", "few"), "not a list of numbers"),
-        (("--points", "5"), "not between 10 and 8192"),
+        (("--points", "5"), "not between 9 and 8192"),
         (("--noise-mg", "nan"), "not between"),
         (("--optimizer", "gradient"), "unknown optimizer"),
         (("--optimizer", "ellipsoid:paper"), "no settings of profile"),

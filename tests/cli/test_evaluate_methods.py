@@ -20,7 +20,7 @@ def test_a_table_for_each_recording_and_the_published_one(tmp_path: Path, capsys
     first, second = good_csv(tmp_path, "a.csv"), good_csv(tmp_path, "b.csv")
     ran = run(capsys, *METHODS, first, second, "--only", "fixed32,ellipsoid")
     assert ran.code == 0
-    one, two, published = ran.out.split("\n\n")
+    one, two, _, published = ran.out.split("\n\n")
     assert one.splitlines()[0] == str(first) and two.splitlines()[0] == str(second)
     assert [line.split()[0] for line in one.splitlines()[3:]] == ["fixed32", "ellipsoid"]
     assert "3.06" in published and "820" in published
@@ -37,6 +37,23 @@ def test_json_and_csv_hold_the_same_rows(tmp_path: Path, capsys: Capture) -> Non
     }  # fmt: skip
     assert float(read["after_mg"]) == row["after_mg"]
     assert len(said["published"]) == 4
+
+
+def test_the_mean_over_recordings_is_a_ratio_of_means(tmp_path: Path, capsys: Capture) -> None:
+    """As all R of the paper are; a recording that was refused is in neither mean."""
+    paths = [good_csv(tmp_path, "a.csv"), write_csv(tmp_path / "b.csv", still_counts(directions(50), 7))]
+    paths.append(write_csv(tmp_path / "few.csv", still_counts(directions(4))))
+    said = json.loads(run(capsys, *METHODS, *paths, "--only", "gauss-newton", "--json").out)
+    one, two, refused = said["rows"]
+    assert refused["after_mg"] is None
+    (mean,) = said["means"]
+    assert mean["recordings"] == 2
+    assert mean["before_mg"] == pytest.approx((one["before_mg"] + two["before_mg"]) / 2)
+    ratio = (one["before_mg"] + two["before_mg"]) / (one["after_mg"] + two["after_mg"])
+    assert mean["improvement_percent"] == pytest.approx(100 * ratio)
+    shown = run(capsys, *METHODS, *paths, "--only", "gauss-newton").out
+    assert f"{100 * ratio:.0f}" in shown.split("mean over recordings")[1]
+    assert json.loads(run(capsys, *METHODS, paths[0], "--only", "float64", "--json").out)["means"] == []
 
 
 def test_a_refusal_is_a_row_with_its_reason(tmp_path: Path, capsys: Capture) -> None:

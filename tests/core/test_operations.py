@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_seconds
+from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.points import Arithmetic, Operations
 
 PAPER = Operations(50 * (18 * 100 + 3), 50 * (18 * 100 + 3))
@@ -45,6 +45,14 @@ def test_additions_and_multiplications_cost_their_own() -> None:
     assert added is not None and multiplied is not None
     assert (added["ATmega328"], multiplied["ATmega328"]) == (28, 97)
     assert (added["ARM Cortex-M4"], multiplied["ARM Cortex-M4"]) == (1.4, 1.2)
+
+
+def test_charge_is_time_times_current() -> None:
+    """0.704 s at 9.2 mA: 6.48 mC; 31.6 and 14.6 ms at 8.45 mA: 0.267 and 0.124 mC."""
+    charge = predicted_charge_mc(PAPER, "integer")
+    assert charge is not None
+    assert [round(value, 3) for value in charge.values()] == [6.480, 0.267, 0.124]
+    assert predicted_charge_mc(Operations(), "integer") is None
 
 
 def test_what_was_not_counted_has_no_time() -> None:

@@ -46,6 +46,18 @@ def test_the_other_kind_has_the_offset_with_the_other_sign(tmp_path: Path) -> No
     )
 
 
+def test_slopes_are_read_where_there_are_any(tmp_path: Path) -> None:
+    """The other kind subtracts them as it does its offset."""
+    other = {"K": GAIN, "b": [0.5, 0, 0], "temp_ref_c": 30.0, "temp_slope_g_per_c": [0.5, -0.25, 0.0]}
+    sensor = {"gain": GAIN, "offset_g": [-0.5, 0, 0], "reference_c": 30.0, "slope_g_per_c": [-0.5, 0.25, 0.0]}
+    for known in (other, {"sensor": sensor}):
+        found = truth_beside(write(tmp_path, known))
+        assert found is not None and found.slope_g_per_c.tolist() == [-0.5, 0.25, 0.0]
+    sensor["slope_g_per_c"] = [1.0]
+    with pytest.raises(UnreadableError):
+        truth_beside(write(tmp_path, {"sensor": sensor}))
+
+
 @pytest.mark.parametrize("known", [{}, [], {"K": [1], "b": [0, 0, 0]}, {"K": GAIN, "b": ["x", 0, 0]}, 3])
 def test_anything_else_is_said(tmp_path: Path, known: object) -> None:
     with pytest.raises(UnreadableError, match=r"week\.truth\.json"):

@@ -95,6 +95,7 @@ def test_everything_comes_back(settings: Settings) -> None:
     options = ReadOptions(format="csv", rate_hz=30.0, unit="mg", columns=("a", "b", "c"), sensor="s")
     made = rebuilt(stored(Request(options=options, settings=settings, report_only=True)))
     assert made == ReportSettings(settings, options, True, None, None, (), ())
+    assert rebuilt(stored(Request(effect=True))).effect
 
 
 def test_settings_of_a_session_come_back() -> None:

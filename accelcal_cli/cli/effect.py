@@ -1,0 +1,121 @@
+"""`accelcal effect`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.output import aligned, bytes_of, each_recording, number, refuse_both
+from accelcal_cli.cli.quality import request_beside
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.evaluate.effect import Found, check_table, effect
+from accelcal_cli.output.files import csv_text
+from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
+from accelcal_cli.pipeline.effect import EPOCH_S
+from accelcal_cli.pipeline.jobs import ProgressMaker
+
+FIGURES = {
+    "enmo_mg": ("ENMO mg", ".2f"),
+    "mad_mg": ("MAD mg", ".2f"),
+    "mvpa_min": ("MVPA min", ".1f"),
+    "pim_mg_s": ("PIM mg s/min", ".0f"),
+    "zcm": ("ZCM /min", ".2f"),
+    "inactive_min": ("inactive min", ".1f"),
+    "enmo_differs_mg": ("ENMO differs mg", ".2f"),
+}
+"""Figures of each version, their names for people, and how they are shown."""
+
+WORDS = {"without_misalignment": "no misalignment"}
+
+
+@click.command("effect")
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
+@click.option("--coefficients", type=options.FILE, metavar="STEM.calibration.json",
+              help="Report whose coefficients are applied; otherwise each recording's own.")  # fmt: skip
+@click.option("--any-device", is_flag=True, help="Accept coefficients of any device.")
+@click.option("--epoch", "epoch_s", type=click.IntRange(1, LONGEST_EPOCH_S), default=EPOCH_S,
+              show_default=True, metavar="SECONDS", help="Length of an epoch.")  # fmt: skip
+@click.option("--epochs", "table", type=options.FILE, metavar="FILE.csv",
+              help="Also write a row for each epoch.")  # fmt: skip
+@click.option("--force", is_flag=True, help="Overwrite a table that accelcal did not write.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
+@click.option("-q", "--quiet", is_flag=True, help="Print nothing but errors on stderr.")
+@options.reading_options
+@options.parts_option
+@options.damage_option
+@options.method_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Show what the calibration of each RECORDING changes in measures of activity; `-` reads standard input.
+
+    ENMO, MAD, minutes of moderate to vigorous activity (ENMO of 100 mg or more), PIM, ZCM and minutes of
+    sustained inactivity: of the raw values, calibrated without misalignment, and calibrated. For a simulated
+    recording with STEM.truth.json beside it, also with its true parameters. Filled, clipped and recovered
+    samples are left out. Nothing is written but the table of --epochs.
+    """
+    refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
+    if (table := values["table"]) is not None:
+        if len(recordings) > 1:
+            raise UsageError("--epochs names one file, but there are several recordings", hint="give one")
+        check_table(table, force=values["force"])
+
+    def work(path: Path, bars: ProgressMaker) -> Found:
+        request = request_beside(path, values)
+        with bytes_of(path) as source:
+            return effect(path, request, values["epoch_s"], table, bars, source)
+
+    found, code = each_recording(options.recordings_of(recordings, values), work, quiet=values["quiet"])
+    if found:
+        exit_codes.show(_shown(found, values))
+    return code
+
+
+def _shown(found: list[Found], values: dict[str, Any]) -> str:
+    if values["as_json"]:
+        return "\n".join(json.dumps(_as_json(one)) for one in found)
+    if values["as_csv"]:
+        head = ["recording", "outcome", "version", "model", *FIGURES]
+        rows = [
+            [printable(one.path), one.outcome, name, made["model"], *(made[figure] for figure in FIGURES)]
+            for one in found
+            for name, made in one.effect["versions"].items()
+        ]
+        return csv_text(head, rows).rstrip("\n")
+    return "\n\n".join(map(_text, found))
+
+
+def _as_json(one: Found) -> dict[str, Any]:
+    return {
+        "recording": printable(one.path),
+        "outcome": one.outcome,
+        "message": one.message,
+        "effect": one.effect,
+    }
+
+
+def _text(one: Found) -> str:
+    """A row for each version, and what was left out."""
+    rows = [
+        [_label(name, made["model"]), *(number(made[key], form) for key, (_, form) in FIGURES.items())]
+        for name, made in one.effect["versions"].items()
+    ]
+    table = aligned(["", *(words for words, _ in FIGURES.values())], rows)
+    lines = [f"{one.path}: {one.outcome}: {one.message}", table, _counted(one)]
+    return printable("\n".join(lines), kept="\n")
+
+
+def _label(name: str, model: str | None) -> str:
+    return f"{WORDS.get(name, name)}{'' if model is None else f' ({model})'}"
+
+
+def _counted(one: Found) -> str:
+    said = one.effect
+    left = ", ".join(f"{value} {name}" for name, value in said["left_out"].items() if value)
+    text = f"{said['epochs']} epochs of {said['epoch_s']} s"
+    if said["short_epochs"]:
+        text += f"; {said['short_epochs']} more with too few samples"
+    return text + (f"; samples left out: {left}" if left else "")

@@ -1,0 +1,156 @@
+"""`accelcal effect`, and `--effect` of `calibrate` and `study`."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from tests.cli.run import assert_one_line, exit_code, run, verify
+from tests.recordings import RATE_HZ, good_raw, write_csv
+
+Capture = pytest.CaptureFixture[str]
+SAMPLES = Path(__file__).parents[2] / "sample_data"
+MEASURED = ("enmo_mg", "mad_mg", "mvpa_min", "pim_mg_s", "zcm", "inactive_min")
+
+
+def effect_of(capsys: Capture, *words: object) -> dict[str, Any]:
+    ran = run(capsys, "effect", *words, "--json")
+    assert ran.code == 0, ran.err
+    return json.loads(ran.out)["effect"]
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A simulated day whose true parameters are beside it."""
+    path = tmp_path_factory.mktemp("effect") / "day.bin"
+    words = ("--rate", "25", "--seed", "11", "--temp-slope", "0.9", "-0.6", "1.2")
+    assert exit_code("simulate", path, "--days", "1", *words, "-q") == 0
+    return path
+
+
+def test_calibrated_data_show_what_the_true_parameters_would(day: Path, capsys: Capture) -> None:
+    made = effect_of(capsys, day)["versions"]
+    for name in MEASURED:
+        assert made["calibrated"][name] == pytest.approx(made["true"][name], rel=1e-3), name
+    off = abs(made["raw"]["enmo_mg"] / made["true"]["enmo_mg"] - 1)
+    simpler = abs(made["without_misalignment"]["enmo_mg"] / made["true"]["enmo_mg"] - 1)
+    assert off > 0.3 and 1e-3 < simpler < off / 5
+    assert made["raw"]["enmo_differs_mg"] > 10
+    assert made["calibrated"]["enmo_differs_mg"] < 0.05
+
+
+def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, capsys: Capture) -> None:
+    """ENMO and MAD as the cookbook has them, of the file that `calibrate` writes."""
+    assert exit_code("calibrate", day, "-d", tmp_path, "-q") == 0
+    table = pd.read_parquet(tmp_path / "day.calibrated.parquet")
+    measured = table[table["validity"] == 0]
+    length = np.sqrt((measured[["x", "y", "z"]].astype("float64") ** 2).sum(axis=1))
+    by = length.groupby(measured["time"].dt.floor("60s").array)
+    enmo = 1000 * (length - 1).clip(lower=0).groupby(measured["time"].dt.floor("60s").array).mean()
+    mad = 1000 * (length - by.transform("mean")).abs().groupby(measured["time"].dt.floor("60s").array).mean()
+    kept = by.size() >= 0.8 * 60 * 25
+    epochs = tmp_path / "epochs.csv"
+    found = effect_of(capsys, day, "--epoch", 60, "--epochs", epochs)
+    made = found["versions"]["calibrated"]
+    assert found["epochs"] == kept.sum()
+    assert made["enmo_mg"] == pytest.approx(enmo[kept].mean(), abs=1e-4)
+    assert made["mad_mg"] == pytest.approx(mad[kept].mean(), abs=1e-4)
+    assert made["mvpa_min"] == (enmo[kept] >= 100).sum()
+    rows = pd.read_csv(epochs, parse_dates=["time"])
+    assert rows["enmo_mg_calibrated"].to_numpy() == pytest.approx(enmo[kept].to_numpy(), abs=1e-4)
+    assert rows["samples"].tolist() == by.size()[kept].tolist()
+    assert [name for name in rows if name.startswith("zcm")] == [
+        f"zcm_{name}" for name in ("raw", "without_misalignment", "calibrated", "true")
+    ]
+
+
+@pytest.mark.parametrize("name", ["night.h5", "evening.csv.gz"])
+def test_the_length_of_the_chunks_makes_no_difference(name: str, capsys: Capture, tmp_path: Path) -> None:
+    tables = [tmp_path / "a.csv", tmp_path / "b.csv"]
+    one = effect_of(capsys, SAMPLES / name, "--epochs", tables[0])
+    assert effect_of(capsys, SAMPLES / name, "--chunk-samples", 1009, "--epochs", tables[1]) == one
+    assert tables[0].read_bytes() == tables[1].read_bytes()
+
+
+def test_samples_that_are_no_measurements_are_left_out(tmp_path: Path, capsys: Capture) -> None:
+    """Rows at the sensor's range are counted, and their epoch is short of them."""
+    path = good_raw(tmp_path)
+    counts = np.fromfile(path, "<i2").reshape(-1, 3)
+    counts[250:300, 0] = 2047
+    counts.tofile(path)
+    found = effect_of(capsys, path)
+    assert found["left_out"] == {"filled": 0, "clipped": 50, "recovered": 0}
+    assert found["short_epochs"] == 1
+    assert found["epochs"] == len(counts) / (5 * RATE_HZ) - 1
+
+
+def test_coefficients_of_a_report_give_what_they_gave_there(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    assert exit_code("calibrate", path, "--report-only", "-q") == 0
+    report = tmp_path / "good.calibration.json"
+    assert effect_of(capsys, path, "--coefficients", report) == effect_of(capsys, path)
+    other = good_raw(tmp_path, "other.raw")
+    assert run(capsys, "effect", other, "--coefficients", report).code in (0, 2)
+    made = effect_of(capsys, other, "--coefficients", report, "--any-device")["versions"]
+    assert list(made) == ["raw", "without_misalignment", "calibrated"]
+
+
+def test_a_refused_recording_has_its_raw_values_only(tmp_path: Path, capsys: Capture) -> None:
+    path = write_csv(tmp_path / "short.csv", np.tile(np.int16([0, 0, 256]), (2000, 1)))
+    ran = run(capsys, "effect", path)
+    assert ran.code == 0 and "refused" in ran.out and "no misalignment" not in ran.out
+    (row,) = csv.DictReader(io.StringIO(run(capsys, "effect", path, "--csv").out))
+    assert (row["version"], row["outcome"], row["enmo_mg"]) == ("raw", "refused", "0.0")
+
+
+def test_a_table_of_epochs_replaces_only_its_like(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    mine = tmp_path / "mine.csv"
+    mine.write_text("my own\n")
+    ran = run(capsys, "effect", path, "--epochs", mine)
+    assert ran.code == 5 and mine.read_text() == "my own\n"
+    assert_one_line(ran, "mine.csv", "--force")
+    assert run(capsys, "effect", path, "--epochs", mine, "--force").code == 0
+    assert run(capsys, "effect", path, "--epochs", mine).code == 0
+    for words in (
+        (path, "--epochs", path),
+        (path, "--epochs", tmp_path / "e.json"),
+        (path, path, "--epochs", mine),
+    ):
+        assert run(capsys, "effect", *words).code == 2
+
+
+def test_one_bad_recording_does_not_stop_the_rest(tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "effect", tmp_path / "none.raw", good_raw(tmp_path), "-q")
+    assert ran.code == 1 and "none.raw" in ran.err and "good.raw" in ran.out
+
+
+def test_calibrate_puts_it_into_the_report(tmp_path: Path, capsys: Capture) -> None:
+    path = good_raw(tmp_path)
+    report = tmp_path / "good.calibration.json"
+    for words in ((), ("--report-only",)):
+        assert exit_code("calibrate", path, "--effect", "-q", *words) == 0
+        made = json.loads(report.read_text())
+        assert made["effect"] == effect_of(capsys, path) and made["settings"]["effect"] is True
+        assert verify(capsys, report, path)[0].code == 0
+        assert "up to date" in run(capsys, "calibrate", path, "--effect", *words).err
+    assert exit_code("calibrate", path, "-q") == 0
+    assert "effect" not in json.loads(report.read_text())
+
+
+def test_a_study_has_it_in_its_table(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "in").mkdir()
+    path = good_raw(tmp_path / "in")
+    assert exit_code("study", tmp_path / "in", "-d", tmp_path / "out", "--effect", "-q", "--jobs", 1) == 0
+    row = pd.read_parquet(tmp_path / "out" / "study.parquet").iloc[0]
+    made = effect_of(capsys, path)["versions"]
+    assert row["enmo_raw_mg"] == made["raw"]["enmo_mg"] and row["enmo_mg"] == made["calibrated"]["enmo_mg"]
+    assert row["enmo_differs_mg"] == made["raw"]["enmo_differs_mg"]
+    assert row["inactive_min"] == made["calibrated"]["inactive_min"]
