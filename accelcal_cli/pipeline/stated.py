@@ -26,7 +26,7 @@ from typing import Any
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import ReadOptions, option_name
 from accelcal_cli.core.text_files import read_toml
-from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, is_file, named_layout
+from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, check_layout, is_file, named_layout
 from accelcal_cli.pipeline import given
 
 STUDY_FILE = "study.toml"
@@ -221,9 +221,7 @@ def _values(table: Mapping[str, Any], path: Path, place: str = "") -> dict[str, 
         values = given.values_of({key.replace("-", "_"): value for key, value in table.items()}, ReadOptions)
         if "layout" in values:
             values["layout"] = path.parent / values["layout"]
-            from accelcal_cli.formats.raw.layout import load_layout  # few files name one
-
-            load_layout(values["layout"])
+            check_layout(values["layout"])
         for name in ALONE & values.keys():
             given.read_options(_unsaid() | {name: values[name]})
     except TypeError as error:

@@ -33,6 +33,13 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def check_layout(path: Path) -> None:
+    """Raise UsageError for a layout file that cannot be read, or is none."""
+    from accelcal_cli.formats.raw.layout import load_layout  # few recordings have one
+
+    load_layout(path)
+
+
 def find_layout(path: Path, options: ReadOptions) -> Path | None:
     """The layout file of a dump: as the user named it, else its own, else its folder's."""
     if options.layout is not None:
