@@ -54,7 +54,7 @@ class SubsetCollector:
     def wanted(self, windows: Windows) -> NDArray[np.bool_]:
         """Which of m windows lie in a subset that is not full, (m,)."""
         wanted = np.zeros(len(windows), np.bool_)
-        for samples in np.unique(windows.samples).tolist():
+        for samples in sorted(set(windows.samples.tolist())):
             of_length = windows.samples == samples
             for (axis, level), subset in self._held.items():
                 if len(subset) < self.per_subset:

@@ -27,7 +27,7 @@ def again(value: Any) -> Any:
     return thawed(json.loads(json.dumps(frozen(value))))
 
 
-@pytest.mark.parametrize("value", VALUES, ids=str)
+@pytest.mark.parametrize("value", VALUES, ids=lambda value: type(value).__name__)
 def test_a_value_comes_back(value: Any) -> None:
     found = again(value)
     assert found == value
