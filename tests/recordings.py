@@ -65,6 +65,11 @@ def good_raw(folder: Path, name: str = "good.raw") -> Path:
     return write_raw(folder / name, still_counts(directions(60)))
 
 
+def paper_recording(folder: Path, name: str = "paper.raw") -> Path:
+    """Enough postures for both sets of profile paper, and more than a MiB long."""
+    return write_raw(folder / name, still_counts(np.concatenate([directions(200), directions(120)])))
+
+
 def write_raw(path: Path, counts: np.ndarray) -> Path:
     """A headerless dump with its layout file beside it."""
     path.write_bytes(counts.astype("<i2").tobytes())

@@ -65,6 +65,7 @@ COMMANDS = {
     "report": "Make pages for people, with figures, of reports or of a study.",
     "six-pose": "Calibrate a sensor from a session on its six faces.",
     "inspect": "Show what a recording holds and predict its outcome.",
+    "watch": "Calibrate a recording while it grows.",
     "fit": "Fit still-window means from another tool and judge the fit.",
     "quality": "Show a recording's error by the hour, and whether its calibration holds.",
     "effect": "Show what a calibration changes in measures of activity.",

@@ -246,13 +246,14 @@ def _decorate(options: list[Callable[[Any], Any]]) -> Callable[[Command], Comman
 place_options = _decorate(_PLACES)
 printing_options = _decorate(_PRINTING)
 reading_options = _decorate([*_READING, _CHUNK])
+stream_options = _decorate(_READING)
 chunk_option = _decorate([_CHUNK])
 damage_option = _decorate(_settings_options("max_damage_percent"))
 precision_option = _decorate(_settings_options("precision_mg"))
 gravity_options = _decorate(_GRAVITY)
 fitting_options = _decorate([*_FITTING, *_GRAVITY])
 method_options = _decorate([*_METHOD, *_FITTING, *_GRAVITY])
-_recalibrate_option = _decorate(_settings_options("recalibrate"))
+recalibrate_option = _decorate(_settings_options("recalibrate"))
 comparing_options = _decorate([*_METHOD, *_settings_options("model", "temperature"), *_GRAVITY])
 """Those of a method but for the optimizer and the prior."""
 
@@ -293,7 +294,7 @@ def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) ->
 
 def calibrating_options(command: Command) -> Command:
     """The options that `request_of` needs, and how much is printed."""
-    options = (_recalibrate_option, method_options, damage_option, config_option, reading_options)
+    options = (recalibrate_option, method_options, damage_option, config_option, reading_options)
     for decorator in (*options, printing_options):
         command = decorator(command)
     return _REPORT_ONLY(_KEEP_REFUSED(_INTEGERS(_EFFECT(command))))

@@ -232,6 +232,10 @@ class CellCollector:
         for key, value in other._cells.items():
             _add(self._cells, (*key[:3], key[3] * self.temperature, key[_CONSTANT], 0), value)
 
+    def orientations(self) -> int:
+        """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""
+        return len({_group(key) for key in self._cells})
+
     def points(self, course: Course | None = None) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates.
 

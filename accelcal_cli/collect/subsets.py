@@ -12,6 +12,7 @@ from functools import cache
 from math import ceil, floor
 
 import numpy as np
+from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import Sums, plausible, to_points
 from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Windows
@@ -49,6 +50,22 @@ class SubsetCollector:
                     subset.append(Sums(1, samples, xyz))
                     return True
         return False
+
+    def wanted(self, windows: Windows) -> NDArray[np.bool_]:
+        """Which of m windows lie in a subset that is not full, (m,)."""
+        wanted = np.zeros(len(windows), np.bool_)
+        for samples in sorted(set(windows.samples.tolist())):
+            of_length = windows.samples == samples
+            for (axis, level), subset in self._held.items():
+                if len(subset) < self.per_subset:
+                    low, high = _bounds(self.lsb_per_g, samples)[level]
+                    value = windows.sums[:, axis]
+                    wanted |= of_length & (value >= low) & (value <= high)
+        return wanted
+
+    def filled(self) -> list[list[int]]:
+        """Points of each subset: rows n, 0, p and columns x, y, z."""
+        return [[len(self._held[axis, level]) for axis in range(3)] for level in range(3)]
 
     def missing(self) -> list[str]:
         """Names of subsets that are not full, such as `xn` (x negative) or `z0`."""
@@ -89,6 +106,8 @@ class PaperCollector:
         self._role: dict[int, Role] = {}
         """Of the windows that were taken, by their first sample."""
         self._most = 2 * 9 * POINTS_PER_SUBSET
+        self.full_after: int | None = None
+        """Samples of the recording up to the end of the window that filled the first set."""
 
     def add(self, windows: Windows) -> None:
         """Take still windows in, in the order of time."""
@@ -97,12 +116,28 @@ class PaperCollector:
         near_1_g = windows.select(usable)
         if len(self._taken) == self._most:
             return
+        near_1_g = near_1_g.select(self._wanted(near_1_g))
         columns = (near_1_g.first_sample, near_1_g.samples, near_1_g.sums)
         for first_sample, samples, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
             mean = (samples, (x, y, z))
             if self._differs(mean) and (role := self._offer(mean)) != Role.NOT_TAKEN:
                 self._taken.append(mean)
                 self._role[first_sample] = role
+                if self.full_after is None and not self.fit.missing():
+                    self.full_after = first_sample + samples
+
+    def _wanted(self, windows: Windows) -> NDArray[np.bool_]:
+        """Windows in a subset that is not full, (m,); those that are full have no use for any more."""
+        return self.fit.wanted(windows) | self.control.wanted(windows)
+
+    def __len__(self) -> int:
+        """Points of both sets."""
+        return len(self._taken)
+
+    @property
+    def complete(self) -> bool:
+        """Whether the first set is full and, with a least distance, the second one, too."""
+        return not self.fit.missing() and not (self.settings.min_distance_g and self.control.missing())
 
     def fates(self, windows: Windows) -> Fates:
         """What became of windows that were taken in; which of its points each is, is not said."""

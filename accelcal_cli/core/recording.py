@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.factory import FactoryCalibration
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
@@ -334,6 +335,25 @@ class Closing:
         self.close()
 
 
+class Intake:
+    """Takes the bytes of one recording as they come, and gives its rows as `Reader.chunks` would.
+
+    What it remembers are numbers, texts, arrays and objects of the package, so that it can be kept in a file
+    (`core/freeze.py`). The rows do not depend on the pieces in which the bytes come.
+    """
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """The rows that are settled by these bytes, which follow on those before.
+
+        Args:
+            last: nothing follows.
+
+        Raises:
+            UnreadableError: the bytes cannot be read on at all.
+        """
+        raise NotImplementedError
+
+
 class Reader(Closing):
     """An open recording: its description, and its samples as a stream that can be run again.
 
@@ -354,6 +374,18 @@ class Reader(Closing):
             UnreadableError: the file cannot be read on at all.
         """
         raise NotImplementedError
+
+    def intake(self) -> Intake:
+        """Takes the recording's bytes from the first one on, of a format that can be read as it grows.
+
+        Raises:
+            UnreadableError: it cannot be.
+        """
+        raise UnreadableError(
+            f"recordings of format {self.recording.format} are not read while they grow",
+            path=self.recording.path,
+            hint="use accelcal calibrate when it is complete",
+        )
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Yield up to `pieces` chunks spread over the file where it can be entered anywhere.

@@ -79,6 +79,8 @@ class Coverage:
         condition_number: of the fit's Jacobian with columns of unit length; None if not fitted.
         worst_direction_mg: standard error of |a| in the least certain of 162 directions.
         saturated: axes that measure nothing beyond a value, in raw g; no point is near it.
+        subsets_full_after_h: hours of samples until two still windows, well apart, were in each of F's nine
+            subsets; None where they never were, or nobody looked.
     """
 
     subsets: tuple[tuple[int, int, int], ...]
@@ -89,6 +91,7 @@ class Coverage:
     condition_number: float | None = None
     worst_direction_mg: float | None = None
     saturated: Saturated = ()
+    subsets_full_after_h: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

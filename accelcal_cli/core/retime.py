@@ -12,7 +12,7 @@ from datetime import datetime
 
 from accelcal_cli.core.clock import MICROSECONDS, StartTime, iso_time, offset_at_s, start_of, utc_offset_s
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.recording import Chunk, Reader, Recording
+from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
 from accelcal_cli.core.zones import in_its_zone
 
 NO_START = "no_start_time"
@@ -89,6 +89,10 @@ class RetimedReader(Reader):
         self._reader.threads = self.threads
         return map(self._moved, self._reader.chunks(chunk_samples))
 
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return RetimedIntake(self._reader.intake(), self._by_us, dated=self._dated)
+
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """See `Reader`."""
         return map(self._moved, self._reader.preview(chunk_samples, pieces))
@@ -98,10 +102,27 @@ class RetimedReader(Reader):
         self._reader.close()
 
     def _moved(self, chunk: Chunk) -> Chunk:
-        problems = chunk.problems
-        if self._dated:
-            problems = tuple(problem for problem in problems if problem.code != NO_START)
-        return replace(chunk, clock=chunk.clock.shifted(self._by_us), problems=problems)
+        return moved(chunk, self._by_us, dated=self._dated)
+
+
+def moved(chunk: Chunk, by_us: int, *, dated: bool) -> Chunk:
+    """A chunk whose times are moved, without the problem that there are no dates if there are."""
+    problems = chunk.problems
+    if dated:
+        problems = tuple(problem for problem in problems if problem.code != NO_START)
+    return replace(chunk, clock=chunk.clock.shifted(by_us), problems=problems)
+
+
+class RetimedIntake(Intake):
+    """An intake of another one's chunks, whose times are moved as `RetimedReader` moves them."""
+
+    def __init__(self, intake: Intake, by_us: int, *, dated: bool) -> None:
+        self._intake, self._by_us, self._dated = intake, by_us, dated
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        for chunk in self._intake.take(data, last=last):
+            yield moved(chunk, self._by_us, dated=self._dated)
 
 
 def retimed(reader: Reader, stated: Retiming) -> Reader:

@@ -130,6 +130,7 @@ def coverage_json(coverage: results.Coverage) -> dict[str, Any]:
         "condition_number": None if condition is None else significant(condition),
         "worst_direction_mg": None if worst is None else significant(worst),
         "saturated": [{"axis": "xyz"[axis], "at_g": round(at, 4)} for axis, at in coverage.saturated],
+        "subsets_full_after_h": coverage.subsets_full_after_h,
     }
 
 

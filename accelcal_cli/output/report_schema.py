@@ -52,6 +52,7 @@ LATER = {
     "fit.windows.saturated_left_out": "0.2.0",
     "coverage.saturated": "0.2.0",
     "fit.windows.repeated": "0.2.0",
+    "coverage.subsets_full_after_h": "0.2.0",
 }
 """Keys that reports of versions before the named one may lack (docs/outputs.md); others were taken out."""
 

@@ -22,7 +22,7 @@ from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Coverage, Facts, Judgement, Outcome
-from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.core.settings import NO_PRIOR, PoseSettings, Settings
 from accelcal_cli.core.system import give_back_freed_memory
 from accelcal_cli.judge.change import told
 from accelcal_cli.judge.errors import coverage
@@ -114,6 +114,17 @@ class Survey:
     damage: Judgement | None
 
 
+def surveyed(
+    recording: Recording, facts: Facts, method: survey.Method, settings: Settings | PoseSettings
+) -> tuple[Survey, NDArray[np.int64]]:
+    """What a first pass that is over has found, and the number of the posture of each point."""
+    points = method.procedure.result()
+    posture = postures(points, settings.posture_degrees)
+    covered = coverage(points, posture)
+    damage = damage_verdict(facts, settings.max_damage_percent, covered)
+    return Survey(recording, facts, method, points, covered, damage), posture
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """What a judge says.
@@ -163,6 +174,19 @@ class OwnCalibration(Judge):
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         """The judgement of the profile's procedure."""
+        return self.judged(found)
+
+    def judged(self, found: Survey) -> Verdict:
+        """The judgement of the profile's procedure, with the time that the collection of points took."""
+        verdict = self._judged(found)
+        after, judgement = found.method.procedure.subsets_full_after(), verdict.judgement
+        if after is None:
+            return verdict
+        hours = round(after / found.recording.rate_hz / 3600, 6)
+        covered = replace(judgement.coverage, subsets_full_after_h=hours)
+        return replace(verdict, judgement=replace(judgement, coverage=covered))
+
+    def _judged(self, found: Survey) -> Verdict:
         learnt = self.learnt
         sections = {} if learnt is None else {"prior": learnt.as_json()}
         if found.damage is not None:
@@ -299,11 +323,8 @@ class RecordingRun:
         others = [one for one in (log, timeline, turns) if one is not None]
         with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
             facts = self.survey(method, *others)
-            raw = method.procedure.result()
-            posture = postures(raw, self.request.settings.posture_degrees)
-            covered = coverage(raw, posture)
-            damage = damage_verdict(facts, self.request.settings.max_damage_percent, covered)
-            verdict = judge.verdict(self, Survey(recording, facts, method, raw, covered, damage))
+            found, posture = surveyed(recording, facts, method, self.request.settings)
+            raw, verdict = found.points, judge.verdict(self, found)
             points = method.procedure.result()  # of a sensor that changed they are put right
             gyroscope = None if turns is None else gyroscope_of(turns, verdict.judgement, judge.settings)
             sha256 = digest.result()

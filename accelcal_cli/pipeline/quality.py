@@ -103,7 +103,7 @@ def _of_own(start: Quality, found: FirstPass) -> Quality:
     """A recording's own calibration, as it is before the sensor changes, holds as long as that does not."""
     calibration = start.made.data.judgement.calibration
     assert calibration is not None
-    held = _held_against(replace(calibration, course=None), found.method.procedure)
+    held = held_against(replace(calibration, course=None), found.method.procedure)
     if held.compared is None:
         return _short(start, held.change.unchecked or "", LEAST_MG)
     return _judged(start, held, own=True)
@@ -117,14 +117,14 @@ def _of_given(start: Quality, found: FirstPass, settings: Settings) -> Quality:
     if postures < settings.min_postures:
         least = f"at least {settings.min_postures} are needed"
         return _short(start, f"stillness in only {counted(postures, 'posture')}, {least}", None)
-    held = _held_against(judgement.calibration, found.method.procedure)
+    held = held_against(judgement.calibration, found.method.procedure)
     if held.compared is None:
         return _short(start, held.change.unchecked or "", LEAST_MG)
     return _judged(start, held, own=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Held:
+class Held:
     """A calibration held against a recording.
 
     Attributes:
@@ -139,7 +139,8 @@ class _Held:
     block_samples: int
 
 
-def _held_against(calibration: Calibration, procedure: Procedure) -> _Held:
+def held_against(calibration: Calibration, procedure: Procedure) -> Held:
+    """Hold a calibration against all that a procedure with blocks of time took in."""
     assert isinstance(procedure, TimedCellProcedure)
     means = procedure.means()
     if calibration.course is not None and len(means.block):
@@ -148,10 +149,10 @@ def _held_against(calibration: Calibration, procedure: Procedure) -> _Held:
     change = search.find(calibration)
     if change.at_block is not None:
         change = replace(change, at_us=procedure.begun_us(change.at_block * means.block_samples))
-    return _Held(change, search.compared(), means.blocks(), means.block_samples)
+    return Held(change, search.compared(), means.blocks(), means.block_samples)
 
 
-def _judged(start: Quality, held: _Held, *, own: bool) -> Quality:
+def _judged(start: Quality, held: Held, *, own: bool) -> Quality:
     """What comes of the periods."""
     assert held.compared is not None
     limit_mg = start.made.data.settings.method.max_error_mg
@@ -171,7 +172,7 @@ def _in_rows(periods: tuple[Period, ...], made: QualityInput, block_samples: int
     )
 
 
-def _holding(start: Quality, held: _Held, *, own: bool) -> Quality:
+def _holding(start: Quality, held: Held, *, own: bool) -> Quality:
     """The mean over all stretches of time, and that of the recording's own calibration."""
     compared = held.compared
     assert compared is not None

@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.repetition import Repetitions
+from accelcal_cli.collect.subsets import PaperCollector
 from accelcal_cli.core.course import Course
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
@@ -33,9 +34,9 @@ from accelcal_cli.core.points import (
     joined_windows,
 )
 from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.recording import Chunk, Reader, Recording, clipped_at
+from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording, clipped_at
 from accelcal_cli.core.results import Change, Facts, Judgement
-from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, Settings
+from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.formats import open_recording
 from accelcal_cli.judge.change import ChangeSearch
 from accelcal_cli.judge.model_ladder import Fitting
@@ -52,9 +53,7 @@ from accelcal_cli.pipeline.jobs import Progress
 from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import Segmenter, TimedSegmenter
 
-if TYPE_CHECKING:  # few runs use profile `paper`
-    from accelcal_cli.collect.subsets import PaperCollector
-
+APART_G = PAPER.min_distance_g
 BATCH_WINDOWS = 4096
 BLOCK_S = 3600
 """Samples of so long make a block of time, in which a sensor is taken not to change."""
@@ -139,6 +138,14 @@ class Procedure(Observer):
         """How many windows had which fate, of so many from the segmenter."""
         raise NotImplementedError
 
+    def subsets_full_after(self) -> int | None:
+        """Samples of the recording that filled F's nine subsets; None where they are not full."""
+        return None
+
+    def orientations(self) -> int:
+        """How many orientations are known; with more of them a fit is better."""
+        raise NotImplementedError
+
     def fates(self, windows: Windows) -> Fates:
         """What became of each of the windows that were taken in."""
         raise NotImplementedError
@@ -178,9 +185,13 @@ def make_method(recording: Recording, settings: Settings) -> Method:
 
 def _procedure(recording: Recording, settings: Settings, lsb_per_g: float) -> Procedure:
     if settings.profile == "paper":
-        from accelcal_cli.collect.subsets import PaperCollector
-
         return PaperProcedure(PaperCollector(lsb_per_g, settings))
+    return timed_cells(recording, settings)
+
+
+def timed_cells(recording: Recording, settings: Settings) -> TimedCellProcedure:
+    """The procedure of the default, which also sees how a recording goes along time."""
+    lsb_per_g = local_lsb_per_g(recording, settings)
     temperature = settings.temperature and recording.has_temperature
     hour = max(1, round(BLOCK_S * recording.rate_hz))
     collector = CellCollector(lsb_per_g, settings, temperature=temperature, block_samples=hour)
@@ -205,6 +216,10 @@ class CellProcedure(Procedure):
     def result(self) -> PointSet:
         """One point a cell."""
         return self.collector.points()
+
+    def orientations(self) -> int:
+        """Groups of cells."""
+        return self.collector.orientations()
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model and judge it."""
@@ -242,6 +257,7 @@ class TimedCellProcedure(CellProcedure):
 
     def __init__(self, collector: CellCollector, recording: Recording, settings: Settings) -> None:
         super().__init__(collector)
+        self.subsets = PaperCollector(collector.lsb_per_g, replace(settings, min_distance_g=APART_G))
         self._course: Course | None = None
         self.hour_samples = collector.block_samples
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
@@ -256,7 +272,13 @@ class TimedCellProcedure(CellProcedure):
     def see_still(self, windows: Windows) -> None:
         """Take windows in."""
         super().see_still(windows)
+        if self.subsets.full_after is None:
+            self.subsets.add(windows)
         self._means = None
+
+    def subsets_full_after(self) -> int | None:
+        """By points as far apart as those of profile `paper`."""
+        return self.subsets.full_after
 
     def begun_us(self, sample: int) -> int:
         """When the hour of a sample began, on the device's clock."""
@@ -359,6 +381,14 @@ class PaperProcedure(Procedure):
         """Windows by fate; few of the still ones are used."""
         return window_use(counts, self.collector.implausible, 0)
 
+    def orientations(self) -> int:
+        """Points of both sets, once these can be fitted and judged."""
+        return len(self.collector) if self.collector.complete else 0
+
+    def subsets_full_after(self) -> int | None:
+        """By the set that is fitted."""
+        return self.collector.full_after
+
     def fates(self, windows: Windows) -> Fates:
         """By the two sets."""
         return self.collector.fates(windows)
@@ -446,6 +476,10 @@ class MarkingReader(Reader):
         """See `Reader`."""
         return (with_clipping(chunk, self.recording) for chunk in self.reader.chunks(chunk_samples))
 
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return MarkingIntake(self.reader.intake(), self.recording)
+
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """See `Reader`."""
         return (with_clipping(chunk, self.recording) for chunk in self.reader.preview(chunk_samples, pieces))
@@ -453,6 +487,17 @@ class MarkingReader(Reader):
     def close(self) -> None:
         """Release the file."""
         self.reader.close()
+
+
+class MarkingIntake(Intake):
+    """An intake of another one's chunks, with rows at the sensor's range marked."""
+
+    def __init__(self, intake: Intake, recording: Recording) -> None:
+        self._intake, self._recording = intake, recording
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        return (with_clipping(chunk, self._recording) for chunk in self._intake.take(data, last=last))
 
 
 def with_clipping(chunk: Chunk, recording: Recording) -> Chunk:

@@ -101,6 +101,7 @@ def test_it_is_told_and_spoils_neither_fit_nor_claim(
         assert report["sphere_mg"]["worst_direction"] == pytest.approx(error.max(), rel=0.1)
         assert report["sphere_mg"]["worst_direction_at"][2] < -0.9
     again = json.loads(run(capsys, "fit", tmp_path / "w.csv", "--prior", prior, "--json").out)
+    report["coverage"]["subsets_full_after_h"] = None  # a table does not say when its windows were
     assert [again[key] for key in ("coverage", "sphere_mg", "message")] == [
         report[key] for key in ("coverage", "sphere_mg", "message")
     ]

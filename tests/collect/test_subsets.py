@@ -6,6 +6,7 @@ from dataclasses import replace
 from fractions import Fraction
 from math import floor
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -216,3 +217,33 @@ def test_point_1_one_rest_fills_no_subset_and_no_control_set() -> None:
     """F II.B.1: a new mean "differs sufficiently from the already acquired", of both sets."""
     rest = [(G, number % 7, -(number % 5)) for number in range(100)]
     assert (taken(0.0, rest), taken(PAPER.min_distance_g, rest)) == (12, 1)
+
+
+def test_it_says_after_which_sample_the_first_set_was_full() -> None:
+    """The window that fills it may be one of any length; what follows changes nothing."""
+    means = [ONE_SUBSET[name] for name in ALL for _ in range(2)]
+    held = PaperCollector(LSB, replace(PAPER, min_distance_g=0))
+    lengths = [LENGTH] * 17 + [2 * LENGTH]
+    last = tuple(2 * value for value in means[-1])
+    held.add(windows(lengths[:17], means[:17]))
+    assert held.full_after is None
+    held.add(windows(lengths, [*means[:17], last]).select(np.arange(17, 18)))
+    assert held.full_after == 17 * LENGTH + 2 * LENGTH
+    held.add(windows(LENGTH, means))
+    assert held.full_after == 19 * LENGTH
+    assert held.complete
+
+
+@given(st.lists(st.tuples(*[st.integers(-1300, 1300)] * 3), max_size=60), st.sampled_from([0.0, 0.2]))
+def test_windows_that_no_subset_wants_change_nothing(means: list[tuple[int, int, int]], apart: float) -> None:
+    """One after the other, or all at once: those that are passed over would not have been taken."""
+    settings = replace(PAPER, min_distance_g=apart)
+    at_once, singly = PaperCollector(LSB, settings), PaperCollector(LSB, settings)
+    made = windows(LENGTH, means)
+    at_once.add(made)
+    for place in range(len(means)):
+        singly.add(made.select(np.arange(place, place + 1)))
+    assert at_once.full_after == singly.full_after
+    assert at_once.fit.filled() == singly.fit.filled()
+    assert at_once.control.filled() == singly.control.filled()
+    assert (at_once.fates(made).role == singly.fates(made).role).all()

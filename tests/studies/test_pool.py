@@ -66,6 +66,7 @@ def test_a_pool_is_what_one_long_recording_would_be(base: Path) -> None:
     """Windows end where poses do, so that the long recording has the very windows of its four parts."""
     assert run_in(base, "calibrate", base / "whole.raw", "-d", base / "alone", "--prior", "none").code == 0
     whole, made = report(base / "alone", "whole"), pool_of(base / "out")
+    whole["coverage"]["subsets_full_after_h"] = None  # a pool has no time of its own
     for name in (
         "outcome", "message", "calibration", "without_misalignment", "holdout", "coverage", "models_tried",
     ):  # fmt: skip

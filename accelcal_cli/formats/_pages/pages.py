@@ -202,6 +202,27 @@ class PagedFile:
         return low
 
 
+class PageCutter:
+    """Cuts the bytes of a growing file into whole pages."""
+
+    def __init__(self, file: PagedFile) -> None:
+        self._page_bytes, self._skip = file.page_bytes, file.start_byte
+        self._rest = b""
+        self._position = self._taken = 0
+
+    def cut(self, data: bytes, *, last: bool) -> RawBlock:
+        """The whole pages that end in the next bytes; there may be none."""
+        self._taken += len(data)
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        data = self._rest + data[skipped:]
+        whole = len(data) // self._page_bytes
+        cut, position = whole * self._page_bytes, self._position
+        table = np.frombuffer(data, np.uint8, cut).reshape(whole, self._page_bytes)
+        self._rest, self._position = data[cut:], position + whole
+        return RawBlock(position, table, self._taken, self._rest if last else b"", False, last)
+
+
 def paged_file(path: Path, start_byte: int, page_bytes: int, *, proved: bool = True) -> PagedFile:
     """Look at a file's size and compression.
 

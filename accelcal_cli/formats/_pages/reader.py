@@ -14,9 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, cut_columns
+from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, cut_columns
 from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import BadRun, Block, Decoded, PageBlock, PagedFile, Places, RawBlock
+from accelcal_cli.formats._pages.pages import (
+    BadRun,
+    Block,
+    Decoded,
+    PageBlock,
+    PageCutter,
+    PagedFile,
+    Places,
+    RawBlock,
+)
 from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
 
@@ -340,6 +349,19 @@ def first_time(stream: Generator[Chunk]) -> int:
         return int(next(chunk for chunk in chunks if len(chunk)).clock.times(0, 1)[0])
 
 
+class PageIntake(Intake):
+    """Takes a dump of pages as it grows."""
+
+    def __init__(self, file: PagedFile, decode: Callable[[RawBlock], Decoded], joiner: PageJoiner) -> None:
+        self._cutter, self._decode, self._joiner = PageCutter(file), decode, joiner
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        raw = self._cutter.cut(data, last=last)
+        if len(raw.pages) or last:
+            yield self._joiner.feed(raw, self._decode(raw))
+
+
 class PagedReader(Reader):
     """Streams the pages of a dump; each call of `chunks` reads the file from its beginning.
 
@@ -362,6 +384,10 @@ class PagedReader(Reader):
             chunk = joiner.feed(raw, self._scheme.decode(raw))
             if len(chunk) or chunk.problems:
                 yield chunk
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return PageIntake(self._scheme.file, self._scheme.decode, self._joiner(0, self._problems))
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Enter the file at evenly spread pages; a gzip file gives its first chunks."""

@@ -6,7 +6,7 @@ Bad rows are left out; breaks, jumps of the clock and what else is wrong become 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformCloc
 from accelcal_cli.core.daylight import FOLLOWED
 from accelcal_cli.core.errors import UnreadableError, counted
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import Channels, Chunk, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats._stamps import GAP_PERIODS
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
@@ -33,7 +33,7 @@ from accelcal_cli.formats.csv.rows import (
     block_bytes,
     joined,
 )
-from accelcal_cli.formats.csv.table import Block, LineFile, RepeatedHeads
+from accelcal_cli.formats.csv.table import Block, LineCutter, LineFile, RepeatedHeads
 
 SINGLE = 50
 """Problems of a kind that are given one by one."""
@@ -77,17 +77,22 @@ class CsvReader(Reader):
         Raises:
             UnreadableError: a line is no row of the file, or most rows cannot be used.
         """
-        changes = FollowedChanges(self.recording.timezone if self.recording.stamped else None)
+        changes = self._changes()
         assembler = Assembler(self._detected, changes.rows, self.recording.timezone)
         heads = RepeatedHeads(self._detected.head)
         for rows, block in joined(self._settled(chunk_samples, heads, [changes]), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
                 if len(chunk) or chunk.problems:
                     yield chunk
-        if 2 * assembler.samples < assembler.rows or not assembler.samples:
-            raise self._unusable(f"only {assembler.samples} of {assembler.rows} rows hold usable values")
-        if (end := assembler.end(block, _joined_files(heads.lines, assembler.samples))).problems:
+        if (end := _ended(assembler, heads, block, self._detected)).problems:
             yield end
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return CsvIntake(self._detected, self._changes(), self.recording.timezone)
+
+    def _changes(self) -> FollowedChanges:
+        return FollowedChanges(self.recording.timezone if self.recording.stamped else None)
 
     def _settled(
         self, chunk_samples: int, heads: RepeatedHeads, changes: Sequence[FollowedChanges] = ()
@@ -95,11 +100,7 @@ class CsvReader(Reader):
         """Rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
         row_parser = RowParser(detected.parser, detected.scale, detected.first_values)
-        stages: list[FollowedChanges | SpreadRows | IdleFill] = [*changes]
-        if detected.pace.stamp_period_us:
-            stages.append(SpreadRows(detected.pace))
-        if detected.export.repeats_idle:
-            stages.append(IdleFill(round(detected.pace.rate_hz)))
+        stages = [*changes, *_stages(detected)]
         size = block_bytes(chunk_samples, detected.line_bytes)
         with LineFile(self._path, dialect.bare_returns) as file:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
@@ -119,11 +120,57 @@ class CsvReader(Reader):
                     return int(chunk.clock.times(0, 1)[0]) if self._detected.has_dates else None
             if block.offset > 16 * HEAD_BYTES:
                 break
-        raise self._unusable(f"none of its first {assembler.rows} rows holds usable values")
+        raise _unusable(self._detected, f"none of its first {assembler.rows} rows holds usable values")
 
-    def _unusable(self, what: str) -> UnreadableError:
-        line = self._detected.parser.dialect.skipped + 1
-        return UnreadableError(what, path=self._path, line=line, hint="check --columns and --unit")
+
+def _unusable(detected: Detected, what: str) -> UnreadableError:
+    parser = detected.parser
+    line = parser.dialect.skipped + 1
+    return UnreadableError(what, path=parser.path, line=line, hint="check --columns and --unit")
+
+
+def _stages(detected: Detected) -> list[SpreadRows | IdleFill]:
+    """What is done to rows after they are parsed and their zone's changes are undone."""
+    stages: list[SpreadRows | IdleFill] = []
+    if detected.pace.stamp_period_us:
+        stages.append(SpreadRows(detected.pace))
+    if detected.export.repeats_idle:
+        stages.append(IdleFill(round(detected.pace.rate_hz)))
+    return stages
+
+
+def _ended(assembler: Assembler, heads: RepeatedHeads, block: Block, detected: Detected) -> Chunk:
+    """What the end of a file completes; raises UnreadableError if most rows cannot be used."""
+    if 2 * assembler.samples < assembler.rows or not assembler.samples:
+        raise _unusable(detected, f"only {assembler.samples} of {assembler.rows} rows hold usable values")
+    return assembler.end(block, _joined_files(heads.lines, assembler.samples))
+
+
+class CsvIntake(Intake):
+    """Takes a text file as it grows, whole lines at a time."""
+
+    def __init__(self, detected: Detected, changes: FollowedChanges, zone: str | None) -> None:
+        dialect = replace(detected.parser.dialect, sample=(), lines=())
+        detected = replace(detected, parser=replace(detected.parser, dialect=dialect))
+        self._detected = detected
+        self._lines = LineCutter(dialect, detected.parser.path)
+        self._heads = RepeatedHeads(detected.head)
+        self._parser = RowParser(detected.parser, detected.scale, detected.first_values)
+        self._stages = [changes, *_stages(detected)]
+        self._assembler = Assembler(detected, changes.rows, zone)
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        block = self._lines.cut(data, last=last)
+        if not block.data and not last:
+            return
+        for parsed, passed in self._parser.rows([self._heads.without(block)], 1):
+            rows = parsed
+            for stage in self._stages:
+                rows = stage.add(rows, last)
+            yield from self._assembler.chunks(rows, passed, max(1, len(rows)))
+        if last:
+            yield _ended(self._assembler, self._heads, block, self._detected)
 
 
 def _recording(path: Path, detected: Detected, first_us: int | None, last_us: int | None) -> Recording:

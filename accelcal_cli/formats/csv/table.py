@@ -134,6 +134,41 @@ class LineFile(Closing):
                 offset += len(data)
 
 
+class LineCutter:
+    """Cuts the bytes of a growing text file into blocks of whole lines."""
+
+    def __init__(self, dialect: Dialect, path: Path) -> None:
+        self._path = path
+        self._bare_returns = dialect.bare_returns
+        self._skip, self._line, self._offset = dialect.offset, dialect.skipped + 1, dialect.offset
+        self._rest = b""
+        self._zeros = 0
+
+    def cut(self, data: bytes, *, last: bool) -> Block:
+        """The lines that end in the next bytes; there may be none.
+
+        Raises:
+            UnreadableError: a line does not end within 1 MiB.
+        """
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        fresh = data[skipped:].replace(b"\r", b"\n") if self._bare_returns else data[skipped:]
+        endless = self._zeros > 0 and fresh.strip(b"\0") != b""
+        lines, self._rest = _cut([self._rest, fresh])
+        if len(self._rest) > LONGEST_LINE:
+            text = self._rest.rstrip(b"\0")
+            self._zeros, self._rest = self._zeros + len(self._rest) - len(text), text
+        if endless or len(self._rest) > LONGEST_LINE:
+            raise UnreadableError(
+                "a line has no end", path=self._path, line=self._line, byte_offset=self._offset
+            )
+        line, offset = self._line, self._offset
+        self._line, self._offset = line + count_lines(lines), offset + len(lines)
+        rest, zeros = (self._rest, self._zeros) if last else (b"", 0)
+        ends = self._offset, self._offset + len(self._rest)
+        return Block(lines, rest, line, self._line - line, offset, *ends, last, False, zeros)
+
+
 class RepeatedHeads:
     """Blanks the names of the columns where they stand again, as between files that were joined.
 

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
-from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, joined_columns
+from accelcal_cli.core.recording import Chunk, Device, Intake, Problem, Reader, Recording, joined_columns
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import PagedFile, RawBlock
+from accelcal_cli.formats._pages.pages import PageCutter, PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import EventMaker, first_time, missing_kind
 from accelcal_cli.formats._problems import Event, ProblemLog
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
@@ -246,6 +246,20 @@ class Assembler:
         return chunk
 
 
+class CwaIntake(Intake):
+    """Takes a recording as it grows."""
+
+    def __init__(self, scheme: Scheme) -> None:
+        self._cutter = PageCutter(scheme.file)
+        self._assembler = Assembler(scheme, 0, scheme.problems)
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        raw = self._cutter.cut(data, last=last)
+        if len(raw.pages) or last:
+            yield from self._assembler.feed(raw)
+
+
 class CwaReader(Reader):
     """Streams the sectors; each call of `chunks` reads the file from its beginning."""
 
@@ -256,6 +270,10 @@ class CwaReader(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole sectors, at least one."""
         return self._scheme.stream(chunk_samples)
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return CwaIntake(self._scheme)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Enter the file at evenly spread sectors; a gzip file gives its first chunks."""

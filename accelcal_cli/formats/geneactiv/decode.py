@@ -138,9 +138,14 @@ def _scale(lsb_per_g: float, table: NDArray[np.int64], *, exact: bool) -> Scale:
 
 
 class Repeats:
-    """Knows a page again by its number, its time and its first and last sample; so many pages back."""
+    """Knows a page again by its number, its time and its first and last sample.
 
-    def __init__(self) -> None:
+    Args:
+        remembered: how many pages back.
+    """
+
+    def __init__(self, remembered: int) -> None:
+        self._remembered = remembered
         self._marks = np.empty(0, np.uint64)
         self._highest = -1
 
@@ -153,8 +158,8 @@ class Repeats:
         known = np.append(self._marks, page_marks(block))
         for page in np.flatnonzero(block.sequence <= highest[:-1]).tolist():
             now = len(self._marks) + page
-            again[page] = bool((known[max(0, now - REMEMBERED_PAGES) : now] == known[now]).any())
-        self._highest, self._marks = int(highest[-1]), known[-REMEMBERED_PAGES:]
+            again[page] = bool((known[max(0, now - self._remembered) : now] == known[now]).any())
+        self._highest, self._marks = int(highest[-1]), known[-self._remembered :]
         return again
 
 
@@ -186,9 +191,9 @@ class Settings:
 class Decoder:
     """Decodes the pages of a file in their order."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, remembered: int = REMEMBERED_PAGES) -> None:
         self._settings = settings
-        self._repeats = Repeats()
+        self._repeats = Repeats(remembered)
 
     def __call__(self, found: Found, first_position: int) -> Decoded:
         """The pages that are right, and the others.

@@ -17,7 +17,7 @@ import numpy as np
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording, clipped_at
+from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, clipped_at
 from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
 from accelcal_cli.formats._pages.places import Part, PartPlaces
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
@@ -25,6 +25,7 @@ from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
 from accelcal_cli.formats.geneactiv.decode import (
     RAW_LIMIT,
+    REMEMBERED_PAGES,
     Decoder,
     Scale,
     Settings,
@@ -37,6 +38,9 @@ from accelcal_cli.formats.geneactiv.header import RESET_DATE, Header, parse_head
 from accelcal_cli.formats.geneactiv.scan import Found, Head, TextFile
 
 PAGES = 64
+PAGES_OF_A_STREAM = 256
+"""Pages that a file which grows is known to repeat; a whole file may repeat any."""
+
 UNITS_US = (1_000_000, 500_000)
 """Devices stamp their pages with whole seconds (model 1.2) or half ones (model 1.1)."""
 
@@ -152,9 +156,7 @@ class Scheme:
         assembler = Assembler(self, 0, self.problems)
         with closing(self.file.parts(max(1, chunk_samples // scan.SAMPLES))) as parts:
             for part in parts:
-                chunk = assembler.feed(part)
-                if part.last:
-                    chunk = replace(chunk, problems=chunk.problems + assembler.ending(part, chunk))
+                chunk = assembler.chunk(part)
                 if len(chunk) or chunk.problems:
                     yield chunk
 
@@ -172,14 +174,21 @@ class Scheme:
 class Assembler:
     """Takes the parts of a file in order and gives a chunk for each."""
 
-    def __init__(self, scheme: Scheme, sample: int, problems: tuple[Problem, ...]) -> None:
+    def __init__(
+        self, scheme: Scheme, sample: int, problems: tuple[Problem, ...], remembered: int = REMEMBERED_PAGES
+    ) -> None:
         self._scheme = scheme
         self._places = PartPlaces(scan.USUAL_BYTES)
-        self._decode = Decoder(scheme.settings)
+        self._decode = Decoder(scheme.settings, remembered)
         timeline = CoarseTimeline(scheme.spacing, scheme.first.unit_us)
         first = scheme.first.first_values
         self._joiner = PageJoiner(self._places, scheme.spacing, timeline, sample, first, problems)
         self._highest = self._last_position = -1
+
+    def chunk(self, part: Part[Found]) -> Chunk:
+        """Add a part; the last one releases everything, with what is missing at the end of the file."""
+        chunk = self.feed(part)
+        return replace(chunk, problems=chunk.problems + self.ending(part, chunk)) if part.last else chunk
 
     def feed(self, part: Part[Found]) -> Chunk:
         """Add a part; the last one releases everything."""
@@ -189,7 +198,9 @@ class Assembler:
         if len(block) and block.sequence is not None:
             self._highest = max(self._highest, int(block.sequence.max()))
             self._last_position = int(block.position[-1])
-        return clipped_at(self._joiner.feed(part, decoded), *self._scheme.settings.scale.clipped)
+        chunk = clipped_at(self._joiner.feed(part, decoded), *self._scheme.settings.scale.clipped)
+        self._places.part = replace(part, first_position=part.next_position, found=Found())
+        return chunk
 
     def ending(self, part: Part[Found], chunk: Chunk) -> tuple[Problem, ...]:
         """What is missing at the end of the file."""
@@ -212,6 +223,25 @@ class Assembler:
         return (self._scheme.announced or 0) - (self._highest + 1) - damaged - cut
 
 
+class GeneactivIntake(Intake):
+    """Takes a recording as it grows."""
+
+    def __init__(self, scheme: Scheme) -> None:
+        self._assembler = Assembler(scheme, 0, scheme.problems, PAGES_OF_A_STREAM)
+        self._scanner = scan.Scanner(scheme.file.start)
+        self._skip, self._position, self._taken = scheme.file.start, 0, 0
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        self._taken += len(data)
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        found = self._scanner.feed(data[skipped:], last=last)
+        part = Part(self._position, found, self._taken, self._taken, last)
+        self._position = part.next_position
+        yield self._assembler.chunk(part)
+
+
 class GeneactivReader(Reader):
     """Streams the pages; each call of `chunks` reads the file from its beginning."""
 
@@ -222,6 +252,10 @@ class GeneactivReader(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole pages, at least one."""
         return self._scheme.stream(chunk_samples)
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return GeneactivIntake(self._scheme)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Enter the file at evenly spread bytes, each time up to the next page.

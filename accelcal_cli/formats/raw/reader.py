@@ -219,6 +219,10 @@ class FrameDecoder:
         self._layout = layout
         self._values = FrameValues(layout)
 
+    def __getnewargs__(self) -> tuple[Layout]:
+        """All that it is made of."""
+        return (self._layout,)
+
     def __call__(self, raw: RawBlock) -> Decoded:
         """The valid pages of a block."""
         pages, leftover, end_rows = self._with_tail(raw)

@@ -1,0 +1,115 @@
+"""Recordings that are read while they grow: in whatever pieces, the rows are those of the whole file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.freeze import frozen, thawed
+from accelcal_cli.core.recording import Chunk, Intake, joined
+from accelcal_cli.formats import all_encoders
+from accelcal_cli.pipeline.survey import open_marked
+from tests.cli.run import exit_code
+from tests.recordings import directions, still_counts, write_csv
+
+STREAMED = ("csv", "cwa", "flash", "geneactiv", "raw")
+COLUMNS = ("counts", "time_us", "breaks", "clock_jumps", "temperature_mc", "gyro_counts", "validity")
+
+
+@pytest.fixture(scope="session")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folder = tmp_path_factory.mktemp("growing")
+    found = {}
+    for encoder in all_encoders():
+        path = folder / f"{encoder.name}{encoder.suffix.removesuffix('.gz')}"
+        words = ("--format", encoder.name, "--days", "0.02", "--rate", "50", "--seed", "3", "-q")
+        if encoder.name == "csv":
+            write_csv(path, still_counts(directions(20)))
+        else:
+            assert exit_code("simulate", path, *words) == 0
+        found[encoder.name] = path
+    return found
+
+
+def pieces(data: bytes, random: Random, longest: int) -> list[bytes]:
+    found = []
+    while data:
+        size = random.randint(1, longest)
+        found.append(data[:size])
+        data = data[size:]
+    return found
+
+
+def kept(intake: Intake) -> Intake:
+    """As it comes back from a file."""
+    text = json.dumps(frozen(intake))
+    again: Intake = thawed(json.loads(text))
+    assert json.dumps(frozen(again)) == text
+    return again
+
+
+def grown(path: Path, data: bytes, random: Random) -> Chunk:
+    """The rows of a recording that grows, put into a file and taken out again on the way."""
+    chunks: list[Chunk] = []
+    with open_marked(path, ReadOptions()) as reader:
+        intake = reader.intake()
+        for piece in pieces(data, random, 30_000):
+            chunks += intake.take(piece, last=False)
+            if random.random() < 0.2:
+                intake = kept(intake)
+        chunks += intake.take(b"", last=True)
+    return joined(chunks)
+
+
+def same(one: Chunk, other: Chunk) -> bool:
+    columns = [(getattr(one, name), getattr(other, name)) for name in COLUMNS]
+    alike = all(a is b is None or np.array_equal(a, b) for a, b in columns)
+    return alike and one.problems == other.problems and one.used_bytes == other.used_bytes
+
+
+def whole(path: Path) -> Chunk:
+    with open_marked(path, ReadOptions()) as reader:
+        return joined(list(reader.chunks(10_000)))
+
+
+@pytest.mark.parametrize("name", STREAMED)
+def test_rows_do_not_depend_on_the_pieces(recordings: dict[str, Path], name: str) -> None:
+    path = recordings[name]
+    assert same(grown(path, path.read_bytes(), Random(1)), whole(path))
+
+
+@pytest.mark.parametrize("name", STREAMED)
+@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(n, marks=pytest.mark.nightly) for n in range(3, 40))])
+def test_damage_is_told_alike(recordings: dict[str, Path], name: str, seed: int, tmp_path: Path) -> None:
+    """Bytes are blanked, lost and doubled somewhere behind the head, and the end is cut off."""
+    random = Random(seed)
+    path = tmp_path / recordings[name].name
+    data = bytearray(recordings[name].read_bytes())
+    for beside in recordings[name].parent.glob(f"{name}.layout.toml"):
+        (tmp_path / beside.name).write_bytes(beside.read_bytes())
+    for _ in range(random.randint(1, 5)):
+        place, length = random.randrange(9000, len(data)), random.randint(1, 2000)
+        if name == "csv":  # lines that are no rows end the reading; lost ones do not
+            place, length = data.index(b"\n", place - 1000) + 1, 0
+            length = data.index(b"\n", place) + 1 - place
+        part = data[place : place + length]
+        data[place : place + length] = random.choice(
+            [b"", part * 2, b"" if name == "csv" else b"\0" * length]
+        )
+    data = data[: random.randrange(len(data) // 2, len(data))]
+    path.write_bytes(data)
+    found = whole(path)
+    assert same(grown(path, bytes(data), random), found)
+
+
+def test_other_formats_say_that_they_are_not_read_while_they_grow(recordings: dict[str, Path]) -> None:
+    for name in sorted(set(recordings) - set(STREAMED)):
+        refusal = pytest.raises(UnreadableError, match=f"{name} are not read while they grow")
+        with open_marked(recordings[name], ReadOptions()) as reader, refusal:
+            reader.intake()
