@@ -107,7 +107,7 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
               metavar="MG[,MG...]", help="Noise on each axis, standard deviation.")  # fmt: skip
 @click.option("--selection", type=OneOf(get_args(Selection)), default="subsets", show_default=True,
               help="subsets: chosen by the paper's collector; random: any points.")  # fmt: skip
-@click.option("--gauge", type=click.Choice(get_args(Gauge)), default="lower", show_default=True,
+@click.option("--gauge", type=OneOf(get_args(Gauge)), default="lower", show_default=True,
               help="Compare the paper's triangular K, or the symmetric S of Grammenos et al.")  # fmt: skip
 @click.option("--optimizer", "labels", multiple=True, type=METHOD, metavar="NAME[:paper]",
               help=f"May be repeated; `all` for all optimizers.  [default: {' '.join(USUAL)}]")  # fmt: skip
@@ -115,7 +115,7 @@ def _notes(tables: tuple[Table, ...]) -> Iterator[str]:
               help="Learning rates of one more method, `descent`.  [default: 0.3,0.8,0.2]")  # fmt: skip
 @click.option("--iterations", type=click.IntRange(1, 10_000),
               help="Iterations of `descent`.  [default: 50]")  # fmt: skip
-@click.option("--objective", type=click.Choice(get_args(Objective)),
+@click.option("--objective", type=OneOf(get_args(Objective)),
               help="What `descent` minimises: mean or sum of (|a|^2 - 1)^2, or mean of (|a| - 1)^2 (root).  "
                    "[default: mean]")  # fmt: skip
 @click.option("--convergence", is_flag=True, help="Also show how `descent` converges (Fig. 9).")

@@ -38,7 +38,7 @@ KINDS = ("arrow", "csv")
               help="Keep in FILE where the watch stands, so that it can be stopped and go on.")  # fmt: skip
 @click.option("-o", "--output", type=options.FILE, metavar="FILE",
               help="Write calibrated rows from the first fit on; `-` is standard output.")  # fmt: skip
-@click.option("--to", "kind", type=click.Choice(KINDS),
+@click.option("--to", "kind", type=options.OneOf(KINDS),
               help="Rows as an Arrow IPC stream or as CSV.  [default: csv for .csv and `-`]")  # fmt: skip
 @options.recalibrate_option
 @options.method_options

@@ -143,6 +143,11 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
     "export --to npz": (("{parquet}", "-o", "{out}/={body}.npz"), (0,), 0),
     "export --to mhealth": (("{parquet}", "-o", "{out}/={body}.csv"), (0, 2), 0),
     "export --to bids": (("{parquet}", "-o", "{out}/sub-01_task-rest_tracksys-wrist_motion.tsv"), (0, 2), 0),
+    "watch": (("--", "{recording}"), (0, 4), None),
+    "effect": (("--epochs", "{out}/={body}.csv", "--", "{recording}"), (0, 4), None),
+    "effect --csv": (("--", "{recording}"), (0, 4), None),
+    "evaluate smoothing": (("--", "{recording}"), (0, 4), None),
+    "evaluate homogeneity": (("--", "{recording}", "{recording}"), (0, 1, 2, 3, 4), None),
     "simulate": (("{out}/={body}", "--days", "0.01", "--rate", "25"), (0,), 1),
 }
 """Words, exit codes and lines on stdout of commands; what goes over a study comes below."""
