@@ -48,7 +48,8 @@ def test_what_fails_costs_nothing_but_the_run(runner: Runner, tmp_path: Path, na
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.name)
 def test_each_call_of_each_operation(runner: Runner, tmp_path: Path, scenario: Scenario) -> None:
     stage = Stage(scenario, tmp_path / "stage", runner)
-    for operation in ERRORS:
+    of_parts = ("open", "read") if scenario.name == "calibrate parts" else ()  # a lost part costs itself
+    for operation in ERRORS.keys() - set(of_parts):
         for _, fault in faults(operation, stage.calls[operation], 4 if scenario.forks else None):
             stage.strike(fault)
 
