@@ -207,7 +207,6 @@ def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:
         tarfile.open(fileobj=cast(BinaryIO, source), mode="r|", tarinfo=_Header) as tar,
     ):
         for member in tar:
-            tar.members = []  # it would keep them all
             if member.isfile() and (stream := tar.extractfile(member)) is not None:
                 yield member.name, _Whole(stream, member.size)
         if source.tell() < tar.offset + tarfile.BLOCKSIZE:
