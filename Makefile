@@ -10,7 +10,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz lint docs firmware browser browser-ready bench bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz faults oldest audit lint docs firmware browser browser-ready bench bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -45,6 +45,31 @@ nightly: $(READY)
 # ACCELCAL_FUZZ mutants of all formats together, and one in a hundred as many of each kind of our own files
 fuzz: $(READY)
 	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-100000} $(BIN)/python -m tests.fuzz
+
+# the table of docs/reliability.md: FAULTS calls of each operation fail in turn (0: all, which takes an hour)
+faults: $(READY)
+	$(BIN)/python -m tests.faults $(FAULTS)
+
+# the oldest versions of the dependencies that pyproject.toml allows, from wheels, in an environment of their own
+OLDEST := bench_data/oldest
+oldest: $(OLDEST)/.ready
+	$(OLDEST)/bin/python -m pytest -n auto -m 'not nightly' tests/optimize/test_contract.py \
+	  tests/formats/test_contract.py tests/cli/test_calibrate.py tests/cli/test_simulate.py tests/pages/test_recording_page.py \
+	  tests/output tests/exports tests/collect --deselect tests/output/test_row_groups.py
+
+$(OLDEST)/.ready: pyproject.toml
+	rm -rf $(OLDEST)
+	$(PYTHON) -m venv $(OLDEST)
+	$(PYTHON) tools/oldest.py > $(OLDEST)/requirements.txt
+	$(OLDEST)/bin/python -m pip install --quiet --only-binary :all: -r $(OLDEST)/requirements.txt \
+	  pytest pytest-xdist hypothesis jsonschema
+	touch $@
+
+# what is installed against published advisories; needs the network
+audit: $(READY)
+	$(PYTHON) -m venv bench_data/audit
+	bench_data/audit/bin/python -m pip install --quiet pip-audit
+	bench_data/audit/bin/pip-audit --path $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import accelcal_cli
+from tools.oldest import oldest
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
@@ -59,3 +60,12 @@ def test_the_container_has_a_python_that_is_supported_and_no_root() -> None:
     for line in re.findall(r"^COPY (?!--from)(.*) \S+$", CONTAINER, re.MULTILINE):
         for source in line.split():
             assert (ROOT / source).exists() and f"!{source}" in kept
+
+
+def test_each_dependency_names_its_oldest_version() -> None:
+    """`make oldest` installs these."""
+    about = PROJECT["project"]
+    needed = [*about["dependencies"], *about["optional-dependencies"]["methods"]]
+    pinned = oldest(needed)
+    assert len(pinned) == len(needed)
+    assert all(re.fullmatch(r"[a-z0-9]+==\d+(\.\d+)*", one) for one in pinned), pinned

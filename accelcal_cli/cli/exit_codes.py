@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, printable
+from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, lacking, printable
 
 OK = 0
 SOME_FAILED = 1
@@ -181,9 +181,9 @@ def report_bug(path: Path | None = None) -> int:
     kind, value, _ = sys.exc_info()
     if came_of(value, InterruptedBySignalError, KeyboardInterrupt):
         raise InterruptedBySignalError from None
-    if isinstance(value, MemoryError) or getattr(value, "errno", None) == errno.ENOMEM:
+    if (lack := lacking(value)) is not None:
         where = "" if path is None else f"{path}: "
-        say(f"{where}there was not enough memory; free some, or give fewer --chunk-samples")
+        say(f"{where}{lack}; free some, or give fewer --chunk-samples")
         return NO_MEMORY
     name = "error" if kind is None else kind.__name__
     text = " ".join(f"{name}: {value}".split())

@@ -10,8 +10,8 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.output.files import is_page, refuse_foreign, write_text
-from accelcal_cli.output.report import load
-from accelcal_cli.output.report_reading import check_sections, read_document
+from accelcal_cli.output.report import ours
+from accelcal_cli.output.report_reading import check_sections, document_bytes, read_document
 from accelcal_cli.output.report_schema import report_schema
 from accelcal_cli.pipeline.jobs import (
     PAGE_SUFFIX,
@@ -115,27 +115,20 @@ def write_page(report: Path, page: Path, *, kept: bool = False) -> bool:
         kept: a page that is what it would be now is left as it is.
 
     Raises:
-        UnreadableError: the report cannot be read, or is damaged.
+        UnreadableError: the report, or what lies beside it, cannot be read; or the report is damaged.
         OutputError: the page cannot be written.
     """
     from accelcal_cli.pages import stamp
 
     beside = _beside(report, QUALITY_SUFFIX)
-    made_of = stamp.made_of(*map(_bytes, (report, beside)))
+    held = [document_bytes(one) if one.is_file() else b"" for one in (report, beside)]
+    made_of = stamp.made_of(*held)
     if kept and stamp.stamp_of(page) == made_of:
         return False
     from accelcal_cli.pages import recording  # jinja2 is needed for pages only
 
     document = read_document(report)
     check_sections(document, tuple(report_schema()["properties"]))
-    quality = (load(beside) or {}) if beside.exists() else None
+    quality = (ours(held[1]) or {}) if beside.exists() else None
     write_text(page, stamp.stamped(recording.page(document.report, quality), made_of))
     return True
-
-
-def _bytes(path: Path) -> bytes:
-    """What a file holds; nothing if it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError:
-        return b""

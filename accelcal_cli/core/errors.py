@@ -5,6 +5,7 @@ Names of files as text that any terminal, table and JSON file can hold, and numb
 
 from __future__ import annotations
 
+import errno
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -16,6 +17,9 @@ NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 
 FORMULA = re.compile(r"[=@\t\r\n]|[+-](?![0-9.eE+-]*$)")
 """How cells begin that spreadsheets calculate, or of which they pass over the beginning; no numbers."""
+
+NO_THREAD = ("can't start new thread", "Failed to launch worker thread")
+"""What Python (Modules/_threadmodule.c) and Arrow (util/thread_pool.cc) say where they are given none."""
 
 
 def printable(path: Path | str, *, kept: str = "") -> str:
@@ -66,6 +70,15 @@ def came_of(error: BaseException | None, *kinds: type[BaseException]) -> BaseExc
     while error is not None and not isinstance(error, kinds):
         error = error.__context__
     return error
+
+
+def lacking(error: BaseException | None) -> str | None:
+    """What this machine had not enough of, if that is what went wrong: memory, or another thread."""
+    if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
+        return "there was not enough memory"
+    if any(words in str(error) for words in NO_THREAD):
+        return "no more threads could be started"
+    return None
 
 
 class AccelcalError(Exception):

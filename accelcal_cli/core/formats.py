@@ -207,7 +207,10 @@ class Format:
             UsageError: an option is missing or contradicts the file.
         """
         module, _, function = self.reader.partition(":")
-        reader: Reader = getattr(importlib.import_module(module), function)(path, options)
+        try:
+            reader: Reader = getattr(importlib.import_module(module), function)(path, options)
+        except OSError as error:
+            raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
         _refuse_no_calendar(reader.recording)
         reader = retimed(reader, options.times)
         _refuse_no_calendar(reader.recording)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import gzip
 import os
 import zlib
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,10 +124,11 @@ class ByteSource(Closing):
         return max(0, os.fstat(self._file.fileno()).st_size - self._file.tell()) if self.broken else 0
 
     def close(self) -> None:
-        """Release the file."""
-        if self._gzip is not None:
-            self._gzip.close()
-        self._file.close()
+        """Release the file; that this fails costs nothing that was read."""
+        with suppress(OSError):
+            if self._gzip is not None:
+                self._gzip.close()
+            self._file.close()
 
     def _step(self, stream: gzip.GzipFile, count: int) -> bytes:
         if not self._ahead and not self.broken:
@@ -135,6 +138,21 @@ class ByteSource(Closing):
 
     def _unreadable(self, error: OSError) -> UnreadableError:
         return UnreadableError(f"cannot be read ({error.strerror or error})", path=self.path)
+
+
+class ShortReads:
+    """A file of which zipfile reads no directory that is too long, as it reads one at once."""
+
+    def __init__(self, file: BinaryIO, most_bytes: int) -> None:
+        """Stand for a file that is open for reading."""
+        self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
+        self._file, self._most = file, most_bytes
+
+    def read(self, count: int = -1) -> bytes:
+        """Bytes of the file, which up to its near end; raises OSError for too many."""
+        if count > self._most:
+            raise OSError("the directory is too long")
+        return self._file.read(count)
 
 
 def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint32]:

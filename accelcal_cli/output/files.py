@@ -127,6 +127,7 @@ def beside(path: Path) -> Path:
     try:
         _create(temporary)
     except OSError as error:
+        discard(temporary)
         raise output_error(error, path) from error
     return temporary
 

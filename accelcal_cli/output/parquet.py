@@ -377,8 +377,9 @@ class ParquetSource:
         return self
 
     def __exit__(self, *_failure: object) -> None:
-        self._file.close()
-        self._open.close()
+        with contextlib.suppress(OSError):  # what was read is not less true
+            self._file.close()
+            self._open.close()
 
 
 def _values(column: pa.Array) -> NDArray[Any]:

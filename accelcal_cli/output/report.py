@@ -526,8 +526,16 @@ def load(path: Path) -> dict[str, Any] | None:
     try:
         if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
             return None
-        report = parsed(path.read_text("utf-8"))
-    except (OSError, ValueError):
+        return ours(path.read_bytes())
+    except OSError:
+        return None
+
+
+def ours(text: bytes) -> dict[str, Any] | None:
+    """The content of a JSON file that accelcal wrote, or None if it is anything else."""
+    try:
+        report = parsed(text.decode())
+    except ValueError:
         return None
     return report if isinstance(report, dict) and "accelcal_version" in report else None
 

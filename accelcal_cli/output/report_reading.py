@@ -75,7 +75,7 @@ def read_document(path: Path) -> Document:
     Raises:
         UnreadableError: it cannot be read, is not JSON, or no report of ours that this version knows.
     """
-    data = _bytes(path)
+    data = document_bytes(path)
     try:
         report = parsed(data.decode())
     except UnicodeDecodeError as error:
@@ -96,7 +96,12 @@ def read_document(path: Path) -> Document:
     return Document(path, hashlib.sha256(data).hexdigest(), now, None if now is report else report)
 
 
-def _bytes(path: Path) -> bytes:
+def document_bytes(path: Path) -> bytes:
+    """What a report, or a file that lies beside it, holds.
+
+    Raises:
+        UnreadableError: it cannot be read, or is larger than any of ours.
+    """
     try:
         with path.open("rb") as file:
             data = file.read(LARGEST_BYTES + 1)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, printable
+from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, lacking, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -115,8 +115,8 @@ def _failed(task: Task, error: Exception) -> TaskResult:
     if isinstance(error, AccelcalError):
         again = isinstance(error, OutputError)
         return TaskResult(task.failure(error.exit_code, str(error), again=again))
-    if isinstance(error, MemoryError):
-        message = f"{printable(task.item.source)}: there was not enough memory; use fewer --jobs"
+    if (lack := lacking(error)) is not None:
+        message = f"{printable(task.item.source)}: {lack}; use fewer --jobs"
         return TaskResult(task.failure(NO_MEMORY, message, again=True))
     message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))
     return TaskResult(task.failure(BUG, message, again=False), trace=traceback.format_exc())

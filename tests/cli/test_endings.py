@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import signal
 import subprocess
@@ -166,18 +167,26 @@ def test_standard_input_without_room_for_it(capsys: Capture, monkeypatch: pytest
     assert_one_line(ran, "standard input cannot be stored", "TMPDIR")
 
 
-def no_memory(*_words: object) -> None:
-    raise MemoryError
-
-
+@pytest.mark.parametrize(
+    ("error", "told"),
+    [
+        (MemoryError(), "there was not enough memory"),
+        (OSError(errno.ENOMEM, "x"), "there was not enough memory"),
+        (RuntimeError("can't start new thread"), "no more threads could be started"),
+        (Exception("Failed to launch worker thread: x"), "no more threads could be started"),
+    ],
+)
 def test_too_little_memory_is_no_bug(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, error: Exception, told: str
 ) -> None:
+    def fails(*_words: object) -> None:
+        raise error
+
     path = write_raw(tmp_path / "a.raw", still_counts(directions(2)))
-    monkeypatch.setattr(calibrate.RecordingRun, "result", no_memory)
+    monkeypatch.setattr(calibrate.RecordingRun, "result", fails)
     ran = run(capsys, "calibrate", path)
     assert ran.code == 71
-    assert_one_line(ran, str(path), "there was not enough memory")
+    assert_one_line(ran, str(path), told)
     assert task.NO_MEMORY == exit_codes.NO_MEMORY
 
 

@@ -1,12 +1,14 @@
 """Archives of a recording's parts: `.tar` (plain or packed with gzip, bzip2 or xz) and `.zip`.
 
 Members are unpacked one after the other into a temporary folder, under their own names; nothing else that an
-archive says is believed. Of a damaged archive those before the damage are there.
+archive says is believed. Of a damaged archive those before the damage are there. What unpacks to more than
+a recording does is refused, and the disk of the temporary folder is never filled.
 """
 
 from __future__ import annotations
 
 import bz2
+import errno
 import gzip
 import lzma
 import shutil
@@ -15,12 +17,13 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Protocol
+from typing import IO, Any, BinaryIO, Protocol, Self, cast
 
 from accelcal_cli.core.errors import OutputError, UnreadableError
+from accelcal_cli.formats._bytes import ShortReads
 
 ZIP_MAGIC, TAR_MAGIC, TAR_MAGIC_AT = b"PK\x03\x04", b"ustar", 257
 PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {
@@ -35,6 +38,22 @@ BROKEN = (tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, l
 
 COPIED_BYTES = 1 << 20
 LONGEST_NAME = 200
+
+MOST_BYTES, MOST_TIMES = 1 << 30, 250
+"""An archive may unpack to so many bytes, and so many more for each of its own."""
+
+MOST_MEMBERS = 100_000
+LONGEST_HEADER = LARGEST_DIRECTORY = 1 << 24
+"""Bytes that tarfile and zipfile read at once, whatever the archive says."""
+
+HEADERS = (
+    tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE, tarfile.GNUTYPE_LONGNAME,
+    tarfile.GNUTYPE_LONGLINK,
+)  # fmt: skip
+"""Kinds of members that tarfile reads into memory."""
+
+FREE_SHARE = 0.05
+"""Of the disk of temporary files that stays free."""
 
 _LOCAL = struct.Struct("<4s5HIIIHH")
 """The header before each member of a zip file (PKWARE's APPNOTE.TXT 6.3, 4.3.7)."""
@@ -67,13 +86,11 @@ def is_archive(path: Path) -> bool:
 def first_names(path: Path, number: int) -> list[str]:
     """Names of the first members of an archive, as many as can be read."""
     names: list[str] = []
-    try:
+    with suppress(*BROKEN, UnreadableError):
         for name, _ in _members(path):
             names.append(name)
             if len(names) == number:
                 break
-    except BROKEN:
-        pass
     return names
 
 
@@ -85,21 +102,21 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool]) -> Unpacked:
 
     Raises:
         OutputError: there is no room for them.
-        UnreadableError: nothing can be unpacked.
+        UnreadableError: nothing can be unpacked, or more than any recording has.
     """
+    allowance = _Allowance(path)
     files: list[Path] = []
     target: Path | None = None
     try:
         for name, stream in _members(path):
             if wanted(name):
                 target = folder / f"{len(files):06d}" / name
-                target.parent.mkdir()
-                _copy(stream, target)
+                _copy(stream, target, allowance)
                 files.append(target)
                 target = None
     except BROKEN as error:
-        if isinstance(error, OutputError):
-            raise
+        if isinstance(error, OSError) and error.errno is not None:  # of the disk, not of what is packed
+            raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
         lost = target.stat().st_size if target is not None and target.exists() else 0
         if not files:
             text = f"damaged archive: nothing can be unpacked ({error})"
@@ -108,17 +125,54 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool]) -> Unpacked:
     return Unpacked(tuple(files))
 
 
-def _copy(stream: Stream, target: Path) -> None:
+class _Allowance:
+    """How many bytes an archive may still unpack to."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._left = MOST_BYTES + MOST_TIMES * path.stat().st_size
+
+    def take(self, count: int) -> None:
+        """Raise UnreadableError where an archive unpacks to more than it may."""
+        self._left -= count
+        if self._left < 0:
+            raise _too_much(self._path, f"unpacks to more than {MOST_TIMES} times its size")
+
+
+def _too_much(path: Path, what: str) -> UnreadableError:
+    return UnreadableError(
+        f"{what}, as no recording does", path=path, hint="give --parts a folder of its files"
+    )
+
+
+def _leave_room(folder: Path) -> None:
+    """Raise OSError where the disk of a folder is all but full."""
+    disk = shutil.disk_usage(folder)
+    if disk.free < FREE_SHARE * disk.total:
+        raise OSError(errno.ENOSPC, f"less than {FREE_SHARE:.0%} of the disk would be left")
+
+
+def _copy(stream: Stream, target: Path, allowance: _Allowance) -> None:
+    with _unpacked_into(target.parent.parent):
+        target.parent.mkdir()
     while piece := stream.read(COPIED_BYTES):
-        try:
-            with target.open("ab") as file:
-                file.write(piece)
-        except OSError as error:
-            raise OutputError(
-                f"the archive cannot be unpacked ({error.strerror or error})",
-                path=target.parent.parent,
-                hint="set TMPDIR to a disk with more space",
-            ) from error
+        allowance.take(len(piece))
+        with _unpacked_into(target.parent.parent), target.open("ab") as file:
+            _leave_room(target.parent)
+            file.write(piece)
+
+
+@contextmanager
+def _unpacked_into(folder: Path) -> Iterator[None]:
+    """Raises OutputError for an OSError in the block."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"the archive cannot be unpacked ({error.strerror or error})",
+            path=folder,
+            hint="set TMPDIR to a disk with more space",
+        ) from error
 
 
 class Stream(Protocol):
@@ -133,7 +187,10 @@ def _members(path: Path) -> Iterator[tuple[str, Stream]]:
     with path.open("rb") as file:
         zipped = file.read(len(ZIP_MAGIC)) == ZIP_MAGIC
     members = _zip_members(path) if zipped else _tar_members(path)
-    return ((_plain(name), stream) for name, stream in members)
+    for number, (name, stream) in enumerate(members):
+        if number == MOST_MEMBERS:
+            raise _too_much(path, f"has more than {MOST_MEMBERS} members")
+        yield _plain(name), stream
 
 
 def _plain(name: str) -> str:
@@ -144,7 +201,11 @@ def _plain(name: str) -> str:
 
 def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:
     """tarfile itself takes an archive that breaks off for one that ends: here its last block is missed."""
-    with _unpacking(path) as source, tarfile.open(fileobj=source, mode="r|") as tar:
+    with (
+        _unpacking(path) as unpacked,
+        nullcontext(_Counted(unpacked, path)) as source,
+        tarfile.open(fileobj=cast(BinaryIO, source), mode="r|", tarinfo=_Header) as tar,
+    ):
         for member in tar:
             if member.isfile() and (stream := tar.extractfile(member)) is not None:
                 yield member.name, _Whole(stream, member.size)
@@ -160,6 +221,31 @@ def _unpacking(path: Path) -> Iterator[Any]:
         file.seek(0)
         kind = next((kind for magic, kind in PACKED.items() if head.startswith(magic)), None)
         yield file if kind is None else kind(file)
+
+
+class _Header(tarfile.TarInfo):
+    """The header of a member, with which tarfile reads what else belongs to it: long names, say."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
+        """See `TarInfo`; raises ValueError for one that would be longer than any."""
+        header = super().frombuf(buf, encoding, errors)
+        if header.type in HEADERS and header.size > LONGEST_HEADER:
+            raise ValueError(f"a header claims {header.size} bytes")
+        return header
+
+
+class _Counted:
+    """Unpacked bytes of an archive, no more than it may have, whether they are used or passed over."""
+
+    def __init__(self, file: Any, path: Path) -> None:
+        self._file, self._allowance, self.tell = file, _Allowance(path), file.tell
+
+    def read(self, count: int) -> bytes:
+        """The next bytes; raises UnreadableError for too many."""
+        piece: bytes = self._file.read(count)
+        self._allowance.take(len(piece))
+        return piece
 
 
 class _Whole:
@@ -178,12 +264,12 @@ class _Whole:
 
 def _zip_members(path: Path) -> Iterator[tuple[str, Stream]]:
     """By the directory at the end, which a file cut short lacks: then by the header before each member."""
-    try:
-        archive = zipfile.ZipFile(path)
-    except zipfile.BadZipFile:
-        yield from _zip_stream(path)
-        return
-    with archive:
+    with path.open("rb") as file, ExitStack() as stack:
+        try:
+            archive = stack.enter_context(zipfile.ZipFile(ShortReads(file, LARGEST_DIRECTORY)))
+        except zipfile.BadZipFile:
+            yield from _zip_stream(path)
+            return
         for member in archive.infolist():
             if not member.is_dir():
                 with archive.open(member) as stream:
@@ -235,4 +321,5 @@ class _Inflated:
 
 def removed(folder: Path) -> None:
     """Remove what was unpacked."""
-    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # rmtree passes on that a folder cannot be closed
+        shutil.rmtree(folder, ignore_errors=True)

@@ -71,7 +71,11 @@ def open_parts(path: Path, open_part: Open) -> PartsReader:
     try:
         folder = Path(tempfile.mkdtemp(prefix="accelcal-"))
     except OSError as error:
-        raise OutputError(f"no temporary folder can be made ({error.strerror or error})") from error
+        raise OutputError(
+            f"no temporary folder can be made ({error.strerror or error})",
+            path=error.filename,
+            hint="set TMPDIR to a disk with more space",
+        ) from error
     try:
         unpacked = archive.unpack(path, folder, lambda name: not is_never(Path(name)))
         found = _Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)

@@ -29,13 +29,14 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
         OutputError: the disk is full or the file cannot be written.
     """
     schema = _schema(recording)
-    options = pa_csv.WriteOptions(quoting_style="none", quoting_header="none")
+    options = pa_csv.WriteOptions(include_header=False, quoting_style="none")
     try:
         with (
             path.open("wb") as raw,
             gzip.GzipFile("", "wb", GZIP_LEVEL, raw, mtime=0) as packed,
             pa_csv.CSVWriter(packed, schema, write_options=options) as writer,
         ):
+            packed.write((",".join(schema.names) + "\n").encode())
             for chunk in chunks:
                 if len(chunk):
                     writer.write_batch(_batch(chunk, recording, schema))

@@ -17,6 +17,7 @@ from typing import Any, BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Closing, Problem
+from accelcal_cli.formats._bytes import ShortReads
 from accelcal_cli.formats.gt3x import (
     ACTIVITY,
     CALIBRATION,
@@ -123,26 +124,13 @@ def has_end(file: BinaryIO, size: int) -> bool:
     return _END in file.read(_LONGEST_END)
 
 
-class _ShortReads:
-    """A file of which zipfile reads no directory that is too long, as it reads one at once."""
-
-    def __init__(self, file: BinaryIO) -> None:
-        self.seek, self.tell, self._file = file.seek, file.tell, file
-
-    def read(self, count: int = -1) -> bytes:
-        """Bytes of the file, which up to its near end; raises OSError for too many."""
-        if count > _LARGEST_DIRECTORY:
-            raise OSError("the directory is too long")
-        return self._file.read(count)
-
-
 def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool, tuple[Problem, ...]]:
     """The parts that the directory lists, whether it is sound, and which parts it lists twice.
 
     A sound one lists samples, and each part where its own header lies.
     """
     try:
-        with zipfile.ZipFile(_ShortReads(file)) as archive:
+        with zipfile.ZipFile(ShortReads(file, _LARGEST_DIRECTORY)) as archive:
             entries = [entry for entry in archive.infolist() if entry.filename in WANTED]
         placed = {entry.filename: _placed(file, entry) for entry in entries}
     except _BROKEN:

@@ -1,0 +1,68 @@
+"""The process that forks one for each command: `python -m tests.faults.runner FOLDER`, the shim preloaded.
+
+Takes a line of JSON for each run, the words and the folder, and answers with the exit code.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import signal
+import sys
+import tempfile
+from pathlib import Path
+
+from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory
+from accelcal_cli.pipeline import outputs
+from tests.faults.shim import LONGEST_S, arm
+
+COMMANDS = ("calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose")
+LOADED = (
+    "accelcal_cli.studies.preload", "accelcal_cli.exports.data", "accelcal_cli.pages.recording",
+    "accelcal_cli.pipeline.simulate", "h5py", "pyarrow.csv", "pandas",
+    *(f"accelcal_cli.cli.{name}" for name in COMMANDS),
+)  # fmt: skip
+
+START = "2024-03-04T00:00:00+00:00"
+"""When all runs are said to have been made, on pages too."""
+
+
+def main() -> None:
+    """Fork a command for each line."""
+    hold_to_one_thread()
+    keep_freed_memory()
+    for name in LOADED:
+        importlib.import_module(name)
+    made = outputs.provenance(["accelcal"]) | {"time": START}
+    outputs.provenance = lambda _command: made
+    folder = Path(sys.argv[1])
+    for line in sys.stdin.buffer:
+        words, here = json.loads(line)
+        process = os.fork()
+        if process == 0:
+            _command(words, Path(here), folder)
+        code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+        arm(folder / "plan", False)
+        sys.stdout.write(f"{code}\n")
+        sys.stdout.flush()
+
+
+def _command(words: list[str], here: Path, folder: Path) -> None:
+    """What the console command does, to its end."""
+    signal.alarm(LONGEST_S)
+    for number, name in enumerate(("out", "err"), 1):
+        file = os.open(folder / name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
+        os.dup2(file, number)
+        os.close(file)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.environ["TMPDIR"], tempfile.tempdir = str(here / "tmp"), None
+    os.chdir(here)
+    sys.argv = ["accelcal", *words]
+    main = importlib.import_module("accelcal_cli.cli.main").main
+    arm(folder / "plan", True)
+    main()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,62 @@
+"""The table of docs/reliability.md: which exit codes a command has where an operation fails."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from tests.faults.checks import ABORTED, ERRORS
+
+PAGE = Path(__file__).resolve().parent.parent.parent / "docs" / "reliability.md"
+HEAD = "| operation | error |"
+NEVER = "–"
+COLUMNS = ("calibrate", "apply", "fit", "six-pose", "report", "export", "simulate", "study")
+
+Cells = dict[tuple[str, str, str], set[int]]
+"""Exit codes by operation, error and command."""
+
+
+def rows(cells: Cells) -> list[str]:
+    """The lines of the table, its head first."""
+    lines = [f"{HEAD} {' | '.join(COLUMNS)} |", "|---|---|" + "---|" * len(COLUMNS)]
+    for operation, errors in ERRORS.items():
+        for error in errors:
+            shown = (_cell(cells.get((operation, error, column), ())) for column in COLUMNS)
+            lines.append(f"| {operation} | {error} | {' | '.join(shown)} |")
+    return lines
+
+
+def _cell(codes: Iterable[int]) -> str:
+    names = ("aborted" if code == ABORTED else str(code) for code in sorted(codes))
+    return " ".join(names) or NEVER
+
+
+def written(path: Path = PAGE) -> list[str]:
+    """The lines of the table that a page holds."""
+    lines = path.read_text("utf-8").splitlines()
+    start, stop = _place(lines)
+    return lines[start:stop]
+
+
+def put(cells: Cells, path: Path = PAGE) -> None:
+    """Replace the table of a page."""
+    lines = path.read_text("utf-8").splitlines()
+    start, stop = _place(lines)
+    path.write_text("\n".join([*lines[:start], *rows(cells), *lines[stop:]]) + "\n", "utf-8")
+
+
+def _place(lines: list[str]) -> tuple[int, int]:
+    """Where the table begins and ends: with an empty line."""
+    start = next(number for number, line in enumerate(lines) if line.startswith(HEAD))
+    return start, lines.index("", start)
+
+
+def read(path: Path = PAGE) -> Cells:
+    """The cells of a page's table."""
+    found: Cells = {}
+    for line in written(path)[2:]:
+        operation, error, *shown = (cell.strip() for cell in line.strip("|").split("|"))
+        for column, text in zip(COLUMNS, shown, strict=True):
+            words = [] if text == NEVER else text.split()
+            found[operation, error, column] = {ABORTED if word == "aborted" else int(word) for word in words}
+    return found

@@ -1,0 +1,73 @@
+"""Operations of the system fail in turn: no torn output, the right exit code, a rerun ends as undisturbed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.faults.checks import ABORTED, ERRORS, Stage, faults
+from tests.faults.scenarios import SCENARIOS, Scenario
+from tests.faults.shim import SHORT, Fault, Runner, running
+from tests.faults.table import COLUMNS, read, rows, written
+
+SOME = {
+    "calibrate": (
+        Fault("write", "ENOSPC", 8), Fault("write", "ENOSPC", 2, on=True), Fault("write", SHORT, 7),
+        Fault("fsync", "EIO", 3), Fault("rename", "EIO", 5), Fault("read", "EINTR", 9),
+        Fault("open", "EIO", 24), Fault("thread", "EAGAIN", 1),
+    ),
+    "calibrate again": (Fault("rename", "EIO", 4), Fault("unlink", "EIO", 6)),
+    "calibrate parts": (Fault("mkdir", "ENOSPC", 3), Fault("close", "EIO", 29), Fault("read", SHORT, 5)),
+    "simulate hdf5": (Fault("write", "ENOSPC", 3), Fault("close", "EIO", 3)),
+}  # fmt: skip
+"""Those of `make test`."""
+
+
+@pytest.fixture(scope="module")
+def runner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runner]:
+    with running(tmp_path_factory.mktemp("shim")) as made:
+        if made is None:
+            pytest.skip("needs Linux and a C compiler (cc)")
+        yield made
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_what_fails_costs_nothing_but_the_run(runner: Runner, tmp_path: Path, name: str) -> None:
+    scenario = next(one for one in SCENARIOS if one.name == name)
+    stage, cells = Stage(scenario, tmp_path / "stage", runner), read()
+    for fault in SOME[name]:
+        struck = stage.strike(fault)
+        assert struck.failed, fault
+        error = f"{fault.error}, lasting" if fault.on else fault.error
+        assert struck.ran.code in cells[fault.operation, error, scenario.command], struck
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.name)
+def test_each_call_of_each_operation(runner: Runner, tmp_path: Path, scenario: Scenario) -> None:
+    stage = Stage(scenario, tmp_path / "stage", runner)
+    of_parts = ("open", "read") if scenario.name == "calibrate parts" else ()  # a lost part costs itself
+    for operation in ERRORS.keys() - set(of_parts):
+        for _, fault in faults(operation, stage.calls[operation], 4 if scenario.forks else None):
+            stage.strike(fault)
+
+
+def test_the_table_has_no_empty_cell_and_lacks_nothing() -> None:
+    cells = read()
+    assert rows(cells) == written()
+    names = [(operation, error) for operation, errors in ERRORS.items() for error in errors]
+    assert sorted(cells) == sorted((*name, column) for name in names for column in COLUMNS)
+    assert {one.command for one in SCENARIOS} == set(COLUMNS)
+
+
+def test_by_the_table_no_failure_passes_for_success_or_a_bug() -> None:
+    """What was written must be on the disk; only pyarrow ends a process."""
+    for (operation, error, column), codes in read().items():
+        assert codes <= {0, 1, 2, 3, 5, 71, ABORTED}
+        assert ABORTED not in codes or operation == "thread"
+        if error in (SHORT, "EINTR"):
+            assert codes <= {0}, (operation, error, column)
+        elif operation in ("write", "rename") and column != "study":
+            assert 0 not in codes or column == "calibrate"

@@ -1,0 +1,130 @@
+"""Archives that unpack to more than any recording has, and disks without room for them."""
+
+from __future__ import annotations
+
+import errno
+import gzip
+import os
+import tarfile
+import tempfile
+import zipfile
+from collections import namedtuple
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.core.errors import OutputError, UnreadableError
+from accelcal_cli.formats._parts import archive
+from accelcal_cli.formats._parts.archive import first_names, unpack
+
+MEGABYTE = 1 << 20
+Disk = namedtuple("Disk", "total used free")
+
+
+def tar_bomb(path: Path) -> Path:
+    """16 MB of zeros in some 16 KB; half of them in a member that is not wanted."""
+    with gzip.open(path.with_suffix(".tar.gz"), "wb") as file:
+        for name in ("a.csv", "b.log.csv"):
+            header = tarfile.TarInfo(name)
+            header.size = 8 * MEGABYTE
+            file.write(header.tobuf() + bytes(header.size))
+        file.write(bytes(1024))
+    return path.with_suffix(".tar.gz")
+
+
+def zip_bomb(path: Path) -> Path:
+    """As many zeros in a zip file."""
+    with zipfile.ZipFile(path.with_suffix(".zip"), "w", zipfile.ZIP_DEFLATED) as made:
+        for name in ("a.csv", "b.csv"):
+            made.writestr(name, bytes(8 * MEGABYTE))
+    return path.with_suffix(".zip")
+
+
+@pytest.fixture
+def small(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Limits that bombs of some kilobytes exceed."""
+    monkeypatch.setattr(archive, "MOST_BYTES", MEGABYTE)
+
+
+@pytest.mark.parametrize("bomb", [tar_bomb, zip_bomb])
+def test_what_unpacks_to_far_more_than_its_size_is_refused(
+    tmp_path: Path, small: None, bomb: Callable[[Path], Path]
+) -> None:
+    path, folder = bomb(tmp_path / "bomb"), tmp_path / "unpacked"
+    folder.mkdir()
+    with pytest.raises(UnreadableError, match=f"{path.name}: unpacks to more than 250 times its size"):
+        unpack(path, folder, lambda _name: True)
+    written = sum(one.stat().st_size for one in folder.rglob("*") if one.is_file())
+    assert written <= MEGABYTE + 250 * path.stat().st_size
+
+
+def test_members_that_are_passed_over_count_too(tmp_path: Path, small: None) -> None:
+    path = tar_bomb(tmp_path / "bomb")
+    with pytest.raises(UnreadableError, match="unpacks to more than"):
+        unpack(path, tmp_path, lambda _name: False)
+    assert first_names(path, 5) == ["a.csv"]
+
+
+@pytest.mark.parametrize("kind", [tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME])
+def test_a_header_that_claims_to_be_long_is_not_read(tmp_path: Path, kind: bytes) -> None:
+    header = tarfile.TarInfo("a")
+    header.type, header.size = kind, 1 << 32
+    path = tmp_path / "a.tar"
+    path.write_bytes(header.tobuf() + bytes(10240))
+    with pytest.raises(UnreadableError, match="a header claims 4294967296 bytes"):
+        unpack(path, tmp_path, lambda _name: True)
+
+
+def test_an_archive_of_too_many_members_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive, "MOST_MEMBERS", 3)
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as made:
+        for number in range(4):
+            made.writestr(f"{number}.csv", "x")
+    with pytest.raises(UnreadableError, match="has more than 3 members"):
+        unpack(path, tmp_path, lambda _name: True)
+
+
+def test_a_zip_directory_that_is_too_long_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = zip_bomb(tmp_path / "a")
+    monkeypatch.setattr(archive, "LARGEST_DIRECTORY", 64)
+    with pytest.raises(UnreadableError, match="the directory is too long"):
+        unpack(path, tmp_path, lambda _name: True)
+
+
+def test_a_part_of_the_disk_stays_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(archive.shutil, "disk_usage", lambda _folder: Disk(1000, 960, 40))
+    with pytest.raises(OutputError, match=r"less than 5% of the disk would be left.*set TMPDIR"):
+        unpack(zip_bomb(tmp_path / "a"), tmp_path, lambda _name: True)
+
+
+def test_a_disk_that_fails_is_no_damage_of_the_archive(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The parts before would have been taken for the whole."""
+    plain = Path.mkdir
+
+    def second_fails(path: Path, *words: object) -> None:
+        if path.name == "000001":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        plain(path)
+
+    folder = Path(tempfile.mkdtemp(dir=tmp_path))
+    monkeypatch.setattr(Path, "mkdir", second_fails)
+    with pytest.raises(OutputError, match=r"cannot be unpacked .No space left on device"):
+        unpack(zip_bomb(tmp_path / "a"), folder, lambda _name: True)
+
+
+def test_an_archive_that_the_disk_does_not_give_is_not_damaged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(self: object, count: int = -1) -> bytes:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    path = zip_bomb(tmp_path / "a")
+    monkeypatch.setattr(zipfile.ZipExtFile, "read", fails)
+    with pytest.raises(UnreadableError, match=r"cannot be read .Input/output error"):
+        unpack(path, tmp_path, lambda _name: True)
