@@ -338,6 +338,7 @@ def _unit_by_rate(head: Any, rate: float | None) -> str | None:
 
 
 def _typical_step(since: Any, per_second: int) -> float | None:
-    """Mean step [s] of times since the first one."""
+    """Mean step [s] of times since the first one; half precision has no room for the farthest."""
+    since = since.astype(np.float64) if since.dtype.itemsize < 4 and since.dtype.kind == "f" else since
     step = units.typical_step(np.rint(1000.0 * np.clip(since, -FARTHEST, FARTHEST)).astype(np.int64))
     return None if step is None else step / 1000 / per_second
