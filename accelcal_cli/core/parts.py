@@ -93,15 +93,10 @@ def pattern_of(paths: Sequence[Path]) -> Path:
     Raises:
         UsageError: there is none.
     """
-    folders, names = {path.parent for path in paths}, sorted(path.name for path in paths)
-    first, last = names[0], names[-1]
-    same = next(
-        (at for at, pair in enumerate(zip(first, last, strict=False)) if pair[0] != pair[1]), len(first)
-    )
-    ending = 0
-    while ending < min(map(len, names)) - same and len({name[len(name) - ending - 1] for name in names}) == 1:
-        ending += 1
-    pattern = paths[0].parent / f"{first[:same]}{ANY}{first[len(first) - ending :]}"
+    folders, names = {path.parent for path in paths}, [path.name for path in paths]
+    begin = os.path.commonprefix(names)  # noqa: RUF071 (of names, by characters)
+    end = os.path.commonprefix([name[len(begin) :][::-1] for name in names])[::-1]  # noqa: RUF071
+    pattern = paths[0].parent / f"{begin}{ANY}{end}"
     if len(folders) > 1 or set(files_of(pattern) or ()) != set(paths):
         hint = "put them into a folder of their own, and name that, or give a pattern in quotes"
         raise UsageError("the parts cannot be told from other files by a pattern", path=paths[0], hint=hint)

@@ -413,13 +413,15 @@ class RecordingRun:
         """Second pass without writing: what writing would have found."""
         range_g, effect = data.recording.range_g, self._effect(data)
         over = 0 if writes_parquet(data) else None
-        shown = self.progress("applying", data.recording.total_bytes)
-        if over is not None and range_g is not None:
-            parts = export.calibrated(self._chunks(effect), export.transform_of(data), shown)
-            over = sum(export.beyond(xyz, range_g) for _, xyz in parts)
-        elif effect is not None:
-            for chunk in self._chunks(effect):
-                shown(chunk.end_byte)
+        counting = over is not None and range_g is not None
+        if counting or effect is not None:
+            shown = self.progress("applying", data.recording.total_bytes)
+            if counting:
+                parts = export.calibrated(self._chunks(effect), export.transform_of(data), shown)
+                over = sum(export.beyond(xyz, range_g) for _, xyz in parts)
+            else:
+                for chunk in self._chunks(effect):
+                    shown(chunk.end_byte)
         return _with_effect(replace(data, clipped_after=over), effect)
 
     def _effect(self, data: ReportInput) -> Effect | None:

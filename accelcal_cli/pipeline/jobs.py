@@ -325,14 +325,13 @@ class Request:
     as_given: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
-        """How a recording is read: as was given, and as files beside it state; raises UsageError."""
-        return self.options if self.as_given else stated.options_of(path, self.options, self.rules)
+        """How a recording is read: as was given, and as files beside it state; raises UsageError for
+        contradictions."""
+        return stated.with_choices(self.options, self.choices_of(path), path)
 
     def choices_of(self, path: Path) -> dict[str, stated.Choice]:
-        """What files beside a recording state; raises UsageError where it contradicts what is given."""
-        choices = stated.choices_of(path, self.rules, self.options.layout)
-        stated.with_choices(self.options, choices, path)
-        return choices
+        """What files beside a recording state, which may contradict what is given; raises UsageError."""
+        return {} if self.as_given else stated.choices_of(path, self.rules, self.options.layout)
 
     def for_recording(self, path: Path) -> Request:
         """The request as it is for one recording: with what files beside it state, and without options that
@@ -346,8 +345,8 @@ class Request:
             hint = f"accelcal study {shlex.quote(printable(path))} -d OUT calibrates all recordings in it; "
             more = "with --parts it is read as the parts of one"
             raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)
-        options = self.options_of(path)
-        said = () if self.as_given or self.several else self.choices_of(path)
+        said = self.choices_of(path)
+        options = stated.with_choices(self.options, said, path)
         unused = unused_options(path, options) if self.several or said else ()
         unused = tuple(name for name in unused if self.several or name in said)
         return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)

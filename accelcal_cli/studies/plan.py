@@ -14,7 +14,7 @@ from pathlib import Path
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.stated import Rules, stamp_of
+from accelcal_cli.pipeline.stated import Rules, stamp_of, with_choices
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.discovery import below_out, files, is_recording, without_collisions
 from accelcal_cli.studies.ledger import Ledger
@@ -98,6 +98,7 @@ def as_stated(item: Item, request: Request) -> Item:
     """A file with what others state of how it is read; refused where that makes no sense."""
     try:
         choices = request.choices_of(item.source)
+        with_choices(request.options, choices, item.source)
     except UsageError as error:
         if item.refusal is None and is_recording(item, request.options, asked_for=False):
             why = str(error).removeprefix(f"{printable(item.source)}: ")

@@ -104,7 +104,9 @@ def _summary(study: Study, planned: Plan, study_run: StudyRun) -> Summary:
 
 def _settings(study: Study) -> dict[str, Any]:
     """All that decides the results but the recordings."""
-    own, stated = study.settings(), {str(one.path.name): one.as_json() for one in study.request.rules}
+    own, rules = study.settings(), study.request.rules
+    several = len({one.folder for one in rules}) > 1
+    stated = {(f"{one.folder.name}/" if several else "") + one.path.name: one.as_json() for one in rules}
     later = {"prior": study.prior or own["prior"], "pool": study.pool, "borrow": study.borrow}
     return {**own, **later, **({"stated": stated} if stated else {})}
 

@@ -179,6 +179,20 @@ def test_a_recording_s_file_that_says_nonsense_costs_that_recording(mixed: Path,
     assert "g.toml: there is no option 'rat'; did you mean 'rate'?" in row["message"]
 
 
+def test_what_two_folders_say_is_kept_apart(mixed: Path, capsys: Capture) -> None:
+    other = mixed.parent / "other"
+    other.mkdir()
+    write_csv(other / "b.csv", COUNTS)
+    scaled(other / "b.csv", 1000.0)
+    (mixed / "study.toml").write_text(RULES)
+    (other / "study.toml").write_text('["*.csv"]\nunit = "mg"\n')
+    out = mixed.parent / "out"
+    assert run(capsys, "study", mixed, other, "-d", out, "--report-only").code == 0
+    stated = json.loads((out / "study.json").read_text())["settings"]["stated"]
+    assert stated["other/study.toml"] == {"*.csv": {"unit": "mg"}}
+    assert stated["in/study.toml"]["phone/*"] == {"unit": "mg"}
+
+
 def test_a_pattern_that_no_file_fits_is_told(mixed: Path, capsys: Capture) -> None:
     (mixed / "study.toml").write_text('["*.cvs"]\nunit = "mg"\n')
     for more in ((), ("--dry-run",)):

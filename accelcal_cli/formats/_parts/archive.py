@@ -19,6 +19,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Protocol, Self, cast
 
@@ -83,15 +84,11 @@ def is_archive(path: Path) -> bool:
         return False
 
 
-def first_names(path: Path, number: int) -> list[str]:
-    """Names of the first members of an archive, as many as can be read."""
-    names: list[str] = []
+def first_names(path: Path, number: int) -> Iterator[str]:
+    """Names of the first members of an archive, as many as can be read; what is between is unpacked."""
     with suppress(*BROKEN, UnreadableError):
-        for name, _ in _members(path):
-            names.append(name)
-            if len(names) == number:
-                break
-    return names
+        for name, _ in islice(_members(path), number):
+            yield name
 
 
 def unpack(path: Path, folder: Path, wanted: Callable[[str], bool]) -> Unpacked:

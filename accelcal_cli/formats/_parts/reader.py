@@ -310,13 +310,12 @@ class _Joint:
         """How many rows at the beginning of a part lie before the end of the one before."""
         if self._last_us is None:
             return 0
-        times = chunk.time_us
-        back_s = (self._last_us - int(times[0])) / MICROSECONDS
+        back_s = (self._last_us - int(chunk.clock.times(0, 1)[0])) / MICROSECONDS
         self._overlaps = self._overlaps or back_s >= SHORTEST_OVERLAP_S
-        later = np.flatnonzero(times > self._last_us)
         if not self._overlaps:
             return 0
-        return int(later[0]) if len(later) else len(times)
+        later = np.flatnonzero(chunk.time_us > self._last_us)
+        return int(later[0]) if len(later) else len(chunk)
 
     def _jump(self, kept: Chunk, part: Part) -> Problem | None:
         """What the clock does between two parts, if it does not run on."""
