@@ -154,10 +154,14 @@ def deviations_mg(points: PointSet, parameters: tuple[int, ...]) -> Floats:
 
 def per_posture(errors: Floats, weights: NDArray[np.int64], label: NDArray[np.int64]) -> dict[int, float]:
     """Weighted mean error of each posture."""
-    shares: dict[int, list[tuple[float, float]]] = {}
-    for posture, error, weight in zip(label.tolist(), errors.tolist(), weights.tolist(), strict=True):
-        shares.setdefault(posture, []).append((weight * error, weight))
-    return {key: fsum(e for e, _ in shares[key]) / fsum(w for _, w in shares[key]) for key in sorted(shares)}
+    order = np.argsort(label, kind="stable")
+    postures, first = np.unique(label[order], return_index=True)
+    shares, weight = (weights * errors)[order].tolist(), weights[order].tolist()
+    ends = [*first[1:].tolist(), len(order)]
+    return {
+        posture: fsum(shares[start:end]) / fsum(weight[start:end])
+        for posture, start, end in zip(postures.tolist(), first.tolist(), ends, strict=True)
+    }
 
 
 def mean(values: list[float]) -> float:

@@ -63,7 +63,7 @@ class Transform:
     def apply(self, chunk: Rows) -> list[NDArray[np.float32]]:
         """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
         xyz = [np.empty(len(chunk), np.float32) for _ in range(3)]
-        buffers = np.empty((5, BLOCK_ROWS))
+        buffers = np.empty((6, BLOCK_ROWS))
         for start in range(0, len(chunk), BLOCK_ROWS):
             part = slice(start, min(start + BLOCK_ROWS, len(chunk)))
             self._block(chunk, part, buffers[:, : part.stop - start], xyz)
@@ -80,14 +80,17 @@ class Transform:
 
     def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
-        shifted, total, product = buffers[:3], buffers[3], buffers[4]
+        shifted, total, product, warmth = buffers[:3], buffers[3], buffers[4], buffers[5]
+        warm = self._warmer(chunk, part, warmth)
         right = None if self.course is None else self.course.values(chunk.first_sample + _numbers(part))
         for axis in range(3):
             np.divide(chunk.counts[part, axis], self.lsb_per_g, out=shifted[axis])
             if right is not None:
                 shifted[axis] *= right[0][:, axis]
                 shifted[axis] += right[1][:, axis]
-            self._shift(chunk, part, axis, (shifted[axis], product))
+            shifted[axis] += self.offset_g[axis]
+            if warm and self.slope_g_per_c[axis]:
+                shifted[axis] += np.multiply(warmth, self.slope_g_per_c[axis], out=product)
         for row in range(3):
             np.multiply(shifted[row], self.gain[row, row], out=total)
             for column in self._others(row):
@@ -103,15 +106,13 @@ class Transform:
         """Columns besides the diagonal; above it only where K is not lower triangular."""
         return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
-    def _shift(self, chunk: Rows, part: slice, axis: int, buffers: tuple[Floats, Floats]) -> None:
-        """v + o + s (T - Tref) of one axis, where v is."""
-        values, drift = buffers
-        values += self.offset_g[axis]
-        if self.slope_g_per_c[axis] and chunk.temperature_mc is not None:
-            np.divide(chunk.temperature_mc[part], 1000.0, out=drift)
-            drift -= self.reference_c
-            drift *= self.slope_g_per_c[axis]
-            values += drift
+    def _warmer(self, chunk: Rows, part: slice, warmth: Floats) -> bool:
+        """T - Tref, if an offset depends on it and it was measured."""
+        if chunk.temperature_mc is None or not self.slope_g_per_c.any():
+            return False
+        np.divide(chunk.temperature_mc[part], 1000.0, out=warmth)
+        warmth -= self.reference_c
+        return True
 
 
 def _numbers(part: slice) -> NDArray[np.int64]:

@@ -5,9 +5,9 @@ run when it breaks is not used. Only over short gaps of a clock that jitters may
 (`ShortGaps`). The windows do not depend on how the rows are chunked. A `Rule` decides which windows,
 handed to it as `Blocks`, are still.
 
-Integer sums are computed at floating-point speed: a float holds every integer up to 2**24 (single) or
+Sums of squares are computed at floating-point speed: a float holds every integer up to 2**24 (single) or
 2**53 (double), and a sum of integers whose absolute values add up to less than that is exact in any
-order, so that the fast matrix product gives the same integers as a slow integer loop.
+order.
 """
 
 from __future__ import annotations
@@ -115,10 +115,8 @@ def exact_type(bound: int) -> DTypeLike:
 
 def exact_sums(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
     """Sums over the last axis of integers whose absolute values add up to at most `bound`."""
-    kind = exact_type(bound)
-    if kind is np.int64:
-        return np.asarray(blocks.sum(axis=-1, dtype=np.int64))
-    return np.asarray(blocks.astype(kind) @ np.ones(blocks.shape[-1], kind)).astype(np.int64)
+    kind = np.int32 if bound <= np.iinfo(np.int32).max else np.int64
+    return np.asarray(blocks.sum(axis=-1, dtype=kind), np.int64)
 
 
 def sums_of_squares(blocks: NDArray[Any], bound: int) -> NDArray[np.int64]:
@@ -142,16 +140,16 @@ def centred_squares(
     """
     length = blocks.shape[1]
     largest = int(spread.max())
-    squares = sums_of_squares(_from_first(blocks), largest * largest * length)
+    squares = sums_of_squares(_from_first(blocks, largest), largest * largest * length)
     q, r = np.divmod(sums - length * blocks[:, 0].astype(np.int64), length)
     return squares - length * q * q - 2 * q * r, r
 
 
-def _from_first(blocks: NDArray[Any]) -> NDArray[Any]:
-    """Counts of each window less its first one, in a type that holds every difference."""
-    values = blocks.astype(exact_type(1 << 8 * blocks.itemsize))
-    values -= blocks[:, :1]
-    return values
+def _from_first(blocks: NDArray[Any], largest: int) -> NDArray[Any]:
+    """Counts of each window less its first one, at most `largest`; in their own type where it holds that."""
+    if largest > np.iinfo(blocks.dtype).max:
+        blocks = blocks.astype(np.int64)
+    return np.asarray(blocks - blocks[:, :1])
 
 
 class Segmenter:
