@@ -66,6 +66,10 @@ class OneOf(AnyChoice):
                 raise
             self.fail(f"{error.message} {meant[0].upper()}{meant[1:]}", param, ctx)
 
+    def get_missing_message(self, param: click.Parameter, ctx: click.Context | None = None) -> str:
+        """The words, on one line; click 8.1 gives no context."""
+        return f"It is one of {', '.join(map(str, self.choices))}."
+
 
 class Name(AnyType):
     """A name that is looked up later; a shell completes those that are known.

@@ -77,3 +77,9 @@ def test_a_column_that_stands_twice_is_asked_about(tmp_path: Path, capsys: Captu
     path.write_text("x,y,z,x\n1,0,0,0\n")
     ran = run(capsys, "fit", path)
     assert ran.code == 3 and "line 1: has two columns named x" in ran.err
+
+
+def test_a_choice_that_is_missing_is_asked_for_on_one_line(capsys: Capture) -> None:
+    ran = run(capsys, "export", SAMPLE)
+    assert ran.code == 2
+    assert ran.err.splitlines()[-1].startswith("Error: Missing option '--to'. It is one of ggir, biobank, ")

@@ -114,7 +114,10 @@ def _scalar(head: bytes, length: int, dtype: np.dtype[Any]) -> object:
     """The one number or text of an array."""
     if dtype.hasobject or not 0 < dtype.itemsize <= LONGEST_TEXT:
         raise ValueError("no plain value")
-    return np.frombuffer(head, dtype, 1, length)[0]
+    try:
+        return np.frombuffer(head, dtype, 1, length)[0]
+    except SystemError as error:  # of a text with a character that is none
+        raise ValueError("no text") from error
 
 
 def _stream(path: Path, member: zipfile.ZipInfo) -> Stream:

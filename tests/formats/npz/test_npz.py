@@ -126,6 +126,12 @@ def test_objects_are_never_unpickled(path: Path) -> None:
     assert found.codes == ["damaged_header", "no_start_time"] or "no_start_time" in found.codes
 
 
+def test_a_text_of_what_are_no_characters(path: Path) -> None:
+    damaged = member(np.array("g")).removesuffix("g".encode("utf-32-le")) + b"\0\0\0\x7f"
+    path.write_bytes(archive({"accel": member(values()), "fs": member(50.0), "unit": damaged}))
+    assert "damaged_header" in read(path).codes
+
+
 def test_an_array_that_claims_more_rows_than_the_file_can_hold(path: Path) -> None:
     head = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000, 3), }"
     path.write_bytes(archive({"accel": member(values(), head=head), "fs": member(50.0)}))
