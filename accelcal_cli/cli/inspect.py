@@ -38,7 +38,8 @@ CLOCKS_S_PER_DAY = 86.4
 def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Show what each RECORDING holds and predict the outcome of calibrating it; `-` reads standard input.
 
-    Reads the headers and samples pieces spread over the file; --full reads everything.
+    Reads the headers, and all of a file of up to 8 MB; of a larger one pieces spread over it, or
+    everything with --full.
     """
     if recordings.count(STDIN) > 1:
         raise UsageError("standard input can be read only once", hint="give - only once")

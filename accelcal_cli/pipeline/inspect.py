@@ -36,6 +36,8 @@ from accelcal_cli.pipeline.survey import Observer, fitting, make_method, open_ma
 
 PREVIEW_PIECES = 64
 PREVIEW_SAMPLES = 1 << 15
+SMALL_BYTES = 8 << 20
+"""Files of so many bytes take no longer as a whole."""
 
 
 FIRST_ROWS = 3
@@ -111,7 +113,7 @@ def quick_fitting(settings: Settings) -> Fitting:
 
 
 def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
-    """Read a recording's description and pieces spread over it, or all of it with `full`.
+    """Read a recording's description and pieces spread over it; all of it with `full`, or if it is small.
 
     Raises:
         AccelcalError: it cannot be read.
@@ -119,6 +121,7 @@ def inspect(path: Path, request: Request, *, full: bool) -> Inspection:
     request, settings = request.for_recording(path), request.recording_settings
     with open_marked(path, request.options, unused=request.unused) as reader:
         recording = reader.recording
+        full |= recording.total_bytes <= SMALL_BYTES
         fitter, method = quick_fitting(settings), make_method(recording, settings)
         pieces = reader.chunks(PREVIEW_SAMPLES * 8) if full else _pieces(reader)
         observer = FactsObserver(recording, method.rest_lsb, method.segmenter.gaps)

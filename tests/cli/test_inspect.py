@@ -31,6 +31,13 @@ def test_json_has_one_object_a_recording(tmp_path: Path, capsys: Capture) -> Non
     assert shown[0]["prediction"]["outcome"] == "calibrated"
 
 
+def test_a_small_file_is_read_whole(tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_raw(tmp_path / "a.raw", still_counts(directions(60)))
+    for most, whole in ((path.stat().st_size, True), (path.stat().st_size - 1, False)):
+        monkeypatch.setattr("accelcal_cli.pipeline.inspect.SMALL_BYTES", most)
+        assert json.loads(run(capsys, "inspect", "--json", path).out)["read"]["whole"] is whole
+
+
 def test_people_see_what_the_values_are_like(tmp_path: Path, capsys: Capture) -> None:
     counts = still_counts(directions(60))
     path = write_raw(tmp_path / "a.raw", counts)

@@ -34,6 +34,9 @@ RATE_AGREEMENT = 0.05
 LISTED = 50
 """Problems of a kind that are given one by one."""
 
+OFFICE = "[Content_Types].xml"
+"""The first member of an Office Open XML file (ECMA-376)."""
+
 SHOWN = 3
 
 
@@ -173,7 +176,7 @@ class PartsReader(Reader):
                 raise UnreadableError("does not say when it begins", path=file, hint=hint)
             parts.append(Part(file, recording, recording.start_us, size))
         if not parts:
-            raise failure or UnreadableError("holds no parts of a recording", path=path)
+            raise failure or UnreadableError("holds no parts of a recording", path=path, hint=_instead(path))
         return sorted(parts, key=lambda part: (part.start_us, part.path.name))
 
     def _alike(self, path: Path, parts: list[Part]) -> list[Part]:
@@ -342,3 +345,9 @@ class _Joint:
         count, lost = more.count + problem.count, more.lost_bytes + problem.lost_bytes
         self._more[problem.code] = replace(more, message=text, byte_offset=None, count=count, lost_bytes=lost)
         return False
+
+
+def _instead(path: Path) -> str | None:
+    """What to do with an archive that holds no recording."""
+    of_office = path.is_file() and OFFICE in archive.first_names(path, 1)
+    return "it is a workbook or document of an office program: save its table as CSV" if of_office else None

@@ -320,6 +320,16 @@ def test_a_study_knows_its_sets(
     assert "1 unchanged" in study(capsys, folder).err
 
 
+def test_a_workbook_is_no_archive_of_parts(tmp_path: Path, capsys: Capture) -> None:
+    path = tmp_path / "a.xlsx"
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("[Content_Types].xml", "<Types/>")
+        file.writestr("xl/workbook.xml", "<workbook/>")
+    ran = run(capsys, "calibrate", path)
+    assert (ran.code, ran.out) == (3, "")
+    assert "save its table as CSV" in ran.err
+
+
 def test_what_an_archive_says_of_places_is_not_believed(tmp_path: Path, made: Path) -> None:
     path = tmp_path / "S01.tar"
     with tarfile.open(path, "w") as tar:
