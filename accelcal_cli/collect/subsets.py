@@ -43,13 +43,19 @@ class SubsetCollector:
 
     def offer(self, samples: int, xyz: tuple[int, int, int]) -> bool:
         """Offer one window's sums of so many samples' counts; says whether it was taken."""
+        subset = self.place(samples, xyz)
+        if subset is not None:
+            subset.append(Sums(1, samples, xyz))
+        return subset is not None
+
+    def place(self, samples: int, xyz: tuple[int, int, int]) -> list[Sums] | None:
+        """The subset that would take one window's sums, None if none does."""
         for axis, value in enumerate(xyz):
             for level, (low, high) in enumerate(_bounds(self.lsb_per_g, samples)):
                 subset = self._held[axis, level]
                 if low <= value <= high and len(subset) < self.per_subset:
-                    subset.append(Sums(1, samples, xyz))
-                    return True
-        return False
+                    return subset
+        return None
 
     def wanted(self, windows: Windows) -> NDArray[np.bool_]:
         """Which of m windows lie in a subset that is not full, (m,)."""
@@ -120,9 +126,11 @@ class PaperCollector:
         columns = (near_1_g.first_sample, near_1_g.samples, near_1_g.sums)
         for first_sample, samples, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
             mean = (samples, (x, y, z))
-            if self._differs(mean) and (role := self._offer(mean)) != Role.NOT_TAKEN:
+            taker = self._taker(mean)
+            if taker is not None and self._differs(mean):
+                taker.offer(*mean)
                 self._taken.append(mean)
-                self._role[first_sample] = role
+                self._role[first_sample] = Role.FIT if taker is self.fit else Role.CONTROL
                 if self.full_after is None and not self.fit.missing():
                     self.full_after = first_sample + samples
 
@@ -147,11 +155,9 @@ class PaperCollector:
         role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
         return Fates(role, np.full(len(windows), -1))
 
-    def _offer(self, mean: Mean) -> Role:
-        """Offer a mean to the first set, then to the second; gives the role of its window."""
-        if self.fit.offer(*mean):
-            return Role.FIT
-        return Role.CONTROL if self.control.offer(*mean) else Role.NOT_TAKEN
+    def _taker(self, mean: Mean) -> SubsetCollector | None:
+        """The first set if it would take a mean, else the second, None if neither does."""
+        return next((taker for taker in (self.fit, self.control) if taker.place(*mean) is not None), None)
 
     def _differs(self, mean: Mean) -> bool:
         """Whether a mean is far enough from all points; the one that it is near is asked first next time.

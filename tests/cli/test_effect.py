@@ -71,7 +71,7 @@ def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, ca
     ]
 
 
-@pytest.mark.parametrize("name", ["night.h5", "evening.csv.gz"])
+@pytest.mark.parametrize("name", ["night.h5", pytest.param("evening.csv.gz", marks=pytest.mark.nightly)])
 def test_the_length_of_the_chunks_makes_no_difference(name: str, capsys: Capture, tmp_path: Path) -> None:
     tables = [tmp_path / "a.csv", tmp_path / "b.csv"]
     one = effect_of(capsys, SAMPLES / name, "--epochs", tables[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -27,17 +28,22 @@ time-column = "time"
 """
 
 
-@pytest.fixture
-def mixed(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dump with a layout, a table in g, and two in units that no head states."""
-    folder = tmp_path / "in"
-    (folder / "phone").mkdir(parents=True)
+    folder = tmp_path_factory.mktemp("mixed")
+    (folder / "phone").mkdir()
     write_raw(folder / "a.raw", COUNTS)
     write_csv(folder / "g.csv", COUNTS)
     for name, factor in (("phone/mg.csv", 1000.0), ("phone/odd.csv", 9.80665)):
         write_csv(folder / name, COUNTS)
         scaled(folder / name, factor)
     return folder
+
+
+@pytest.fixture
+def mixed(made: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(made, tmp_path / "in")
 
 
 def scaled(path: Path, factor: float) -> None:

@@ -327,7 +327,7 @@ def second_day(path: Path, step_g: float = 0.0, at_hour: int = 0) -> Path:
 
 @pytest.mark.parametrize(
     ("at_hour", "since"),
-    [(15, "2024-03-04T15:00:00.000000"), (0, None)],
+    [(15, "2024-03-04T15:00:00.000000"), pytest.param(0, None, marks=pytest.mark.nightly)],
 )
 def test_a_step_of_12_mg_is_told_with_its_hour(
     day: Path, tmp_path: Path, capsys: Capture, at_hour: int, since: str | None

@@ -89,7 +89,7 @@ def test_rates_lead_from_each_direction_to_the_next() -> None:
     """By Rodrigues' formula, turn by turn; the noise is taken away."""
     sensor = GyroSensor(np.eye(3), np.zeros(3), np.zeros(3), noise_dps=0.0, lsb_per_dps=256.0)
     turning, rate = Turning(sensor, 100.0, 1), 100.0
-    for bout in islice(Wearer(rate, 2, smooth=True).bouts(), 12):
+    for bout in islice(Wearer(rate, 2, smooth=True).bouts(), 6):
         counts = turning.counts(bout.direction, np.full(len(bout.direction), 30.0))
         if np.abs(counts).max() > 32_000:
             continue

@@ -75,7 +75,7 @@ def simulated(name: str, folder: Path) -> Path:
 @pytest.mark.parametrize(
     ("name", "number"),
     [
-        ("recording.bin", 2),
+        ("recording.bin", 1),
         pytest.param("recording.bin", 10, marks=pytest.mark.nightly),
         pytest.param("evening.csv.gz", 10, marks=pytest.mark.nightly),
         pytest.param("cwa", 5, marks=pytest.mark.nightly),

@@ -11,19 +11,30 @@ import pytest
 from tests.cli.run import run
 from tests.cli.studies import rows
 
+Capture = pytest.CaptureFixture[str]
 DOCUMENT = Path(__file__).parent.parent.parent / "docs/study.md"
 
 
-def test_public_recordings_are_one_study(
-    real_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def words(real_data: Path, tmp_path: Path) -> tuple[object, ...]:
+    """The command, with its files in a folder."""
     blocks = re.findall(r"```toml\n(.*?)```", DOCUMENT.read_text("utf-8"), re.DOTALL)
     for name, mark in (("study.toml", "nilspod_*.bin"), ("nilspod.toml", "[dump]")):
         (text,) = (block for block in blocks if mark in block)
         (tmp_path / name).write_text(text)
-    config = ("--config", tmp_path / "study.toml")
     folders = (real_data / "vendor", real_data / "imu", "-d", tmp_path / "out")
-    ran = run(capsys, "study", *folders, *config, "--report-only")
+    return ("study", *folders, "--config", tmp_path / "study.toml", "--report-only")
+
+
+def test_its_files_concern_all_recordings(words: tuple[object, ...], capsys: Capture) -> None:
+    ran = run(capsys, *words, "--dry-run")
+    assert (ran.code, len(ran.lines)) == (0, 29)
+    assert "no file fits" not in ran.err
+
+
+@pytest.mark.nightly
+def test_public_recordings_are_one_study(words: tuple[object, ...], tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, *words)
     found = rows(tmp_path / "out")
     assert Counter(row["outcome"] for row in found) == {"calibrated": 11, "refused": 18}
     assert "no file fits" not in ran.err

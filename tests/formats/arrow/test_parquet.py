@@ -19,7 +19,7 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.arrow import PARQUET
 from tests.cli.run import run
-from tests.formats.cuts import cuts, every_byte
+from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read, even_times
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_parquet import make, table
@@ -290,7 +290,7 @@ def test_a_page_with_a_wrong_checksum_is_lost(path: Path) -> None:
 def test_a_file_that_was_cut_short_is_refused_with_a_hint(tmp_path: Path, step: int) -> None:
     data = make(tmp_path, np.rint(values() * 256).astype("i2"), 50.0, 256.0).path.read_bytes()
     path = tmp_path / "cut.parquet"
-    for size in cuts(data, step * 7 if step > 1 else 1, first=1):
+    for size in table_cuts(data, step):
         path.write_bytes(data[:size])
         with pytest.raises(UnreadableError) as failure:
             read(path, format="parquet")

@@ -16,7 +16,7 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import find_format
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.mat import FORMAT
-from tests.formats.cuts import cuts, every_byte
+from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read, even_times
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_mat import CELL, OPAQUE, array, element, file_of, make, matrix, write
@@ -131,7 +131,7 @@ def test_what_was_cut_short_is_told(tmp_path: Path, step: int, packed: bool) -> 
     variables = {"fs": 50.0, "unit": "g", "accel": values()}
     data = write(tmp_path / "whole.mat", variables, packed=packed).read_bytes()
     path, lengths = tmp_path / "cut.mat", set()
-    for size in cuts(data, step * 17 if step > 1 else 1, first=1):
+    for size in table_cuts(data, step):
         path.write_bytes(data[:size])
         try:
             found = read(path, format="mat")
