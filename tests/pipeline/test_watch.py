@@ -195,6 +195,34 @@ def test_coefficients_that_no_longer_hold_are_told_and_replaced(tmp_path: Path) 
     assert last["sphere_mg"]["mean"] < 0.5
 
 
+def hours_of_rest(path: Path, number: int, jump: int) -> bytes:
+    """240 postures in two hours at 6.25 Hz, moving in between; from an even hour on x is 40 mg more."""
+    write_raw(path, still_counts(directions(1)))
+    layout = path.with_suffix(".layout.toml")
+    layout.write_text(layout.read_text().replace("rate_hz = 25.0", "rate_hz = 6.25"))
+    poses = np.concatenate([directions(200), directions(40)])
+    parts = [still_counts(poses, seed).reshape(240, -1, 3) for seed in range(number // 2)]
+    for place, counts in enumerate(parts):
+        counts[:, :150, 0] += np.random.RandomState(place).randint(-200, 200, (240, 150)).astype(np.int16)
+        counts[..., 0] += 10 * (place >= jump // 2)
+    return np.concatenate([counts.reshape(-1, 3)[::4] for counts in parts]).astype("<i2").tobytes()
+
+
+def test_profile_paper_looks_back_a_day_in_a_state_that_does_not_grow(tmp_path: Path) -> None:
+    path, state, sizes = tmp_path / "a.raw", tmp_path / "state", []
+    data = hours_of_rest(path, 56, 44)
+    watch, events = Watch(path, ReadOptions(), PAPER), []
+    for begin in range(0, len(data), 135_000):
+        events += watch.take(data[begin : begin + 135_000]).events
+        watch_state.save(state, watch.standing, "options")
+        sizes.append(state.stat().st_size)
+    (told,) = [event for event in events if event["event"] == "drifted"]
+    assert 44 + 2 < told["hours"] < 44 + 8
+    assert 10 < told["in_force_mg"] < 40 and told["new_mg"] < 5
+    assert "jump at 2024-03-05T20:00:00, by up to 39." in told["message"]
+    assert max(sizes[40:]) < 1.02 * max(sizes[25:40])
+
+
 @pytest.mark.usefixtures("few_fits")
 def test_rows_come_from_the_first_fit_on_each_once(tmp_path: Path) -> None:
     path = unpacked("recording.bin", tmp_path)
@@ -289,4 +317,4 @@ def test_memory_and_state_are_bounded_over_14_days(tmp_path: Path) -> None:
         sizes.append(state.stat().st_size)
     assert watch.standing.force is not None
     assert max(peaks[7:]) < max(peaks[1:7]) + (16 << 20)
-    assert sizes[-1] < 150_000
+    assert sizes[-1] < 100_000
