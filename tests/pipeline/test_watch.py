@@ -23,9 +23,11 @@ from accelcal_cli.pipeline.jobs import Job, Request
 from accelcal_cli.pipeline.watch import Happened, Standing, Watch
 from tests.cli.run import exit_code
 from tests.conftest import ROOT
-from tests.recordings import directions, paper_recording, still_counts, write_raw
+from tests.formats import make_genea, make_parmay, make_wav
+from tests.recordings import LSB_PER_G, directions, paper_recording, still_counts, write_raw
 
 SAMPLES = ROOT / "sample_data"
+SIMULATED = {"cwa": "a.cwa", "geneactiv": "a.bin", "raw": "a.raw"}
 NAMES = ("outcome", "message", "calibration", "sphere_mg", "coverage")
 
 
@@ -65,10 +67,17 @@ def unpacked(name: str, folder: Path) -> Path:
 
 def simulated(name: str, folder: Path) -> Path:
     """Six hours of wear in a format of which no sample lies here."""
-    path = folder / {"cwa": "a.cwa", "geneactiv": "a.bin", "raw": "a.raw"}[name]
+    path = folder / SIMULATED[name]
     words = ("--format", name, "--days", "0.25", "--rate", "50", "--seed", "4", "-q")
     assert exit_code("simulate", path, *words) == 0
     return path
+
+
+def made(name: str, folder: Path) -> Path:
+    """Ten hours in postures of the wrist, by a writer of a format that cannot be simulated."""
+    maker, scale = {"genea": (make_genea, 1), "parmay": (make_parmay, 16), "wav": (make_wav, 16)}[name]
+    counts = np.concatenate([still_counts(directions(240), seed) for seed in range(5)])
+    return maker.make(folder, counts.astype(np.int64) * scale, 25.0, LSB_PER_G * scale).path
 
 
 @pytest.mark.usefixtures("few_fits")
@@ -81,11 +90,15 @@ def simulated(name: str, folder: Path) -> Path:
         pytest.param("cwa", 5, marks=pytest.mark.nightly),
         pytest.param("geneactiv", 5, marks=pytest.mark.nightly),
         pytest.param("raw", 5, marks=pytest.mark.nightly),
+        pytest.param("genea", 3, marks=pytest.mark.nightly),
+        pytest.param("parmay", 3, marks=pytest.mark.nightly),
+        pytest.param("wav", 3, marks=pytest.mark.nightly),
     ],
 )
 def test_at_any_byte_the_coefficients_are_those_of_calibrate(name: str, number: int, tmp_path: Path) -> None:
     """The prefix may end within a page or a line, before the head has come or after it."""
-    path = unpacked(name, tmp_path) if "." in name else simulated(name, tmp_path)
+    maker = unpacked if "." in name else simulated if name in SIMULATED else made
+    path = maker(name, tmp_path)
     data, random = path.read_bytes(), Random(number)
     (tmp_path / "prefix").mkdir()
     for layout in tmp_path.glob("*.toml"):
