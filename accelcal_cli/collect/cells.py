@@ -22,6 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, coarser, group_of
 from accelcal_cli.collect.previous import PreviousPosture
 from accelcal_cli.collect.saturation import Saturation
 from accelcal_cli.core.course import Course
@@ -51,8 +52,6 @@ NEARLY_CONSTANT_SHARE = 10
 
 NEAR_G = 0.05
 """So near to where an axis saturates, breath and noise may have taken samples of a still window beyond."""
-
-_CONSTANT, _BLOCK = 4, 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,8 +188,8 @@ class CellCollector:
         self.spreads = Histogram()
         self.saturation = Saturation()
         self._previous = PreviousPosture()
-        self._cells: dict[tuple[int, ...], list[int]] = {}
-        """By key: windows, samples, sums of x, y, z, of temperature, and of x, y, z in the posture before."""
+        border = Fraction(lsb_per_g).limit_denominator(1000)
+        self._cells = Cells(Grid(border, settings.cells_per_g, temperature))
 
     def add(self, windows: Windows) -> None:
         """Take still windows in."""
@@ -213,13 +212,18 @@ class CellCollector:
         before = self._previous.of(windows, keys[:, :3] >> 1)
         np.add.at(values[:, 5:], inverse, before * windows.samples[:, np.newaxis])
         for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
-            _add(self._cells, tuple(key), [count, *row])
+            add_sums(self._cells, tuple(key), [count, *row])
         while self.block_samples and self._too_many(int(windows.first_sample[-1])):
-            self._cells, self.block_samples = _longer_blocks(self._cells), 2 * self.block_samples
+            self._cells = self._cells.with_blocks(lambda block: block >> 1)
+            self.block_samples *= 2
 
     def _too_many(self, last_sample: int) -> bool:
         """Whether blocks of time have to be longer; windows come in the order of time."""
         return len(self._cells) > MAX_TIMED or last_sample // self.block_samples >= MAX_BLOCKS
+
+    def forget_first_block(self) -> None:
+        """Forget the windows of the first block of time; the next one becomes the first."""
+        self._cells = self._cells.with_blocks(lambda block: block - 1)
 
     def merge(self, other: CellCollector) -> None:
         """Take in what another collector holds; exact.
@@ -230,11 +234,11 @@ class CellCollector:
         self.spreads.merge(other.spreads)
         self.saturation.merge(other.saturation)
         for key, value in other._cells.items():
-            _add(self._cells, (*key[:3], key[3] * self.temperature, key[_CONSTANT], 0), value)
+            add_sums(self._cells, (*key[:3], key[3] * self.temperature, key[CONSTANT], 0), value)
 
     def orientations(self) -> int:
         """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""
-        return len({_group(key) for key in self._cells})
+        return len({group_of(key) for key in self._cells})
 
     def points(self, course: Course | None = None) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates.
@@ -245,37 +249,37 @@ class CellCollector:
         """
         cells, halvings = self._bounded()
         ordered = sorted(cells.items())
-        weights = shared_weights([_group(key) for key, _ in ordered], [value[0] for _, value in ordered])
+        weights = shared_weights([group_of(key) for key, _ in ordered], [value[0] for _, value in ordered])
         scale = Fraction(self.lsb_per_g)
         if course is not None:
             cells, scale = self._along(course, halvings), scale * scale.denominator * ONE
         sums = [_sums(cells[key]) for key, _ in ordered]
         return to_points(sums, weights, scale, temperature=self.temperature)
 
-    def _along(self, course: Course, halvings: int) -> dict[tuple[int, ...], list[int]]:
+    def _along(self, course: Course, halvings: int) -> dict[Key, Value]:
         """The cells with sums put right, in whole parts of a count."""
         scale, real = Fraction(self.lsb_per_g), self._constants_are_real()
-        found: dict[tuple[int, ...], list[int]] = {}
+        found: dict[Key, Value] = {}
         for key, (windows, samples, *sums) in self._cells.items():
-            if real or not key[_CONSTANT]:
-                middle = key[_BLOCK] * self.block_samples + self.block_samples // 2
+            if real or not key[CONSTANT]:
+                middle = key[BLOCK] * self.block_samples + self.block_samples // 2
                 right = [
                     total * scale.denominator * stretch + samples * scale.numerator * shift
                     for total, stretch, shift in zip(sums[:3], *course.at(middle), strict=True)
                 ]
                 before = [total * scale.denominator * ONE for total in sums[4:]]
-                cell = tuple(part >> halvings for part in key[:_CONSTANT])
-                _add(found, cell, [windows, samples, *right, sums[3], *before])
+                cell = tuple(part >> halvings for part in key[:CONSTANT])
+                add_sums(found, cell, [windows, samples, *right, sums[3], *before])
         return found
 
     def timed(self) -> list[tuple[int, Sums]]:
         """The number of each block of time, and the sums of each orientation in it; in order."""
         _, left_out = self._settled()
         real = self._constants_are_real()
-        found: dict[tuple[int, ...], list[int]] = {}
+        found: dict[Key, Value] = {}
         for key, value in self._cells.items():
-            if (real or not key[_CONSTANT]) and key[:_CONSTANT] not in left_out:
-                _add(found, (key[_BLOCK], *_group(key)), value)
+            if (real or not key[CONSTANT]) and key[:CONSTANT] not in left_out:
+                add_sums(found, (key[BLOCK], *group_of(key)), value)
         return [(key[0], _sums(value)) for key, value in sorted(found.items())]
 
     def counts(self) -> CellCounts:
@@ -296,7 +300,7 @@ class CellCollector:
         role, point = np.full(len(windows), Role.IMPLAUSIBLE), np.full(len(windows), -1)
         near_1_g = np.flatnonzero(plausible(windows, self.lsb_per_g, self.settings))
         constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
-        keys = self._keys(windows.select(near_1_g), constant)[:, :_CONSTANT]
+        keys = self._keys(windows.select(near_1_g), constant)[:, :CONSTANT]
         _, left_out = self._settled()
         cells, halvings = self._bounded()
         number = {key: index for index, key in enumerate(sorted(cells))}
@@ -310,7 +314,7 @@ class CellCollector:
                 role[place], point[place] = Role.FIT, number[tuple(part >> halvings for part in key)]
         return Fates(role, point)
 
-    def _bounded(self) -> tuple[dict[tuple[int, ...], list[int]], int]:
+    def _bounded(self) -> tuple[dict[Key, Value], int]:
         """The cells that make points, and how often they were made twice as wide to be so few."""
         cells, left_out = self._settled()
         cells = {key: value for key, value in cells.items() if key not in left_out}
@@ -319,7 +323,7 @@ class CellCollector:
             cells, halvings = coarser(cells), halvings + 1
         return cells, halvings
 
-    def _settled(self) -> tuple[dict[tuple[int, ...], list[int]], dict[tuple[int, ...], Role]]:
+    def _settled(self) -> tuple[dict[Key, Value], dict[Key, Role]]:
         """The cells of windows that were measured, and the role of those of them that make no points."""
         cells = self._believed()
         far = _far_off(cells) if self.temperature else set()
@@ -327,16 +331,11 @@ class CellCollector:
         return cells, dict.fromkeys(far, Role.TEMPERATURE) | dict.fromkeys(saturated, Role.SATURATED)
 
     def _keys(self, windows: Windows, constant: NDArray[np.bool_]) -> NDArray[np.int64]:
-        keys = np.zeros((len(windows), 6), np.int64)
-        border = Fraction(self.lsb_per_g).limit_denominator(1000)
-        g = windows.samples[:, np.newaxis] * border.numerator
-        keys[:, :3] = windows.sums * (self.settings.cells_per_g * border.denominator) // g
-        if self.temperature and windows.temperature_sums is not None:
-            keys[:, 3] = windows.temperature_sums // (windows.samples * 1000)
-        keys[:, _CONSTANT] = constant
+        heat, block = windows.temperature_sums, np.zeros_like(windows.samples)
+        cells = self._cells.grid.keys(windows.samples, windows.sums, block if heat is None else heat)
         if self.block_samples:
-            keys[:, _BLOCK] = windows.first_sample // self.block_samples
-        return keys
+            block = windows.first_sample // self.block_samples
+        return np.column_stack([cells, constant, block])
 
     def _constants_are_real(self) -> bool:
         """Whether windows without any spread can be a coarse sensor's stillness.
@@ -350,12 +349,12 @@ class CellCollector:
         nearly = sum(number for spread, number in spreads.items() if 0 < spread <= limit)
         return step > 0 and nearly * NEARLY_CONSTANT_SHARE >= spreads.get(0, 0)
 
-    def _believed(self) -> dict[tuple[int, ...], list[int]]:
+    def _believed(self) -> dict[Key, Value]:
         real = self._constants_are_real()
-        merged: dict[tuple[int, ...], list[int]] = {}
+        merged: dict[Key, Value] = {}
         for key, value in self._cells.items():
-            if real or not key[_CONSTANT]:
-                _add(merged, key[:_CONSTANT], value)
+            if real or not key[CONSTANT]:
+                add_sums(merged, key[:CONSTANT], value)
         return merged
 
 
@@ -370,17 +369,12 @@ def _step(spreads: dict[int, int]) -> int:
     return min(b - a for a, b in pairwise(ordered) if (b - a) * 64 >= ordered[1])
 
 
-def _sums(value: list[int]) -> Sums:
+def _sums(value: Value) -> Sums:
     windows, samples, x, y, z, heat, *before = value
     return Sums(windows, samples, (x, y, z), heat, (before[0], before[1], before[2]))
 
 
-def _add(cells: dict[tuple[int, ...], list[int]], key: tuple[int, ...], value: list[int]) -> None:
-    total = cells.get(key)
-    cells[key] = list(value) if total is None else [a + b for a, b in zip(total, value, strict=True)]
-
-
-def _far_off(cells: dict[tuple[int, ...], list[int]]) -> set[tuple[int, ...]]:
+def _far_off(cells: dict[Key, Value]) -> set[Key]:
     """Cells whose temperature is far from all others': one such point would decide the slopes."""
     means = {key: value[5] // value[1] for key, value in cells.items()}
     middle = _median([(means[key], value[0]) for key, value in cells.items()])
@@ -390,9 +384,7 @@ def _far_off(cells: dict[tuple[int, ...], list[int]]) -> set[tuple[int, ...]]:
     return {key for key, distance in away.items() if distance > limit}
 
 
-def _beyond(
-    cells: dict[tuple[int, ...], list[int]], saturated: Saturated, lsb_per_g: float
-) -> set[tuple[int, ...]]:
+def _beyond(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> set[Key]:
     """Cells within NEAR_G of where an axis saturates, in whose windows some samples may be too small."""
     return {
         key
@@ -410,22 +402,3 @@ def _median(values: list[tuple[int, int]]) -> int:
         if seen >= half:
             return value
     return 0
-
-
-def _longer_blocks(cells: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
-    longer: dict[tuple[int, ...], list[int]] = {}
-    for key, value in cells.items():
-        _add(longer, (*key[:_BLOCK], key[_BLOCK] >> 1), value)
-    return longer
-
-
-def _group(key: tuple[int, ...]) -> tuple[int, ...]:
-    return tuple(part >> 1 for part in key[:3])
-
-
-def coarser(cells: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
-    """Cells of twice the width, in space and in temperature."""
-    wider: dict[tuple[int, ...], list[int]] = {}
-    for key, value in cells.items():
-        _add(wider, (*_group(key), key[3] >> 1), value)
-    return wider

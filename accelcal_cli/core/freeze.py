@@ -46,7 +46,7 @@ def thawed(plain: Any) -> Any:
     """
     try:
         return _Thawer().thaw(plain)
-    except (ValueError, TypeError, KeyError, IndexError, AttributeError, ImportError, OverflowError) as error:
+    except (ValueError, TypeError, LookupError, AttributeError, ImportError, ArithmeticError) as error:
         raise ThawError(f"{type(error).__name__}: {error}") from error
 
 

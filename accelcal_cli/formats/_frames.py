@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import UniformClock, rate_fraction
-from accelcal_cli.core.recording import Channels, Chunk, Counts, Problem, Reader, Recording
+from accelcal_cli.core.recording import Channels, Chunk, Counts, Intake, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages.pages import BLOCK_BYTES, HeldChannels, RowFilter
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
 
 FIRST_ROWS = 1 << 16
+AFTER_BYTES = 8
 
 CUT_OFF = "bytes of an incomplete sample at the end of the file, left out"
 BROKEN_OFF = "the compressed data is damaged or ends early; bytes of an incomplete sample, left out"
@@ -137,7 +138,9 @@ class FrameReader(Reader):
                 last = len(data) < wanted * file.frame_bytes or rows.frame + wanted == stop
                 chunk = rows.feed(data, source.disk_position(), last=last)
                 if last:
-                    chunk = replace(chunk, problems=chunk.problems + rows.ending(data, stop, source))
+                    broken, undecoded = source.broken, source.undecoded()
+                    ending = rows.ending(len(data), stop, broken=broken, undecoded=undecoded)
+                    chunk = replace(chunk, problems=chunk.problems + ending)
                 yield chunk
 
 
@@ -196,14 +199,57 @@ class _Rows:
             event = Event(frame, count, *kind, offset, sample, count, lost_bytes=lost, scattered=scattered)
             self._log.add(event)
 
-    def ending(self, data: bytes, stop: int | None, source: ByteSource) -> tuple[Problem, ...]:
-        """What is wrong with the end of the file."""
-        left, offset, problems = len(data) % self._file.frame_bytes, self._file.offset(self.frame), []
-        if left or source.broken:
-            text = f"{BROKEN_OFF if source.broken else CUT_OFF}: {left}"
-            lost = left + source.undecoded()
+    def ending(
+        self, size: int, stop: int | None, *, broken: bool = False, undecoded: int = 0
+    ) -> tuple[Problem, ...]:
+        """What is wrong with the end of the file.
+
+        Args:
+            size: how many bytes came last, the frames among which were fed.
+            stop: how many frames there should be.
+            broken: the compressed data broke off, before so many bytes `undecoded` on the disk.
+        """
+        left, offset, problems = size % self._file.frame_bytes, self._file.offset(self.frame), []
+        if left or broken:
+            text = f"{BROKEN_OFF if broken else CUT_OFF}: {left}"
+            lost = left + undecoded
             problems.append(Problem("truncated", text, offset, self._samples, left, lost))
         if stop is not None and stop > self.frame:
             missing = stop - self.frame
             problems.append(Problem("truncated", f"{NEVER_CAME}: {missing}", offset, self._samples, missing))
         return tuple(problems)
+
+
+class FrameIntake(Intake):
+    """Takes a file of frames as it grows.
+
+    Args:
+        problems: what was found while opening; reported with the first chunk.
+
+    Attributes:
+        after: the first bytes behind the frames that are announced.
+    """
+
+    def __init__(self, recording: Recording, file: FrameFile, problems: tuple[Problem, ...]) -> None:
+        self.after = b""
+        self._file, self._rows = file, _Rows(file, recording, 0, problems)
+        self._skip, self._taken = file.start_byte, 0
+        self._rest = b""
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        file, rows = self._file, self._rows
+        self._taken += len(data)
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        data = self._rest + data[skipped:]
+        left = len(data) if file.announced is None else (file.announced - rows.frame) * file.frame_bytes
+        self.after = (self.after + data[left:])[:AFTER_BYTES]
+        data = data[:left]
+        size = len(data) // file.frame_bytes * file.frame_bytes
+        self._rest = data[size:]
+        chunk = rows.feed(data[:size], self._taken, last=last)
+        if last:
+            chunk = replace(chunk, problems=chunk.problems + rows.ending(len(data), file.announced))
+        if len(chunk) or chunk.problems or last:
+            yield chunk

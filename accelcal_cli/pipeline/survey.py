@@ -186,16 +186,7 @@ def make_method(recording: Recording, settings: Settings) -> Method:
 def _procedure(recording: Recording, settings: Settings, lsb_per_g: float) -> Procedure:
     if settings.profile == "paper":
         return PaperProcedure(PaperCollector(lsb_per_g, settings))
-    return timed_cells(recording, settings)
-
-
-def timed_cells(recording: Recording, settings: Settings) -> TimedCellProcedure:
-    """The procedure of the default, which also sees how a recording goes along time."""
-    lsb_per_g = local_lsb_per_g(recording, settings)
-    temperature = settings.temperature and recording.has_temperature
-    hour = max(1, round(BLOCK_S * recording.rate_hz))
-    collector = CellCollector(lsb_per_g, settings, temperature=temperature, block_samples=hour)
-    return TimedCellProcedure(collector, recording, settings)
+    return TimedCellProcedure(recording, settings)
 
 
 def local_lsb_per_g(recording: Recording, settings: Settings) -> float:
@@ -255,11 +246,15 @@ class TimedCellProcedure(CellProcedure):
         hour_samples: samples that make an hour.
     """
 
-    def __init__(self, collector: CellCollector, recording: Recording, settings: Settings) -> None:
-        super().__init__(collector)
-        self.subsets = PaperCollector(collector.lsb_per_g, replace(settings, min_distance_g=APART_G))
+    def __init__(self, recording: Recording, settings: Settings) -> None:
+        lsb_per_g = local_lsb_per_g(recording, settings)
+        temperature = settings.temperature and recording.has_temperature
+        self.hour_samples = max(1, round(BLOCK_S * recording.rate_hz))
+        super().__init__(
+            CellCollector(lsb_per_g, settings, temperature=temperature, block_samples=self.hour_samples)
+        )
+        self.subsets = PaperCollector(lsb_per_g, replace(settings, min_distance_g=APART_G))
         self._course: Course | None = None
-        self.hour_samples = collector.block_samples
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
         self._begun_us: list[int] = []
         self._means: TimedMeans | None = None

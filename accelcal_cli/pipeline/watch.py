@@ -32,6 +32,7 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed
 from accelcal_cli.pipeline.facts import FactsObserver
+from accelcal_cli.pipeline.last_day import LastDay
 from accelcal_cli.pipeline.quality import held_against
 
 STEP_BYTES = 1 << 13
@@ -63,7 +64,7 @@ class Stage:
         self.method = survey.make_method(recording, settings)
         self._facts = FactsObserver(recording, self.method.rest_lsb, self.method.segmenter.gaps)
         own = self.method.procedure
-        self.along_time = own if isinstance(own, Timed) else survey.timed_cells(recording, settings)
+        self.along_time = own if isinstance(own, Timed) else LastDay(recording, settings)
         """What coefficients are held against."""
         self._observers: tuple[survey.Observer, ...] = (
             (self._facts, own) if own is self.along_time else (self._facts, own, self.along_time)

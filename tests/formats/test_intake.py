@@ -16,9 +16,10 @@ from accelcal_cli.core.recording import Chunk, Intake, joined
 from accelcal_cli.formats import all_encoders
 from accelcal_cli.pipeline.survey import open_marked
 from tests.cli.run import exit_code
-from tests.recordings import directions, still_counts, write_csv
+from tests.formats import make_genea, make_parmay, make_wav
+from tests.recordings import LSB_PER_G, directions, still_counts, write_csv
 
-STREAMED = ("csv", "cwa", "flash", "geneactiv", "raw")
+STREAMED = ("ax6", "csv", "cwa", "flash", "genea", "geneactiv", "parmay", "raw", "wav")
 COLUMNS = ("counts", "time_us", "breaks", "clock_jumps", "temperature_mc", "gyro_counts", "validity")
 
 
@@ -34,6 +35,15 @@ def recordings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         else:
             assert exit_code("simulate", path, *words) == 0
         found[encoder.name] = path
+    path = found["ax6"] = folder / "ax6.cwa"
+    words = ("--format", "cwa", "--gyro", "--days", "0.02", "--rate", "50", "--seed", "3", "-q")
+    assert exit_code("simulate", path, *words) == 0
+    for maker in (make_genea, make_parmay, make_wav):
+        name = maker.__name__.rpartition("_")[2]
+        (folder / name).mkdir()
+        lsb_per_g = {"genea": 256.0, "parmay": 4096.0, "wav": 4096.0}[name]
+        counts = still_counts(directions(20)).astype(np.int64) * round(lsb_per_g / LSB_PER_G)
+        found[name] = maker.make(folder / name, counts, 25.0, lsb_per_g).path
     return found
 
 
@@ -113,3 +123,18 @@ def test_other_formats_say_that_they_are_not_read_while_they_grow(recordings: di
         refusal = pytest.raises(UnreadableError, match=f"{name} are not read while they grow")
         with open_marked(recordings[name], ReadOptions()) as reader, refusal:
             reader.intake()
+
+
+def test_samples_beyond_those_that_a_sound_file_tells_of_are_not_lost_in_silence(
+    recordings: dict[str, Path],
+) -> None:
+    """Such as those of more than 4 GiB; a chunk of text behind the samples is none of them."""
+    path = recordings["wav"]
+    with open_marked(path, ReadOptions()) as reader:
+        intake = reader.intake()
+        samples = sum(map(len, intake.take(path.read_bytes() + b"LIST\4\0\0\0text", last=False)))
+        assert samples == len(whole(path))
+    with open_marked(path, ReadOptions()) as reader:
+        refusal = pytest.raises(UnreadableError, match="more samples follow than its header tells of")
+        with refusal:
+            list(reader.intake().take(path.read_bytes() + bytes(100), last=False))

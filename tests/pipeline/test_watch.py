@@ -23,9 +23,11 @@ from accelcal_cli.pipeline.jobs import Job, Request
 from accelcal_cli.pipeline.watch import Happened, Standing, Watch
 from tests.cli.run import exit_code
 from tests.conftest import ROOT
-from tests.recordings import directions, paper_recording, still_counts, write_raw
+from tests.formats import make_genea, make_parmay, make_wav
+from tests.recordings import LSB_PER_G, directions, paper_recording, still_counts, write_raw
 
 SAMPLES = ROOT / "sample_data"
+SIMULATED = {"cwa": "a.cwa", "geneactiv": "a.bin", "raw": "a.raw"}
 NAMES = ("outcome", "message", "calibration", "sphere_mg", "coverage")
 
 
@@ -65,10 +67,17 @@ def unpacked(name: str, folder: Path) -> Path:
 
 def simulated(name: str, folder: Path) -> Path:
     """Six hours of wear in a format of which no sample lies here."""
-    path = folder / {"cwa": "a.cwa", "geneactiv": "a.bin", "raw": "a.raw"}[name]
+    path = folder / SIMULATED[name]
     words = ("--format", name, "--days", "0.25", "--rate", "50", "--seed", "4", "-q")
     assert exit_code("simulate", path, *words) == 0
     return path
+
+
+def made(name: str, folder: Path) -> Path:
+    """Ten hours in postures of the wrist, by a writer of a format that cannot be simulated."""
+    maker, scale = {"genea": (make_genea, 1), "parmay": (make_parmay, 16), "wav": (make_wav, 16)}[name]
+    counts = np.concatenate([still_counts(directions(240), seed) for seed in range(5)])
+    return maker.make(folder, counts.astype(np.int64) * scale, 25.0, LSB_PER_G * scale).path
 
 
 @pytest.mark.usefixtures("few_fits")
@@ -81,11 +90,15 @@ def simulated(name: str, folder: Path) -> Path:
         pytest.param("cwa", 5, marks=pytest.mark.nightly),
         pytest.param("geneactiv", 5, marks=pytest.mark.nightly),
         pytest.param("raw", 5, marks=pytest.mark.nightly),
+        pytest.param("genea", 3, marks=pytest.mark.nightly),
+        pytest.param("parmay", 3, marks=pytest.mark.nightly),
+        pytest.param("wav", 3, marks=pytest.mark.nightly),
     ],
 )
 def test_at_any_byte_the_coefficients_are_those_of_calibrate(name: str, number: int, tmp_path: Path) -> None:
     """The prefix may end within a page or a line, before the head has come or after it."""
-    path = unpacked(name, tmp_path) if "." in name else simulated(name, tmp_path)
+    maker = unpacked if "." in name else simulated if name in SIMULATED else made
+    path = maker(name, tmp_path)
     data, random = path.read_bytes(), Random(number)
     (tmp_path / "prefix").mkdir()
     for layout in tmp_path.glob("*.toml"):
@@ -195,6 +208,34 @@ def test_coefficients_that_no_longer_hold_are_told_and_replaced(tmp_path: Path) 
     assert last["sphere_mg"]["mean"] < 0.5
 
 
+def hours_of_rest(path: Path, number: int, jump: int) -> bytes:
+    """240 postures in two hours at 6.25 Hz, moving in between; from an even hour on x is 40 mg more."""
+    write_raw(path, still_counts(directions(1)))
+    layout = path.with_suffix(".layout.toml")
+    layout.write_text(layout.read_text().replace("rate_hz = 25.0", "rate_hz = 6.25"))
+    poses = np.concatenate([directions(200), directions(40)])
+    parts = [still_counts(poses, seed).reshape(240, -1, 3) for seed in range(number // 2)]
+    for place, counts in enumerate(parts):
+        counts[:, :150, 0] += np.random.RandomState(place).randint(-200, 200, (240, 150)).astype(np.int16)
+        counts[..., 0] += 10 * (place >= jump // 2)
+    return np.concatenate([counts.reshape(-1, 3)[::4] for counts in parts]).astype("<i2").tobytes()
+
+
+def test_profile_paper_looks_back_a_day_in_a_state_that_does_not_grow(tmp_path: Path) -> None:
+    path, state, sizes = tmp_path / "a.raw", tmp_path / "state", []
+    data = hours_of_rest(path, 56, 44)
+    watch, events = Watch(path, ReadOptions(), PAPER), []
+    for begin in range(0, len(data), 135_000):
+        events += watch.take(data[begin : begin + 135_000]).events
+        watch_state.save(state, watch.standing, "options")
+        sizes.append(state.stat().st_size)
+    (told,) = [event for event in events if event["event"] == "drifted"]
+    assert 44 + 2 < told["hours"] < 44 + 8
+    assert 10 < told["in_force_mg"] < 40 and told["new_mg"] < 5
+    assert "jump at 2024-03-05T20:00:00, by up to 39." in told["message"]
+    assert max(sizes[40:]) < 1.02 * max(sizes[25:40])
+
+
 @pytest.mark.usefixtures("few_fits")
 def test_rows_come_from_the_first_fit_on_each_once(tmp_path: Path) -> None:
     path = unpacked("recording.bin", tmp_path)
@@ -289,4 +330,4 @@ def test_memory_and_state_are_bounded_over_14_days(tmp_path: Path) -> None:
         sizes.append(state.stat().st_size)
     assert watch.standing.force is not None
     assert max(peaks[7:]) < max(peaks[1:7]) + (16 << 20)
-    assert sizes[-1] < 150_000
+    assert sizes[-1] < 100_000

@@ -22,9 +22,9 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Chunk, Device, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Chunk, Device, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._pages import pages as paged
-from accelcal_cli.formats._pages.pages import Decoded, PagedFile, RawBlock
+from accelcal_cli.formats._pages.pages import Decoded, PageCutter, PagedFile, RawBlock
 from accelcal_cli.formats._pages.places import Part, PartPlaces
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
@@ -163,9 +163,7 @@ class Scheme:
         """All rows of the file, from one time to another, about so many at once."""
         assembler = Assembler(self, 0, self.problems)
         for raw in self.file.blocks(self.file.fitting(chunk_samples // SLOTS)):
-            chunk = assembler.feed(raw)
-            if raw.last:
-                chunk = replace(chunk, problems=chunk.problems + assembler.ending(raw, chunk))
+            chunk = assembler.feed_file(raw)
             if len(chunk) or chunk.problems:
                 yield chunk
 
@@ -197,7 +195,12 @@ class Assembler:
         chunk = self._joiner.feed(part, decoded)
         return self._scheme.scale.applied(replace(chunk, used_bytes=len(chunk) * SLOT_BYTES))
 
-    def ending(self, raw: RawBlock, chunk: Chunk) -> tuple[Problem, ...]:
+    def feed_file(self, raw: RawBlock) -> Chunk:
+        """The same of a whole file, whose end may be told."""
+        chunk = self.feed(raw)
+        return replace(chunk, problems=chunk.problems + self._ending(raw, chunk)) if raw.last else chunk
+
+    def _ending(self, raw: RawBlock, chunk: Chunk) -> tuple[Problem, ...]:
         """What is missing at the end of the file."""
         offset, sample = self._scheme.file.offset(raw.next_position), chunk.first_sample + len(chunk)
         if raw.broken:
@@ -207,6 +210,19 @@ class Assembler:
         text = f"the file ends within a page, of which it has {len(raw.tail)} of {PAGE_BYTES} bytes"
         lost = len(raw.tail) % SLOT_BYTES if len(raw.tail) < SLOTS * SLOT_BYTES else 0
         return (Problem("truncated", text, offset, sample, 1, lost),)
+
+
+class GeneaIntake(Intake):
+    """Takes a recording as it grows."""
+
+    def __init__(self, scheme: Scheme) -> None:
+        self._cutter, self._assembler = PageCutter(scheme.file), Assembler(scheme, 0, scheme.problems)
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        raw = self._cutter.cut(data, last=last)
+        if len(raw.pages) or last:
+            yield self._assembler.feed_file(raw)
 
 
 class GeneaReader(Reader):
@@ -219,6 +235,10 @@ class GeneaReader(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, about `chunk_samples` at a time."""
         return self._scheme.stream(chunk_samples)
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return GeneaIntake(self._scheme)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Enter the file at evenly spread pages; a gzip file gives its first chunks."""

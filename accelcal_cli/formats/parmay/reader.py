@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Channels, Chunk, Device, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Channels, Chunk, Device, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._pages.pages import GOOD, Decoded, PageBlock, bad_runs
 from accelcal_cli.formats._pages.places import Part, PartPlaces
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats._stamps import nice_rate
 from accelcal_cli.formats.parmay import HEADER_BYTES, HEADER_MAGIC, PACKET_MAGIC, REMARKS_BYTES
-from accelcal_cli.formats.parmay.packets import USUAL_BYTES, Found, Packet, PacketFile
+from accelcal_cli.formats.parmay.packets import USUAL_BYTES, Found, Packet, PacketCutter, PacketFile
 
 RATES_HZ = (12.5, 25.0, 50.0, 100.0)
 """To which devices are set; their sensors run up to 3 % off."""
@@ -265,9 +265,7 @@ class Scheme:
         assembler = Assembler(self, 0, self.problems)
         with closing(self.file.parts(chunk_samples * self.row_bytes)) as parts:
             for part in parts:
-                chunk = assembler.feed(part)
-                if part.last:
-                    chunk = replace(chunk, problems=chunk.problems + assembler.ending(part, chunk))
+                chunk = assembler.feed_file(part)
                 if len(chunk) or chunk.problems:
                     yield chunk
 
@@ -290,7 +288,12 @@ class Assembler:
         chunk = self._joiner.feed(part, self._decode(part.found, part.first_position))
         return marked(replace(chunk, used_bytes=len(chunk) * self._scheme.row_bytes))
 
-    def ending(self, part: Part[Found], chunk: Chunk) -> tuple[Problem, ...]:
+    def feed_file(self, part: Part[Found]) -> Chunk:
+        """The same of a whole file, whose end may be told."""
+        chunk = self.feed(part)
+        return replace(chunk, problems=chunk.problems + self._ending(part, chunk)) if part.last else chunk
+
+    def _ending(self, part: Part[Found], chunk: Chunk) -> tuple[Problem, ...]:
         """What is missing at the end of the file, and in packets."""
         sample, found, problems = chunk.first_sample + len(chunk), part.found, []
         if part.broke_off:
@@ -318,6 +321,19 @@ def marked(chunk: Chunk) -> Chunk:
     return replace(chunk, validity=np.where(clipped, Validity.CLIPPED, Validity.MEASURED).astype(np.uint8))
 
 
+class ParmayIntake(Intake):
+    """Takes a recording as it grows."""
+
+    def __init__(self, scheme: Scheme) -> None:
+        self._cutter, self._assembler = PacketCutter(scheme.file), Assembler(scheme, 0, scheme.problems)
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`."""
+        part = self._cutter.cut(data, last=last)
+        if part.found.status or part.found.empty or last:
+            yield self._assembler.feed_file(part)
+
+
 class ParmayReader(Reader):
     """Streams the packets; each call of `chunks` reads the file from its beginning."""
 
@@ -328,6 +344,10 @@ class ParmayReader(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole packets."""
         return self._scheme.stream(chunk_samples)
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return ParmayIntake(self._scheme)
 
     def preview(self, chunk_samples: int, pieces: int) -> Iterator[Chunk]:
         """Enter the file at evenly spread bytes; a short or gzip file gives its first chunks."""

@@ -7,6 +7,7 @@ thermometer measured.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,9 +17,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Channels, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._frames import FIRST_ROWS, FrameFile, FrameReader, Frames
+from accelcal_cli.formats._frames import AFTER_BYTES, FIRST_ROWS, FrameFile, FrameIntake, FrameReader, Frames
 from accelcal_cli.formats._pages.pages import MISSING, first_values
 from accelcal_cli.formats.wav.header import CHUNK, EXTENSIBLE, PCM, Header, parse_header
 
@@ -55,7 +56,7 @@ class Layout:
     gyro: tuple[int, ...] | None
     aux: int | None
 
-    def decode(self, table: NDArray[np.uint8], _first: int = 0) -> Frames:
+    def __call__(self, table: NDArray[np.uint8], _first: int = 0) -> Frames:
         """Samples (n, bytes) as rows."""
         values = table.view("<i2").astype(np.int16, copy=False)
         channels: Channels = {}
@@ -107,6 +108,25 @@ def layout_of(header: Header, path: Path) -> Layout:
     return Layout(header.channels, accel, gyro if len(gyro) == len(GYRO) else None, aux)
 
 
+class WavIntake(FrameIntake):
+    """Takes a sound file as it grows."""
+
+    def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
+        """See `Intake`; raises UnreadableError where more samples follow than the header tells of."""
+        yield from super().take(data, last=last)
+        if len(self.after) == AFTER_BYTES and not self.after[:4].isalnum():
+            what = "more samples follow than its header tells of"
+            raise UnreadableError(what, byte_offset=4, hint="use accelcal calibrate when it is complete")
+
+
+class WavReader(FrameReader):
+    """Streams the samples, from a file that may be growing."""
+
+    def intake(self) -> Intake:
+        """See `Reader`."""
+        return WavIntake(self.recording, self._file, self._problems)
+
+
 def open_recording(path: Path, options: ReadOptions) -> Reader:
     """Open a recording.
 
@@ -129,7 +149,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         None if announced is None else announced // frame_bytes,
         probe.compressed,
         header.start_us or 0,
-        layout.decode,
+        layout,
         left_out=NOT_MEASURED,
         damaged=False,
     )
@@ -137,7 +157,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     problems = [Problem("damaged_header", text, 0, 0) for text in (header.damage, damage) if text]
     if header.start_us is None:
         problems.append(Problem("no_start_time", NO_START, 0, 0))
-    reader = FrameReader(describe(file, layout, header, options, probe.size), file, tuple(problems))
+    reader = WavReader(describe(file, layout, header, options, probe.size), file, tuple(problems))
     first_us = reader.first_us()
     if first_us is None:
         what = "holds no sample that was measured"

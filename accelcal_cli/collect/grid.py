@@ -1,0 +1,119 @@
+"""Cells of orientation and temperature, and the sums of what was measured in each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Key = tuple[int, ...]
+"""Of a cell: x, y, z and degree C; then whether its windows never changed, and the block of time."""
+
+TEMPERATURE, CONSTANT, BLOCK = 3, 4, 5
+
+Value = list[int]
+"""Of a cell: windows, samples, sums of x, y, z, of temperature, and of x, y, z in the posture before."""
+
+Columns = Sequence[Sequence[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Where cells of orientation and temperature end.
+
+    Attributes:
+        lsb_per_g: counts in 1 g.
+        cells_per_g: cells in 1 g on each axis.
+        temperature: whether cells are of one degree C.
+    """
+
+    lsb_per_g: Fraction
+    cells_per_g: int
+    temperature: bool
+
+    def keys(self, samples: NDArray[Any], sums: NDArray[Any], heat: NDArray[Any]) -> NDArray[np.int64]:
+        """Of means, the cells that they lie in, (m, 4).
+
+        Args:
+            samples: (m,) of each mean; sums: (m, 3) of counts; heat: (m,) of thousandths of a degree C; whole
+                numbers, which may be objects if they are large.
+        """
+        keys = np.zeros((len(samples), TEMPERATURE + 1), np.int64)
+        g = samples[:, np.newaxis] * self.lsb_per_g.numerator
+        keys[:, :TEMPERATURE] = sums * (self.cells_per_g * self.lsb_per_g.denominator) // g
+        if self.temperature:
+            keys[:, TEMPERATURE] = heat // (samples * 1000)
+        return keys
+
+
+class Cells(dict[Key, Value]):
+    """Sums by cell.
+
+    In a file they are means and what each division left, which are short: the mean of what lies in a cell
+    lies there, too, so that its place need not be kept.
+
+    Args:
+        means: rows (never changed, block, samples for each window, then for each sample what a value sums), a
+            column for each cell; left: rows (windows, then what the divisions left).
+    """
+
+    def __init__(self, grid: Grid, means: Columns | NDArray[np.int64] = (), left: Columns = ()) -> None:
+        super().__init__()
+        self.grid = grid
+        if len(left) and len(left[0]):
+            self._fill(np.array(means, object), np.array(left, object))
+
+    def _fill(self, means: NDArray[Any], left: NDArray[Any]) -> None:
+        windows = left[0]
+        samples = means[2] * windows + left[1]
+        sums = means[3:] * samples + left[2:]
+        keys = self.grid.keys(samples, sums[:3].T, sums[3])
+        places = [*keys.T.tolist(), *means[:2].tolist()]
+        values = [windows.tolist(), samples.tolist(), *sums.tolist()]
+        for key, *value in zip(zip(*places, strict=True), *values, strict=True):
+            self[key] = value
+
+    def __getnewargs__(self) -> tuple[Grid, NDArray[np.int64], Columns]:
+        """What they are made of again."""
+        divided = [_divided(value) for value in self.values()]
+        rows = [(key[CONSTANT], key[BLOCK], *mean) for key, (mean, _) in zip(self, divided, strict=True)]
+        left = [list(column) for column in zip(*(rest for _, rest in divided), strict=True)]
+        return self.grid, np.array(rows, np.int64).T, left
+
+    def with_blocks(self, number: Callable[[int], int]) -> Cells:
+        """The same by other blocks of time, without those whose new number is below 0."""
+        made = Cells(self.grid)
+        for key, value in self.items():
+            if (block := number(key[BLOCK])) >= 0:
+                add_sums(made, (*key[:BLOCK], block), value)
+        return made
+
+
+def _divided(value: Value) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Samples of each window, and what a value sums of each sample; windows, and what the divisions left."""
+    windows, samples, *sums = value
+    means, rests = zip(divmod(samples, windows), *(divmod(one, samples) for one in sums), strict=True)
+    return means, (windows, *rests)
+
+
+def add_sums(cells: dict[Key, Value], key: Key, value: Value) -> None:
+    """Add a value to that of a cell."""
+    total = cells.get(key)
+    cells[key] = list(value) if total is None else [a + b for a, b in zip(total, value, strict=True)]
+
+
+def group_of(key: Key) -> Key:
+    """The 2 x 2 x 2 cells that a cell is one of."""
+    return tuple(part >> 1 for part in key[:TEMPERATURE])
+
+
+def coarser(cells: dict[Key, Value]) -> dict[Key, Value]:
+    """Cells of twice the width, in space and in temperature."""
+    wider: dict[Key, Value] = {}
+    for key, value in cells.items():
+        add_sums(wider, (*group_of(key), key[TEMPERATURE] >> 1), value)
+    return wider

@@ -1,0 +1,79 @@
+"""Cells as they come back from a file: exact, in their order, wherever blocks of time end."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.collect.grid import Cells, Grid, add_sums
+from accelcal_cli.core.freeze import frozen, thawed
+from accelcal_cli.core.points import Windows
+from accelcal_cli.core.settings import DEFAULT
+from tests.collect.made import plain
+from tests.collect.test_cells import wear
+
+SCALE = Fraction(2047, 8)
+
+
+def again(cells: Cells) -> Cells:
+    back: Cells = thawed(json.loads(json.dumps(frozen(cells))))
+    return back
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.lists(st.integers(-2000, 2000), min_size=3, max_size=3), st.integers(1, 900),
+            st.integers(-40_000, 60_000), st.booleans(), st.integers(0, 3),
+        ),
+        max_size=30,
+    ),
+    st.booleans(),
+)  # fmt: skip
+def test_the_place_of_a_cell_is_that_of_its_mean(means: list[Any], temperature: bool) -> None:
+    """Each window goes to a cell by the definition; a cell holds the sums of several of them."""
+    cells = Cells(Grid(SCALE, 20, temperature))
+    for counts, samples, milli, constant, block in means:
+        sums = [value * samples + samples // 2 for value in counts]
+        place = [value * 20 // (SCALE * samples) for value in sums]
+        degree = milli // 1000 if temperature else 0
+        before = [value * samples for value in counts]
+        add_sums(cells, (*place, degree, int(constant), block), [1, samples, *sums, milli * samples, *before])
+    for held in (
+        cells,
+        cells.with_blocks(lambda block: block >> 1),
+        cells.with_blocks(lambda block: block - 1),
+    ):
+        back = again(held)
+        assert list(back.items()) == list(held.items())
+        assert back.grid == held.grid
+
+
+@pytest.mark.parametrize("temperature", [False, True])
+@given(wear())
+def test_a_collector_comes_back_as_it_was(temperature: bool, items: Windows) -> None:
+    items = replace(items, first_sample=np.arange(len(items)) * 40)
+    collector = CellCollector(256.0, DEFAULT, temperature=temperature, block_samples=100)
+    collector.add(items)
+    back: CellCollector = thawed(json.loads(json.dumps(frozen(collector))))
+    assert plain(back.points()) == plain(collector.points())
+    assert back.timed() == collector.timed()
+    assert frozen(back) == frozen(collector)
+
+
+def test_the_first_block_is_forgotten_and_the_next_one_is_the_first() -> None:
+    grid = Grid(SCALE, 20, temperature=False)
+    value = [1, 8, 2000, 0, 0, 0, 0, 0, 0]
+    cells = Cells(grid)
+    for block in (0, 1, 2):
+        add_sums(cells, (19, 0, 0, 0, 0, block), value)
+    assert [key[5] for key in cells.with_blocks(lambda block: block - 1)] == [0, 1]
+    assert cells.with_blocks(lambda block: block >> 1)[19, 0, 0, 0, 0, 0] == [2 * one for one in value]
