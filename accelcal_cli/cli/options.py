@@ -183,7 +183,8 @@ def _settings_options(*names: str) -> list[Callable[[Any], Any]]:
 
 
 _READ_TYPES: dict[str, Any] = {
-    "columns": ColumnNames(), "layout": FILE, "format": FORMAT, "timezone": Name(_zones),
+    "columns": ColumnNames(), "gyro_columns": ColumnNames(), "layout": FILE, "format": FORMAT,
+    "timezone": Name(_zones),
 }  # fmt: skip
 """Types of reading options that their Settings do not state."""
 

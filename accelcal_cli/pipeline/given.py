@@ -95,7 +95,8 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         raise UsageError("--timezone and --configured-zone are the same", hint="give one of them")
     options = ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
     options.times.check()
-    for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
+    columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
+    for text in (values["time_column"], values["sensor"], *columns):
         if text is not None and not _utf8(text):
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return options
