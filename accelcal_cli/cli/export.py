@@ -11,11 +11,24 @@ from accelcal_cli.cli import options
 from accelcal_cli.cli.exit_codes import say, show
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import OutputError, UsageError, counted
+from accelcal_cli.core.rolling import MOST
 from accelcal_cli.output.files import exists, write_text
 from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
 
 COEFFICIENTS = ("ggir", "biobank", "omconvert", "json")
-DATA = ("csv", "npz", "mhealth", "bids")
+DATA = ("csv", "npz", "mhealth", "bids", "parquet")
+
+
+class Width(options.AnyType):
+    """A number of samples, or `auto`, which is 0."""
+
+    name = "samples"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> int:
+        """Look at it."""
+        if value == "auto":
+            return 0
+        return int(click.IntRange(2, MOST).convert(value, param, ctx))
 
 
 @click.command("export")
@@ -25,6 +38,8 @@ DATA = ("csv", "npz", "mhealth", "bids")
 @click.option("-o", "--output", type=options.FILE, help="The new file; coefficients are printed without it.")
 @click.option("--resample", "resample_hz", type=options.Positive(100_000), metavar="HZ",
               help="Data at this rate, within stretches without a gap.")  # fmt: skip
+@click.option("--smooth", type=Width(), metavar="auto|N",
+              help="Rolling mean of N samples; auto: 3, 5, 10 or 20, by the rate.")  # fmt: skip
 @click.option(
     "--measured-only",
     is_flag=True,
@@ -37,8 +52,8 @@ def command(files: tuple[Path, ...], **values: Any) -> None:
 
     Of reports (STEM.calibration.json) the coefficients, to ggir, biobank or omconvert, or as json. These
     tools know no misalignment: they are given what the same points gave without it, and stderr says what
-    that costs. Of one STEM.calibrated.parquet the data, with all that was calibrated, as csv, npz, mhealth
-    or bids.
+    that costs. Of one STEM.calibrated.parquet the data, with all that was calibrated, as csv, npz, mhealth,
+    bids, or (smoothed, resampled) parquet.
     """
     if values["form"] in COEFFICIENTS:
         _coefficients(files, values)
@@ -48,8 +63,8 @@ def command(files: tuple[Path, ...], **values: Any) -> None:
 
 def _coefficients(files: tuple[Path, ...], values: dict[str, Any]) -> None:
     form, output = values["form"], values["output"]
-    for name in ("resample_hz", "measured_only"):
-        if values[name]:
+    for name in ("resample_hz", "measured_only", "smooth"):
+        if values[name] is not None and values[name] is not False:
             option = f"--{name.removesuffix('_hz').replace('_', '-')}"
             raise UsageError(f"{option} is for data (--to {', '.join(DATA)})", hint="omit it")
     if output is not None:
@@ -85,7 +100,7 @@ def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
     if output is None:
         raise UsageError(f"--to {form} writes a file, which needs a name", hint="give one with -o")
     _refuse(outputs_of(form, output), files, force=values["force"])
-    wanted = Wanted(output, values["resample_hz"], values["measured_only"])
+    wanted = Wanted(output, values["resample_hz"], values["measured_only"], values["smooth"])
     with progress_bars(files[0].name, quiet=values["quiet"], unit="") as bars:
         written = export_data(form, files[0], wanted, bars)
     if not values["quiet"]:
@@ -94,7 +109,8 @@ def _data(files: tuple[Path, ...], values: dict[str, Any]) -> None:
         limits = "" if about.range_g is None else f", range -{about.range_g:g} to {about.range_g:g} g"
         gaps = counted(written.stretches - 1, "gap")
         rows = f"{counted(written.rows, 'row')} at {about.rate_hz:g} Hz with {gaps}"
-        say(f"{output}: {rows}, times {zone}{limits}")
+        means = "" if about.smoothed is None else f", a rolling mean of {about.smoothed} samples"
+        say(f"{output}: {rows}{means}, times {zone}{limits}")
 
 
 def _refuse(outputs: tuple[Path, ...], inputs: tuple[Path, ...], *, force: bool) -> None:

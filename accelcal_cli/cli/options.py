@@ -71,6 +71,17 @@ class OneOf(AnyChoice):
         return f"It is one of {', '.join(map(str, self.choices))}."
 
 
+class Axis(OneOf):
+    """x, y or z, as a tuple of its number."""
+
+    def __init__(self) -> None:
+        super().__init__(tuple("xyz"))
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Look it up."""
+        return ("xyz".index(super().convert(value, param, ctx)),)
+
+
 class Name(AnyType):
     """A name that is looked up later; a shell completes those that are known.
 
@@ -166,17 +177,19 @@ def setting_option(kind: type, name: str, **words: Any) -> Callable[[Command], C
     assert option is not None
     if isinstance(default, bool):
         return click.option(option.name, is_flag=True, help=option.help)
-    shown = f"{default:g}" if isinstance(default, float) else default
-    shown = option.default or shown
+    shown = option.default or (f"{default:g}" if isinstance(default, float) else default)
     text = option.help if shown is None else f"{option.help}  [default: {shown}]"
-    given = {"type": _type_of(declared, option), "metavar": option.metavar, "help": text} | words
+    kind_of = _type_of(declared, option, whole=isinstance(default, int))
+    given = {"type": kind_of, "metavar": option.metavar, "help": text} | words
     return click.option(option.name, name, **given)
 
 
-def _type_of(declared: Setting, option: Option) -> AnyType | None:
+def _type_of(declared: Setting, option: Option, *, whole: bool) -> AnyType | None:
     if declared.choices:
         return OneOf(declared.choices)
     low, high = option.bounds or (declared.low, declared.high)
+    if whole and low is not None and high is not None:
+        return click.IntRange(int(low), int(high))
     if option.above is not None:
         return Within(option.above, high, min_open=True)
     return None if low is None else Within(low, high)
@@ -187,7 +200,8 @@ def _settings_options(*names: str) -> list[Callable[[Any], Any]]:
 
 
 _READ_TYPES: dict[str, Any] = {
-    "columns": ColumnNames(), "layout": FILE, "format": FORMAT, "timezone": Name(_zones),
+    "columns": ColumnNames(), "gyro_columns": ColumnNames(), "layout": FILE, "format": FORMAT,
+    "timezone": Name(_zones),
 }  # fmt: skip
 """Types of reading options that their Settings do not state."""
 
@@ -212,9 +226,11 @@ _READING = [
     setting_option(ReadOptions, name, **({"type": _READ_TYPES[name]} if name in _READ_TYPES else {}))
     for name in ReadOptions.__dataclass_fields__
 ]
-_METHOD = _settings_options(
-    "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g", "longest_gap_s"
-)
+_METHOD = [
+    *_settings_options("profile", "min_distance_g", "min_subset_points", "max_subset_points", "stillness"),
+    setting_option(Settings, "stillness_axes", type=Axis()),
+    *_settings_options("segment_seconds", "stillness_threshold_g", "longest_gap_s"),
+]
 _FITTING = [
     setting_option(Settings, "optimizer", type=OPTIMIZER),
     *_settings_options("model", "prior", "temperature"),

@@ -32,8 +32,8 @@ WORDS = {
     State.REFUSED: "refused",
 }
 OF_A_FIT = (
-    "profile", "min_distance_g", "stillness", "segment_seconds", "stillness_threshold_g", "optimizer",
-    "model", "prior",
+    "profile", "min_distance_g", "min_subset_points", "max_subset_points", "stillness", "stillness_axes",
+    "segment_seconds", "stillness_threshold_g", "optimizer", "model", "prior",
 )  # fmt: skip
 """Settings that coefficients of a report bring with them."""
 

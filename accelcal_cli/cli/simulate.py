@@ -41,7 +41,7 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset, draw_gyros
               help="Counts per g.")  # fmt: skip
 @click.option("--range-g", type=Within(1, 10_000), default=8.0, show_default=True,
               help="Range of the sensor.")  # fmt: skip
-@click.option("--gyro", is_flag=True, help="Record a gyroscope too (hdf5, raw, cwa as an AX6).")
+@click.option("--gyro", is_flag=True, help="Record a gyroscope too (csv, hdf5, raw, cwa as an AX6).")
 @click.option("--gyro-temp-slope", type=Within(-10, 10), nargs=3, default=(0.0, 0.0, 0.0), metavar="X Y Z",
               help="Change of its bias in deg/s per degree Celsius.")  # fmt: skip
 @click.option("--no-temperature", is_flag=True, help="Record no temperature.")

@@ -32,28 +32,34 @@ Mean = tuple[int, tuple[int, int, int]]
 
 
 class SubsetCollector:
-    """Collects 18 points; windows must come in the order of time."""
+    """Collects 18 points, or others; windows must come in the order of time.
 
-    def __init__(self, lsb_per_g: float, per_subset: int = POINTS_PER_SUBSET) -> None:
+    Args:
+        most: points that a subset takes.
+        least: points without which a subset is missing; None: as many.
+    """
+
+    def __init__(self, lsb_per_g: float, most: int = POINTS_PER_SUBSET, least: int | None = None) -> None:
         self.lsb_per_g = lsb_per_g
-        self.per_subset = per_subset
+        self.most = most
+        self.least = most if least is None else least
         self._held: dict[tuple[int, int], list[Sums]] = {
             (axis, level): [] for axis in range(3) for level in range(3)
         }
 
     def offer(self, samples: int, xyz: tuple[int, int, int]) -> bool:
         """Offer one window's sums of so many samples' counts; says whether it was taken."""
-        subset = self.place(samples, xyz)
+        subset = self.place(samples, xyz, self.most)
         if subset is not None:
             subset.append(Sums(1, samples, xyz))
         return subset is not None
 
-    def place(self, samples: int, xyz: tuple[int, int, int]) -> list[Sums] | None:
-        """The subset that would take one window's sums, None if none does."""
+    def place(self, samples: int, xyz: tuple[int, int, int], most: int) -> list[Sums] | None:
+        """The subset of fewer than `most` points that would take one window's sums, None if none does."""
         for axis, value in enumerate(xyz):
             for level, (low, high) in enumerate(_bounds(self.lsb_per_g, samples)):
                 subset = self._held[axis, level]
-                if low <= value <= high and len(subset) < self.per_subset:
+                if low <= value <= high and len(subset) < most:
                     return subset
         return None
 
@@ -63,7 +69,7 @@ class SubsetCollector:
         for samples in sorted(set(windows.samples.tolist())):
             of_length = windows.samples == samples
             for (axis, level), subset in self._held.items():
-                if len(subset) < self.per_subset:
+                if len(subset) < self.most:
                     low, high = _bounds(self.lsb_per_g, samples)[level]
                     value = windows.sums[:, axis]
                     wanted |= of_length & (value >= low) & (value <= high)
@@ -74,11 +80,11 @@ class SubsetCollector:
         return [[len(self._held[axis, level]) for axis in range(3)] for level in range(3)]
 
     def missing(self) -> list[str]:
-        """Names of subsets that are not full, such as `xn` (x negative) or `z0`."""
+        """Names of subsets with fewer than the least points, such as `xn` (x negative) or `z0`."""
         return [
             AXES[axis] + LEVELS[level]
             for (axis, level), subset in sorted(self._held.items())
-            if len(subset) < self.per_subset
+            if len(subset) < self.least
         ]
 
     def points(self) -> PointSet:
@@ -97,6 +103,8 @@ def _bounds(lsb_per_g: float, samples: int) -> list[tuple[int, int]]:
 class PaperCollector:
     """F's two distinct sets: what the first does not take is offered to the second (control).
 
+    Where subsets take more points than they need, both sets get those that they need first.
+
     A mean is offered only if it "differs sufficiently from the already acquired" ones (F section
     II.B.1): it is at least `min_distance_g` away from every point of both sets, in raw local g.
     """
@@ -105,15 +113,17 @@ class PaperCollector:
         self.lsb_per_g = lsb_per_g
         self.settings = settings
         self.implausible = 0
-        self.fit = SubsetCollector(lsb_per_g)
-        self.control = SubsetCollector(lsb_per_g)
+        most, least = settings.max_subset_points, settings.min_subset_points
+        self.fit = SubsetCollector(lsb_per_g, most, least)
+        self.control = SubsetCollector(lsb_per_g, most, least)
+        self._limits = (least, most) if least < most else (most,)
         self._distance = Fraction(str(settings.min_distance_g)) * Fraction(lsb_per_g)
         self._taken: list[Mean] = []
         self._role: dict[int, Role] = {}
         """Of the windows that were taken, by their first sample."""
-        self._most = 2 * 9 * POINTS_PER_SUBSET
+        self._most = 2 * 9 * most
         self.full_after: int | None = None
-        """Samples of the recording up to the end of the window that filled the first set."""
+        """Samples of the recording up to the end of the window with which the first set had what it needs."""
 
     def add(self, windows: Windows) -> None:
         """Take still windows in, in the order of time."""
@@ -126,11 +136,11 @@ class PaperCollector:
         columns = (near_1_g.first_sample, near_1_g.samples, near_1_g.sums)
         for first_sample, samples, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
             mean = (samples, (x, y, z))
-            taker = self._taker(mean)
-            if taker is not None and self._differs(mean):
-                taker.offer(*mean)
+            role, subset = self._place(mean)
+            if subset is not None and self._differs(mean):
+                subset.append(Sums(1, *mean))
                 self._taken.append(mean)
-                self._role[first_sample] = Role.FIT if taker is self.fit else Role.CONTROL
+                self._role[first_sample] = role
                 if self.full_after is None and not self.fit.missing():
                     self.full_after = first_sample + samples
 
@@ -144,7 +154,7 @@ class PaperCollector:
 
     @property
     def complete(self) -> bool:
-        """Whether the first set is full and, with a least distance, the second one, too."""
+        """Whether the first set has what it needs and, with a least distance, the second one, too."""
         return not self.fit.missing() and not (self.settings.min_distance_g and self.control.missing())
 
     def fates(self, windows: Windows) -> Fates:
@@ -155,9 +165,13 @@ class PaperCollector:
         role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
         return Fates(role, np.full(len(windows), -1))
 
-    def _taker(self, mean: Mean) -> SubsetCollector | None:
-        """The first set if it would take a mean, else the second, None if neither does."""
-        return next((taker for taker in (self.fit, self.control) if taker.place(*mean) is not None), None)
+    def _place(self, mean: Mean) -> tuple[Role, list[Sums] | None]:
+        """The subset of the first set, else of the second, that would take a mean; the role of its window."""
+        for most in self._limits:
+            for role, held in ((Role.FIT, self.fit), (Role.CONTROL, self.control)):
+                if (subset := held.place(*mean, most)) is not None:
+                    return role, subset
+        return Role.NOT_TAKEN, None
 
     def _differs(self, mean: Mean) -> bool:
         """Whether a mean is far enough from all points; the one that it is near is asked first next time.

@@ -37,6 +37,7 @@ class ReadOptions:
         date_format: order of day, month and year in dates: dmy, mdy or ymd.
         layout: a layout file for raw dumps.
         sensor: which sensor of a file with several.
+        gyro_columns: as `columns`, of the gyroscope; gyro_unit: deg/s, rad/s, or none: it is not read.
     """
 
     format: str | None = setting(
@@ -80,6 +81,17 @@ class ReadOptions:
     sensor: str | None = setting(
         None, option=Option("--sensor", "Sensor to read from a file with several.", "NAME")
     )
+    gyro_columns: tuple[str, str, str] | None = setting(
+        None, option=Option("--gyro-columns", "Columns of a gyroscope's x, y and z.")
+    )
+    gyro_unit: str | None = setting(
+        None,
+        option=Option("--gyro-unit", "Unit of a gyroscope's values; none: do not read it."),
+        choices=("deg/s", "rad/s", "none"),
+    )
+    lsb_per_dps: float | None = setting(
+        None, 1e-9, 10**9, Option("--lsb-per-dps", "A gyroscope's counts per deg/s.", "N", above=0)
+    )
 
     @property
     def times(self) -> Retiming:
@@ -90,7 +102,10 @@ class ReadOptions:
         return Retiming(zone, by_user, self.force_timezone, self.start, shift_us, self.worn_zone)
 
 
-IF_GIVEN = ("start", "shift_s", "configured_zone", "worn_zone")
+GYRO_OPTIONS = ("gyro_columns", "gyro_unit", "lsb_per_dps")
+"""Those of a gyroscope, which mean something to tables alone."""
+
+IF_GIVEN = ("start", "shift_s", "configured_zone", "worn_zone", *GYRO_OPTIONS)
 """Options that a report names only where they were given."""
 
 UNUSED = re.compile(r"(--.*) means? nothing for format (\S+) and (?:was|were) not used")

@@ -99,7 +99,7 @@ class TurnHoldout:
         before, after: median of the raw angular rate, and of the calibrated one; both less the mean rate of
             the two rests.
         ci95: of the median after calibration.
-        mean_before, mean_after: means.
+        mean_before, mean_after: means; rms_before, rms_after: root mean squares, in which a jolt counts most.
     """
 
     before: float
@@ -107,6 +107,8 @@ class TurnHoldout:
     ci95: tuple[float, float]
     mean_before: float
     mean_after: float
+    rms_before: float
+    rms_after: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -154,8 +154,8 @@ class Settings:
             None: not looked at.
         stillness_deviation_g: standard deviation of every axis stays below [g] (van Hees et al.
             2014: 13 mg); None: not looked at.
-        stillness_axes: axes of the max - min rule (F: one; here all, since slow movement across
-            the other two passes a rule that looks at one).
+        stillness_axes: axes of the max - min rule (F: one, of its choice; here all, since slow movement
+            across the other two passes a rule that looks at one).
         adaptive: numbers of rule `adaptive`; None for the others.
         longest_gap_s: a window goes on over gaps and steps back of the clock of at most so much [s], together
             no more than its own length; 0, which older reports had: over none (docs/stillness.md; phones
@@ -180,6 +180,8 @@ class Settings:
             is left of it may not be what was worn.
         min_distance_g: every point of profile `paper` is at least so far from all others [g] (F II.B.1:
             a mean "differs sufficiently from the already acquired"; measured: 0.2); 0: anything goes.
+        min_subset_points, max_subset_points: points in each of the nine subsets of profile `paper` (F II.B.1:
+            2 and 2, 18 in all). With fewer in any, nothing is fitted; no subset takes more.
     """
 
     profile: str = setting(
@@ -248,7 +250,9 @@ class Settings:
         ),
     )
     stillness_deviation_g: float | None = setting(0.013, 1e-9, 4)
-    stillness_axes: tuple[int, ...] = setting((0, 1, 2), 0, 2)
+    stillness_axes: tuple[int, ...] = setting(
+        (0, 1, 2), 0, 2, Option("--stillness-axis", "Axis that rule range looks at: x, y or z.", default="x")
+    )
     adaptive: Adaptive | None = None
     longest_gap_s: float = setting(
         0.0,
@@ -295,6 +299,18 @@ class Settings:
             "Least distance between two points of profile paper; 0: none.",
             default="profile paper: 0.2",
         ),
+    )
+    min_subset_points: int = setting(
+        2,
+        1,
+        100,
+        Option("--min-subset-points", "Fewest points in each of the nine subsets of profile paper.", "N"),
+    )
+    max_subset_points: int = setting(
+        2,
+        1,
+        100,
+        Option("--max-subset-points", "Most points in each of the nine subsets of profile paper.", "N"),
     )
 
     @property

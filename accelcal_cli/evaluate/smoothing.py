@@ -17,16 +17,11 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Reader
+from accelcal_cli.core.rolling import WIDTHS, width_for
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.pipeline.jobs import ProgressMaker
 from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import StillWindows, make_method, open_marked, survey
-
-WIDTHS = (3, 5, 10, 20)
-"""Samples, as in Table 2."""
-
-UP_TO_HZ = (20.0, 80.0, 120.0)
-"""Rates up to which each width but the last is meant; the table has 80 Hz twice."""
 
 TABLE_1 = {10: (3.4568e-5, 4.6495e-5), 20: (1.8359e-5, 2.6465e-5)}
 """Variances after a rolling mean and a rolling median of so many samples, in a unit that G does not say."""
@@ -66,11 +61,6 @@ class Smoothing:
     usual: int
     raw: float
     filtered: tuple[Variances, ...]
-
-
-def width_for(rate_hz: float) -> int:
-    """The width of the filter for a sampling rate, by Table 2."""
-    return next((width for width, most in zip(WIDTHS, UP_TO_HZ, strict=False) if rate_hz <= most), WIDTHS[-1])
 
 
 def smoothing(

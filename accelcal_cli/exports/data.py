@@ -1,4 +1,4 @@
-"""Calibrated samples in the forms that other tools read: text tables, arrays of numpy, and BIDS.
+"""Calibrated samples in the forms that other tools read: text tables, arrays of numpy, BIDS, and Parquet.
 
 All are streamed from the Parquet file's row groups; arrays lie in unnamed temporary files until their
 lengths are known.
@@ -26,10 +26,12 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.rolling import width_for
 from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
+from accelcal_cli.exports.smooth import smoothed
 from accelcal_cli.output.files import output_error, replacing
-from accelcal_cli.output.parquet import SOURCE_ROWS
+from accelcal_cli.output.parquet import SOURCE_ROWS, Column, ParquetSink, stored_schema
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 
 STANDARD_GRAVITY = 9.80665
@@ -45,13 +47,18 @@ COPIED_BYTES = 1 << 20
 
 @dataclass
 class Written:
-    """What was written: number of rows, first and last time, and how many stretches without a gap."""
+    """What was written: number of rows, first and last time, and how many stretches without a gap.
+
+    Attributes:
+        resampled: to a fixed rate.
+    """
 
     about: About
     rows: int = 0
     first_us: int = 0
     last_us: int = 0
     stretches: int = 0
+    resampled: bool = False
 
     def count(self, rows: Rows) -> None:
         """Take in what comes next."""
@@ -81,12 +88,14 @@ class Wanted:
     Attributes:
         resample_hz: a fixed rate; None: the samples as they are.
         measured_only: leave out rows that the device filled in, and those of damaged blocks.
+        smooth: samples of a rolling mean; 0: as many as are usual for the rate; None: none.
         batch_rows: rows in memory at a time; what is written does not depend on it.
     """
 
     output: Path
     resample_hz: float | None = None
     measured_only: bool = False
+    smooth: int | None = None
     batch_rows: int = SOURCE_ROWS
 
 
@@ -108,12 +117,18 @@ def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker =
 
     Raises:
         UnreadableError: it cannot be read, or is not one of ours.
-        UsageError: the rate asked for is too far from its own, or no row is left.
+        UsageError: the rate asked for is too far from its own, no row is left, or it is smoothed already.
         OutputError: an output cannot be written.
     """
-    with calibrated_rows(path, measured_only=wanted.measured_only) as source:
+    everything = form == "parquet" and wanted.resample_hz is None
+    with calibrated_rows(path, measured_only=wanted.measured_only, everything=everything) as source:
         about, shown = source.about, progress("reading", source.rows)
+        about = about if everything else replace(about, more=())
         portions = _shown(source.portions(wanted.batch_rows), shown)
+        if wanted.smooth is not None:
+            about = _to_smooth(about, wanted.smooth)
+            assert about.smoothed is not None
+            portions = smoothed(portions, about.rate_hz, about.smoothed)
         if wanted.resample_hz is not None:
             if not LEAST_RATIO <= wanted.resample_hz / about.rate_hz <= LARGEST_RATIO:
                 text = f"has {about.rate_hz:g} Hz, too far from {wanted.resample_hz:g}"
@@ -126,12 +141,19 @@ def export_data(form: str, path: Path, wanted: Wanted, progress: ProgressMaker =
         portions = chain([first], portions)
         with ExitStack() as stack:
             places = [stack.enter_context(replacing(place)) for place in outputs_of(form, wanted.output)]
-            written = Written(about)
+            written = Written(about, resampled=wanted.resample_hz is not None)
             try:
                 FORMS[form](places, wanted.output, portions, written)
             except OSError as error:
                 raise output_error(error, wanted.output) from error
     return written
+
+
+def _to_smooth(about: About, width: int) -> About:
+    if about.smoothed is not None:
+        text = f"is a rolling mean of {about.smoothed} samples already"
+        raise UsageError(text, path=about.path, hint="omit --smooth, or export the calibrated recording")
+    return replace(about, smoothed=width or width_for(about.rate_hz))
 
 
 def _shown(portions: Iterator[Rows], shown: Callable[[int], None]) -> Iterator[Rows]:
@@ -195,7 +217,8 @@ def _motion(rows: Rows, written: Written) -> dict[str, pa.Array]:
 def _sidecar(output: Path, written: Written, channels: int) -> dict[str, Any]:
     named = MOTION.fullmatch(output.name)
     assert named is not None
-    device = written.about.recording.get("device")
+    about = written.about
+    device = about.recording.get("device")
     device = device if isinstance(device, dict) else {}
     known = {"ManufacturersModelName": device.get("model"), "DeviceSerialNumber": device.get("serial")}
     return {
@@ -209,6 +232,7 @@ def _sidecar(output: Path, written: Written, channels: int) -> dict[str, Any]:
         "LATENCYChannelCount": 1,
         **({"MISCChannelCount": 1} if written.about.has_temperature else {}),
         "MissingValues": "n/a",
+        **({"RollingMeanSamples": about.smoothed} if about.smoothed else {}),
         "TrackedPointsCount": 1,
         **{name: value for name, value in known.items() if value},
     }
@@ -284,6 +308,33 @@ def npz(places: Sequence[Path], _output: Path, portions: Iterator[Rows], written
                 member.write(np.float64(written.about.rate_hz).tobytes())
 
 
+def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], written: Written) -> None:
+    """All columns of the file, with what was done to x, y and z in its metadata; of resampled rows these,
+    time and temperature.
+    """
+    about, single = written.about, pa.float32()
+    schema = stored_schema(about.path)
+    assert schema is not None
+    names = ["time", *"xyz", *(["temperature"] if about.has_temperature else [])]
+    names += [] if written.resampled else [*about.more, "validity"]
+    units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in names}
+    types = {name: single if name in "xyz" else schema.field(name).type for name in names}
+    columns = [Column(name, units[name], types[name], _never) for name in names]
+    done: dict[str, Any] = {"smoothed": {"samples": about.smoothed}} if about.smoothed else {}
+    done |= {"resampled_hz": about.rate_hz} if written.resampled else {}
+    with ParquetSink(places[0], output, columns, {**about.said, **done}) as sink:
+        for rows in portions:
+            written.count(rows)
+            x, y, z = np.ascontiguousarray(rows.xyz.T)
+            held = {"time": rows.time_us, "x": x, "y": y, "z": z, "temperature": rows.celsius, **rows.others}
+            sink.write([np.asarray(held[name]) for name in names])
+        sink.close()
+
+
+def _never(*_rows: Any) -> NDArray[Any]:
+    raise AssertionError("rows are given as columns")
+
+
 @contextmanager
 def _member(archive: zipfile.ZipFile, name: str, kind: str, shape: tuple[int, ...]) -> Iterator[IO[bytes]]:
     """An array of an archive, begun with its head; the same bytes at any time of day."""
@@ -299,4 +350,5 @@ FORMS: dict[str, Callable[[Sequence[Path], Path, Iterator[Rows], Written], None]
     "npz": npz,
     "mhealth": mhealth,
     "bids": bids,
+    "parquet": parquet,
 }

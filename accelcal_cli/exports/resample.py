@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.exports.rows import Floats, Rows
+from accelcal_cli.exports.rows import Floats, Rows, joined_rows
 
 CROSSINGS = 10
 BETA = 5.0
@@ -86,7 +86,7 @@ class _Resampler:
         """Outputs that can be made now; with `finish` all, and the next sample begins a new stretch."""
         if not self._parts or self._first_us is None:
             return
-        rows = _joined(self._parts)
+        rows = joined_rows(self._parts)
         since_us = rows.time_us - self._first_us
         known = len(rows) - 1 if finish else len(rows) - 2 - self._half
         if known >= 0:
@@ -154,14 +154,3 @@ def _table(cutoff: float, half: int) -> Floats:
     inside = np.sqrt(np.maximum(0.0, 1 - (distance * cutoff / CROSSINGS) ** 2))
     window = np.where(np.abs(distance * cutoff) <= CROSSINGS, np.i0(BETA * inside), 0.0)
     return np.asarray(np.sinc(cutoff * distance) * window)
-
-
-def _joined(parts: list[Rows]) -> Rows:
-    if len(parts) == 1:
-        return parts[0]
-    celsius = [part.celsius for part in parts if part.celsius is not None]
-    return Rows(
-        np.concatenate([part.time_us for part in parts]),
-        np.concatenate([part.xyz for part in parts]),
-        np.concatenate(celsius) if len(celsius) == len(parts) else None,
-    )

@@ -1,10 +1,10 @@
-"""A calibrated Parquet file read back a portion at a time: times, x, y, z and temperature."""
+"""A calibrated Parquet file read back a portion at a time: times, x, y, z, temperature, and others."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -36,19 +36,45 @@ class Rows:
         time_us: (n,) us since 1970.
         xyz: (n, 3) calibrated acceleration [g], float32.
         celsius: (n,) temperature [degrees C], float32; None without thermometer.
+        others: (n,) further columns, by name; what is resampled has none.
     """
 
     time_us: NDArray[np.int64]
     xyz: NDArray[np.float32]
     celsius: NDArray[np.float32] | None
+    others: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time_us)
 
     def part(self, start: int, stop: int) -> Rows:
         """Rows start..stop-1."""
-        celsius = None if self.celsius is None else self.celsius[start:stop]
-        return Rows(self.time_us[start:stop], self.xyz[start:stop], celsius)
+        return self.kept(slice(start, stop))
+
+    def kept(self, rows: Any) -> Rows:
+        """Some of the rows: a slice or a mask."""
+        celsius = None if self.celsius is None else self.celsius[rows]
+        others = {name: values[rows] for name, values in self.others.items()}
+        return Rows(self.time_us[rows], self.xyz[rows], celsius, others)
+
+    @property
+    def validity(self) -> NDArray[np.uint8]:
+        """(n,) where each is from; measured where nothing says it."""
+        marks = self.others.get("validity")
+        return np.zeros(len(self), np.uint8) if marks is None else marks
+
+
+def joined_rows(parts: Sequence[Rows]) -> Rows:
+    """Rows that follow each other, at least one stretch of them."""
+    if len(parts) == 1:
+        return parts[0]
+    celsius = [part.celsius for part in parts if part.celsius is not None]
+    return Rows(
+        np.concatenate([part.time_us for part in parts]),
+        np.concatenate([part.xyz for part in parts]),
+        np.concatenate(celsius) if len(celsius) == len(parts) else None,
+        {name: np.concatenate([part.others[name] for part in parts]) for name in parts[0].others},
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +86,9 @@ class About:
         utc: times are in UTC; else the device's clock, of an unknown zone.
         clock_ahead_s: seconds that the device's clock is ahead of UTC; 0 where that is not known.
         has_temperature: whether rows have a temperature.
+        more: names of the columns beside these, without `validity`.
+        smoothed: samples of a rolling mean that the file says it has been through; None: of none.
+        said: the file's metadata.
     """
 
     path: Path
@@ -69,6 +98,9 @@ class About:
     clock_ahead_s: int
     has_temperature: bool
     recording: dict[str, Any]
+    more: tuple[str, ...] = ()
+    smoothed: int | None = None
+    said: dict[str, Any] = field(default_factory=dict)
 
 
 class CalibratedRows:
@@ -78,8 +110,10 @@ class CalibratedRows:
         measured_only: leave out rows that the device filled in, and those of damaged blocks.
     """
 
-    def __init__(self, source: ParquetSource, about: About, *, measured_only: bool) -> None:
-        self._source, self.about, self.measured_only = source, about, measured_only
+    def __init__(
+        self, source: ParquetSource, about: About, more: Sequence[str] = (), *, measured_only: bool
+    ) -> None:
+        self._source, self._more, self.about, self.measured_only = source, more, about, measured_only
         self.rows = source.rows
 
     def portions(self, number: int) -> Iterator[Rows]:
@@ -90,26 +124,31 @@ class CalibratedRows:
         """
         while len((columns := dict(zip(self._source.names, self._source.take(number), strict=True)))["time"]):
             xyz = np.stack([columns[name] for name in "xyz"], axis=1).astype(np.float32, copy=False)
-            rows = Rows(columns["time"], xyz, columns.get("temperature"))
+            others = {name: columns[name] for name in (*self._more, "validity")}
+            rows = Rows(columns["time"], xyz, columns.get("temperature"), others)
             if self.measured_only:
-                kept = ~np.isin(columns["validity"], NOT_MEASURED)
-                celsius = None if rows.celsius is None else rows.celsius[kept]
-                rows = Rows(rows.time_us[kept], xyz[kept], celsius)
+                rows = rows.kept(~np.isin(rows.validity, NOT_MEASURED))
             if len(rows):
                 yield rows
 
 
 @contextmanager
-def calibrated_rows(path: Path, *, measured_only: bool = False) -> Iterator[CalibratedRows]:
+def calibrated_rows(
+    path: Path, *, measured_only: bool = False, everything: bool = False
+) -> Iterator[CalibratedRows]:
     """Open a calibrated file.
+
+    Args:
+        everything: rows have all columns of the file.
 
     Raises:
         UnreadableError: it cannot be read, or accelcal did not write it.
     """
     about = _about(path)
     temperature = ("temperature",) if about.has_temperature else ()
-    with ParquetSource(path, (*NAMES, *temperature, "validity")) as source:
-        yield CalibratedRows(source, about, measured_only=measured_only)
+    more = about.more if everything else ()
+    with ParquetSource(path, (*NAMES, *temperature, *more, "validity")) as source:
+        yield CalibratedRows(source, about, more, measured_only=measured_only)
 
 
 def _about(path: Path) -> About:
@@ -134,6 +173,9 @@ def _about(path: Path) -> About:
         _clock_ahead_s(recording.get("start_time")),
         "temperature" in held["columns"],
         recording,
+        tuple(name for name in held["columns"] if name not in (*NAMES, "temperature", "validity")),
+        section(said, "smoothed").get("samples"),
+        said,
     )
 
 

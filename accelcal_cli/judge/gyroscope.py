@@ -283,7 +283,13 @@ def _holdout(fit: _Fit, gravity: Gravity, after: Floats, raw: Turned) -> TurnHol
         ci95=(quantile(ordered, low), quantile(ordered, high)),
         mean_before=mean(before),
         mean_after=mean(angles),
+        rms_before=_root_mean_square(before),
+        rms_after=_root_mean_square(angles),
     )
+
+
+def _root_mean_square(values: list[float]) -> float:
+    return sqrt(mean([value * value for value in values]))
 
 
 def _degrees(one: Floats, other: Floats) -> list[float]:

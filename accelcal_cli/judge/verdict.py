@@ -296,7 +296,10 @@ def _wanting(first: list[str], second: list[str], settings: Settings) -> str:
     """What is said of subsets that are not full: those of the first set, or else of the second."""
     least_g = settings.min_distance_g
     apart = f" that are at least {least_g:g} g from all others" if least_g else ""
-    return f"{'' if first else 'control '}subsets without two points{apart}: {' '.join(first or second)}"
+    least = settings.min_subset_points
+    few = {1: "a point", 2: "two points"}.get(least, f"{least} points")
+    apart = apart.replace("are", "is") if least == 1 else apart
+    return f"{'' if first else 'control '}subsets without {few}{apart}: {' '.join(first or second)}"
 
 
 def _with(coverage: Coverage, known: Uncertainty | None) -> Coverage:

@@ -43,6 +43,8 @@ def _holdout(holdout: TurnHoldout) -> dict[str, Any]:
         "ci95": [significant(one) for one in holdout.ci95],
         "mean_before": significant(holdout.mean_before),
         "mean_after": significant(holdout.mean_after),
+        "rms_before": significant(holdout.rms_before),
+        "rms_after": significant(holdout.rms_after),
     }
 
 

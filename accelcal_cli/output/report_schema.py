@@ -29,6 +29,8 @@ LATER = {
     "settings.precision_mg": "0.1.0",
     "settings.max_damage_percent": "0.1.0",
     "settings.min_distance_g": "0.2.0",
+    "settings.min_subset_points": "0.2.0",
+    "settings.max_subset_points": "0.2.0",
     "settings.input.date_format": "0.1.0",
     "coverage.distinct_orientations": "0.2.0",
     "settings.input.force_timezone": "0.2.0",

@@ -34,6 +34,9 @@ from accelcal_cli.core.settings import (
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.pipeline.report_settings import converted
 
+OF_PAPER = ("min_distance_g", "min_subset_points", "max_subset_points")
+"""Settings of profile `paper` alone."""
+
 AnySettings = TypeVar("AnySettings", Settings, PoseSettings)
 
 
@@ -73,6 +76,10 @@ def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
     plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
     plain = str(plain) if isinstance(plain, Path) else plain
     plain = plain.isoformat() if isinstance(plain, date) else plain  # a date and time, as TOML has them
+    if name == "stillness_axes":
+        if value not in tuple("xyz"):
+            raise UsageError(f"{keyword} cannot be {value!r}", hint="possible: x, y, z")
+        plain = ["xyz".index(value)]
     hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
     try:
         found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
@@ -95,7 +102,8 @@ def read_options(values: dict[str, Any]) -> ReadOptions:
         raise UsageError("--timezone and --configured-zone are the same", hint="give one of them")
     options = ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
     options.times.check()
-    for text in (values["time_column"], values["sensor"], *(values["columns"] or ())):
+    columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
+    for text in (values["time_column"], values["sensor"], *columns):
         if text is not None and not _utf8(text):
             raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
     return options
@@ -123,11 +131,29 @@ def settings(values: dict[str, Any], *, in_study: bool = False) -> Settings:
         raise UsageError(
             "--profile paper fits nine parameters", hint="omit --model, or use --profile default"
         )
-    if profile.profile != "paper" and values["min_distance_g"] is not None:
+    for name in OF_PAPER if profile.profile != "paper" else ():
+        if values.get(name) is not None:
+            option = "--" + name.replace("_", "-")
+            raise UsageError(f"{option} is for --profile paper only", hint="omit it, or use --profile paper")
+    least, most = _subset_points(values)
+    chosen = _stillness_settings(profile, values)
+    chosen = replace(chosen, min_subset_points=least, max_subset_points=most)
+    return fitting_settings(values, chosen, in_study=in_study)
+
+
+def _subset_points(values: dict[str, Any]) -> tuple[int, int]:
+    """Fewest and most points of a subset; the one that is not given goes along with the other.
+
+    Raises:
+        UsageError: more are needed than taken.
+    """
+    least, most = values.get("min_subset_points"), values.get("max_subset_points")
+    if least is not None and most is not None and least > most:
         raise UsageError(
-            "--min-distance-g is for --profile paper only", hint="omit it, or use --profile paper"
+            f"--min-subset-points {least} is more than --max-subset-points {most}", hint="make it less"
         )
-    return fitting_settings(values, _stillness_settings(profile, values), in_study=in_study)
+    usual_least, usual_most = DEFAULT.min_subset_points, DEFAULT.max_subset_points
+    return least or min(usual_least, most or usual_least), most or max(usual_most, least or usual_most)
 
 
 def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
@@ -138,6 +164,11 @@ def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
         raise UsageError(
             f"--stillness {chosen.stillness} has no limit on max - min",
             hint=f"omit --stillness-threshold-g, or use --stillness {' or '.join(RANGE_RULES)}",
+        )
+    if values.get("stillness_axes") is not None and len(chosen.stillness_axes) != 1:
+        raise UsageError(
+            f"--stillness {chosen.stillness} does not look at one axis",
+            hint="omit --stillness-axis, or use --stillness range or --profile paper",
         )
     if chosen.adaptive is None or seconds is None:
         return chosen

@@ -382,6 +382,8 @@ def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, An
     used["layout"] = None if companion is None else printable(companion.name)
     used["layout_sha256"] = None if companion is None else sha256(companion)
     used["columns"] = None if options.columns is None else list(options.columns)
+    if options.gyro_columns is not None:
+        used["gyro_columns"] = list(options.gyro_columns)
     return used
 
 

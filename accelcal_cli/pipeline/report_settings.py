@@ -237,10 +237,15 @@ def _check_values(record: Any, start: str = "") -> None:
 def _check_stillness(record: Settings) -> None:
     """Raise ValueError for numbers of a rule of stillness that are impossible, or belong to another rule."""
     rule = STILLNESS[record.stillness]
-    for name in ("stillness_axes", "stillness_threshold_g", "stillness_deviation_g"):
+    axes, usual = record.stillness_axes, rule["stillness_axes"]
+    if axes != usual and not len(axes) == len(usual) == 1:
+        raise ValueError(f"stillness_axes cannot be {axes}")
+    for name in ("stillness_threshold_g", "stillness_deviation_g"):
         value = getattr(record, name)
-        if bool(value) != bool(rule[name]) or (name == "stillness_axes" and value != rule[name]):
+        if bool(value) != bool(rule[name]):
             raise ValueError(f"{name} cannot be {value}")
+    if record.min_subset_points > record.max_subset_points:
+        raise ValueError(f"max_subset_points cannot be {record.max_subset_points}")
     if (record.adaptive is not None) != (record.stillness == "adaptive"):
         raise ValueError(f"adaptive cannot be {record.adaptive}")
     if record.adaptive is not None:

@@ -139,6 +139,12 @@ def test_unknown_names(tmp_path: Path, capsys: Capture) -> None:
         ("--profile", "paper", "--model", "3"),
         ("--min-distance-g", "0.2"),
         ("--profile", "default", "--min-distance-g", "0"),
+        ("--min-subset-points", "2"),
+        ("--max-subset-points", "3"),
+        ("--profile", "paper", "--min-subset-points", "3", "--max-subset-points", "2"),
+        ("--stillness-axis", "y"),
+        ("--profile", "paper", "--stillness", "both", "--stillness-axis", "y"),
+        ("--profile", "paper", "--stillness-axis", "w"),
     ],
 )
 def test_impossible_numbers_and_zones(tmp_path: Path, capsys: Capture, words: tuple[str, ...]) -> None:

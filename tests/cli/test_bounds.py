@@ -17,6 +17,7 @@ TINY = 5e-324
 
 BOUNDS: list[tuple[set[str], str, float, float]] = [
     (WINDOWS, "--min-distance-g", 0, 2),
+    (RATE, "--lsb-per-dps", TINY, 1e9),
     (RATE, "--rate", TINY, 100_000),
     (RATE, "--lsb-per-g", TINY, 1e9),
     (WINDOWS, "--segment-seconds", TINY, 3600),
@@ -30,6 +31,8 @@ BOUNDS: list[tuple[set[str], str, float, float]] = [
 ]
 CHOICES: list[tuple[set[str], str, tuple[str, ...]]] = [
     (WINDOWS, "--profile", ("default", "paper")),
+    (WINDOWS, "--stillness-axis", ("x", "y", "z")),
+    (RATE, "--gyro-unit", ("deg/s", "rad/s", "none")),
     (WINDOWS, "--stillness", ("both", "range", "deviation", "adaptive")),
     ({*WINDOWS, "fit"}, "--model", ("auto", "9", "6", "3")),
     (RATE, "--unit", ("g", "mg", "m/s2", "counts")),
@@ -62,6 +65,14 @@ def test_numbers_within_the_bounds_and_no_others(command: str, name: str, low: f
     beyond = (math.nextafter(low, -math.inf), math.nextafter(high, math.inf), math.nan, math.inf, -math.inf)
     assert accepts(parameter, repr(float(low))) and accepts(parameter, repr(float(high)))
     assert [number for number in beyond if accepts(parameter, repr(number))] == []
+
+
+@pytest.mark.parametrize("name", ["--min-subset-points", "--max-subset-points"])
+@pytest.mark.parametrize("command", sorted(WINDOWS))
+def test_numbers_of_points_are_whole(command: str, name: str) -> None:
+    parameter = option(command, name)
+    found = [text for text in ("0", "1", "2", "100", "101", "1.0", "nan") if accepts(parameter, text)]
+    assert found == ["1", "2", "100"]
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ Capture = pytest.CaptureFixture[str]
         ),
         pytest.param(("--optimizer", "gauss-newton"), marks=pytest.mark.nightly),
         ("--profile", "paper", "--min-distance-g", 0.15),
+        ("--profile", "paper", "--max-subset-points", 4, "--stillness-axis", "z"),
         pytest.param(("--stillness", "deviation"), marks=pytest.mark.nightly),
         pytest.param(("--stillness", "adaptive"), marks=pytest.mark.nightly),
         pytest.param(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from accelcal_cli.collect.subsets import PaperCollector, SubsetCollector
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import WEIGHT_ONE
+from accelcal_cli.core.points import WEIGHT_ONE, Role
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from tests.collect.made import windows
 
@@ -116,9 +116,9 @@ INTERVALS = tuple((Fraction(low, 4), Fraction(high, 4)) for low, high in ((-5, -
 
 
 def by_the_paper(
-    stream: list[tuple[int, int, int]], count: Fraction, distance: Fraction = Fraction(0)
+    stream: list[tuple[int, int, int]], count: Fraction, distance: Fraction, limits: tuple[int, ...]
 ) -> tuple[list[int], list[int]]:
-    """Numbers of the windows that the first and the second set take."""
+    """Numbers of the windows that the first and the second set take, in the order of the limits."""
     sets: list[dict[tuple[int, int], list[int]]] = [{}, {}]
     for number, window in enumerate(stream):
         if not Fraction(1, 4) < sum(value * value for value in window) / count**2 < Fraction(9, 4):
@@ -127,12 +127,12 @@ def by_the_paper(
         apart = (sum((a - b) ** 2 for a, b in zip(window, point, strict=True)) for point in taken)
         if any(square < (distance * count) ** 2 for square in apart):
             continue
-        for held in sets:
+        for most, held in ((most, held) for most in limits for held in sets):
             places = [
                 (axis, level)
                 for axis, value in enumerate(window)
                 for level, (low, high) in enumerate(INTERVALS)
-                if low <= value / count <= high and len(held.get((axis, level), [])) < 2
+                if low <= value / count <= high and len(held.get((axis, level), [])) < most
             ]
             if places:
                 held.setdefault(places[0], []).append(number)
@@ -151,18 +151,24 @@ STREAM = st.lists(
     st.sampled_from([(4, 256.0), (3, 341.0), (7, 150.5)]),
     st.integers(1, 7),
     st.sampled_from([0.0, 0.05, 0.2, 0.7]),
+    st.sampled_from([(2, 2), (1, 1), (1, 3), (2, 5)]),
 )
 def test_both_sets_are_those_of_the_paper(
-    stream: list[tuple[int, int, int]], kind: tuple[int, float], batch: int, distance_g: float
+    stream: list[tuple[int, int, int]],
+    kind: tuple[int, float],
+    batch: int,
+    distance_g: float,
+    numbers: tuple[int, int],
 ) -> None:
-    length, lsb_per_g = kind
-    paper = PaperCollector(lsb_per_g, replace(DEFAULT, min_distance_g=distance_g))
+    (length, lsb_per_g), (least, most) = kind, numbers
+    settings = replace(DEFAULT, min_distance_g=distance_g, min_subset_points=least, max_subset_points=most)
+    paper = PaperCollector(lsb_per_g, settings)
     for start in range(0, len(stream), batch):
         paper.add(windows(length, stream[start : start + batch]))
     count = Fraction(lsb_per_g) * length
-    sets = by_the_paper(stream, count, Fraction(str(distance_g)))
-    for held, numbers in zip((paper.fit, paper.control), sets, strict=True):
-        expected = [[floor(Fraction(v) / count * ONE + Fraction(1, 2)) for v in stream[n]] for n in numbers]
+    sets = by_the_paper(stream, count, Fraction(str(distance_g)), tuple(sorted({least, most})))
+    for held, taken in zip((paper.fit, paper.control), sets, strict=True):
+        expected = [[floor(Fraction(v) / count * ONE + Fraction(1, 2)) for v in stream[n]] for n in taken]
         assert held.points().xyz.tolist() == expected
 
 
@@ -232,6 +238,25 @@ def test_it_says_after_which_sample_the_first_set_was_full() -> None:
     held.add(windows(LENGTH, means))
     assert held.full_after == 19 * LENGTH
     assert held.complete
+
+
+def test_both_sets_get_what_they_need_before_either_takes_more() -> None:
+    """One point each is needed, three are taken: the first set, the second, then the first again."""
+    settings = replace(PAPER, min_distance_g=0, min_subset_points=1, max_subset_points=3)
+    held = PaperCollector(LSB, settings)
+    made = windows(LENGTH, [ONE_SUBSET[name] for name in ALL for _ in range(7)])
+    for row in range(7):
+        held.add(made.select(np.arange(row, len(made), 7)))
+        if row == 0:
+            assert (held.fit.missing(), held.full_after) == ([], held.full_after)
+            assert held.full_after is not None and held.control.missing() == ALL
+        assert held.complete
+    counts = [[3] * 3] * 3
+    assert (held.fit.filled(), held.control.filled()) == (counts, counts)
+    roles = held.fates(made).role.reshape(9, 7).T.tolist()
+    fit, control, neither = int(Role.FIT), int(Role.CONTROL), int(Role.NOT_TAKEN)
+    order = [fit, control, fit, fit, control, control, neither]
+    assert roles == [[role] * 9 for role in order]
 
 
 @given(st.lists(st.tuples(*[st.integers(-1300, 1300)] * 3), max_size=60), st.sampled_from([0.0, 0.2]))

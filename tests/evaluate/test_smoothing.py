@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.evaluate.smoothing import samples_at, variances, width_for
+from accelcal_cli.core.rolling import width_for
+from accelcal_cli.evaluate.smoothing import samples_at, variances
 from accelcal_cli.formats import open_recording
 from tests.cli.run import run
 from tests.recordings import directions, good_raw, still_counts, write_csv

@@ -60,9 +60,33 @@ def test_a_real_sensor(xsens: Path, capsys: Capture) -> None:
     assert found["holdout_deg"]["after"] < 0.55
     assert 2 < found["holdout_deg"]["before"] < 3.5
     assert found["holdout_deg"]["mean_after"] < 0.55
+    assert found["holdout_deg"]["rms_before"] == pytest.approx(3.3, abs=0.1)
+    assert found["holdout_deg"]["rms_after"] < 0.5
     with_columns = pq.read_table(xsens.with_name("xsens.calibrated.parquet"))
     assert json.loads(with_columns.schema.metadata[b"accelcal"])["gyroscope"] == found
     told = run(capsys, "verify", xsens.with_name("xsens.calibration.json"), xsens, "--values")
+    assert told.code == 0, told
+
+
+def test_the_same_from_text(xsens: Path, tmp_path: Path, capsys: Capture) -> None:
+    """Counts as counts, to the bit; rad/s with six decimals, to what these leave."""
+    words = ("--segment-seconds", 1, "--rate", 100, "--unit", "counts", "--lsb-per-g", XSENS_PER_G)
+    held = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")
+    with h5py.File(xsens) as file:
+        accel, gyro, step = file["accel"][()], file["gyro"][()], file["gyro"].attrs["dps_per_lsb"]
+    whole, decimal = tmp_path / "whole.csv", tmp_path / "decimal.csv"
+    table = np.concatenate([accel, gyro], axis=1)
+    np.savetxt(whole, table, "%d", ",", header="ax,ay,az,gx,gy,gz", comments="")
+    found = calibrated(capsys, whole, *words, "--lsb-per-dps", repr(float(1 / step)))
+    assert (found["gyroscope"], found["calibration"]) == (held["gyroscope"], held["calibration"])
+    table = np.concatenate([accel, gyro / XSENS_PER_RAD], axis=1)
+    np.savetxt(decimal, table, ["%d"] * 3 + ["%.6f"] * 3, ",", header="ax,ay,az,gx,gy,gz", comments="")
+    found = calibrated(capsys, decimal, *words, "--gyro-unit", "rad/s")
+    assert found["calibration"] == held["calibration"]
+    assert found["gyroscope"]["pairs"] == held["gyroscope"]["pairs"]
+    np.testing.assert_allclose(found["gyroscope"]["scale"], held["gyroscope"]["scale"], atol=2e-5)
+    np.testing.assert_allclose(found["gyroscope"]["bias_dps"], held["gyroscope"]["bias_dps"], atol=1e-4)
+    told = run(capsys, "verify", tmp_path / "decimal.calibration.json", decimal, "--values")
     assert told.code == 0, told
 
 

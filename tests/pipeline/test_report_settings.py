@@ -59,9 +59,12 @@ LIMITS = {
     "altitude_m": (-500, 9000),
     "max_damage_percent": (0, 100),
     "min_distance_g": (0, 2),
+    "min_subset_points": (1, 100),
+    "max_subset_points": (1, 100),
     "longest_gap_s": (0, 10),
     "rate_hz": (1e-3, 1e5),
     "lsb_per_g": (1e-9, 1e9),
+    "lsb_per_dps": (1e-9, 1e9),
 }
 """What a report may hold, whichever of the records has the field."""
 
@@ -88,6 +91,7 @@ def rebuilt(settings: Any) -> ReportSettings:
     [
         PAPER,
         replace(DEFAULT, model="6", latitude=3.5),
+        replace(PAPER, stillness_axes=(2,), min_subset_points=1, max_subset_points=7),
         *(with_stillness(DEFAULT, name) for name in STILLNESS),
     ],
 )
@@ -181,6 +185,8 @@ def test_the_adaptive_rule_needs_its_numbers_and_no_other_has_them() -> None:
         ({"optimizer": "x"}, "unknown optimizer 'x'"),
         ({"report_only": "no"}, "report_only cannot be 'no'"),
         ({"temperature": 1}, "temperature cannot be '1'"),
+        ({"stillness_axes": [1]}, "stillness_axes cannot be (1,)"),
+        ({"min_subset_points": 3}, "max_subset_points cannot be 2"),
         ({"input": None}, "does not say how"),
         ({"input": []}, "does not say how"),
         ({"input": {"format": "x"}}, "unknown format 'x'"),

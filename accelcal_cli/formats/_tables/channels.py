@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import NOT_CALIBRATED, Counts, Validity
 from accelcal_cli.formats._tables import tracks as tracks_of
 from accelcal_cli.formats._tables.attributes import readable
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, RowSelection, RowSource, Table
-from accelcal_cli.formats._tables.tracks import Group, Track, split_unit
+from accelcal_cli.formats._tables.tracks import Group, Track, chosen_axes, described, split_unit
 from accelcal_cli.formats._tables.units import Scale, count_scale, factor_of
 
 FAULTS = {
@@ -28,6 +29,7 @@ FAULTS = {
 }
 LSB_PER_DPS = ("lsb_per_dps", "counts_per_dps", "gyro_lsb_per_dps", "lsb_per_deg_s")
 DPS_PER_LSB = ("dps_per_lsb", "dps_per_count", "gyro_dps_per_lsb")
+NOT_READ = "the gyroscope is not read (--gyro-unit none)"
 GYRO_LSB_PER_DPS = 65_536.0
 """Counts per deg/s given to rates of turn that arrive as decimal fractions."""
 
@@ -177,9 +179,14 @@ class TurnRule:
         """Tracks that may hold them."""
         return tracks_of.find_gyro(tracks, accel)
 
-    def find(self, table: Table, group: Group, unit: str | None = None) -> Axes | str:
-        """The channel in tracks, or why it is not used; `unit` outweighs what they state."""
-        scale = self._in_unit(unit) if unit else self._stated_scale(group, table)
+    def find(
+        self, table: Table, group: Group, unit: str | None = None, lsb: float | None = None
+    ) -> Axes | str:
+        """The channel in tracks, or why it is not used; `unit` and `lsb` outweigh what they state."""
+        if lsb is not None:
+            scale: Scale | None = _in_counts(lsb, group)
+        else:
+            scale = self.scale_of(unit) if unit else self._stated_scale(group, table)
         if scale is None:
             return f"its unit is not {self.unit}"
         try:
@@ -195,26 +202,33 @@ class TurnRule:
         per_count, counts = stated.number(*DPS_PER_LSB), stated.number(*LSB_PER_DPS)
         lsb = 1 / per_count if counts is None and per_count else counts
         if lsb is not None and lsb > 0:
-            widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
-            return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
+            return _in_counts(lsb, group)
         named = own or split_unit(group[0].name)[1] or stated.text("units", "unit")
-        return self._in_unit(named or "")
+        return self.scale_of(named or "")
 
-    def _in_unit(self, unit: str) -> Scale | None:
-        """Of decimal fractions."""
+    def scale_of(self, unit: str) -> Scale | None:
+        """That of decimal fractions in a unit; None if it is not known."""
         factor = factor_of(unit, self.units)
         return None if factor is None else Scale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
 
 
+def _in_counts(lsb: float, group: Group) -> Scale:
+    """Counts of which so many are 1 deg/s."""
+    widest = max((item.dtype for item in group), key=lambda dtype: dtype.itemsize)
+    return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
+
+
+GYROSCOPE = TurnRule(
+    noun="gyroscope",
+    unit="deg/s, rad/s or counts per deg/s",
+    units={
+        1.0: "degs dps degsec degps degpersec degreespersecond degreess °s degs1 degpersecond",
+        1000.0: "mdps mdegs mdegsec millidegs",
+        math.pi / 180: "rads radsec rps radps radianspersecond radianss rads1 radpersec",
+    },
+)
 CHANNELS: dict[str, TurnRule | ColumnRule] = {
-    "gyro_counts": TurnRule(
-        noun="gyroscope",
-        unit="deg/s, rad/s or counts per deg/s",
-        units={
-            1.0: "degs dps degsec degps degpersec degreespersecond degreess °s degs1 degpersecond",
-            math.pi / 180: "rads radsec rps radps radianspersecond radianss rads1 radpersec",
-        },
-    ),
+    "gyro_counts": GYROSCOPE,
     "temperature_mc": ColumnRule(
         noun="temperature",
         unit="degrees Celsius",
@@ -233,24 +247,51 @@ CHANNELS: dict[str, TurnRule | ColumnRule] = {
 
 
 def find_channels(
-    table: Table, tracks: tuple[Track, ...], accel: Track
+    table: Table, tracks: tuple[Track, ...], accel: Track, options: ReadOptions
 ) -> tuple[dict[str, Channel], tuple[str, ...]]:
-    """The channels that are as long as the acceleration, and notes: what is there but not used, and why."""
+    """The channels that are as long as the acceleration, and notes: what is there but not used, and why.
+
+    Raises:
+        UsageError: --gyro-columns names nothing.
+    """
     channels: dict[str, Channel] = {}
     notes: list[str] = []
     for name, rule in CHANNELS.items():
-        groups = rule.candidates(tracks, accel)
+        groups = _candidates(rule, table, tracks, accel, options)
+        if isinstance(rule, TurnRule) and options.gyro_unit == "none":
+            notes += [NOT_READ] * bool(groups)
+            continue
         if len(groups) > 1:
             paths = ", ".join(readable(group[0].path) for group in groups)
             notes.append(f"no {rule.noun} is used: several {table.word}s fit ({paths})")
         if len(groups) != 1:
             continue
-        channel = rule.find(table, groups[0])
+        channel = _found(rule, table, groups[0], options)
         if isinstance(channel, str):
             notes.append(f"{readable(groups[0][0].path)} is not used: {channel}")
         else:
             channels[name] = channel
     return channels, tuple(notes)
+
+
+def _candidates(
+    rule: TurnRule | ColumnRule, table: Table, tracks: tuple[Track, ...], accel: Track, options: ReadOptions
+) -> tuple[Group, ...]:
+    if not isinstance(rule, TurnRule) or options.gyro_columns is None:
+        return rule.candidates(tracks, accel)
+    group = chosen_axes(tracks, options.gyro_columns, table, "--gyro-columns")
+    if group[0].rows != accel.rows:
+        raise UsageError(
+            f"--gyro-columns names {described(group)}, and the acceleration has {accel.rows} rows",
+            path=table.path,
+        )
+    return (group,)
+
+
+def _found(rule: TurnRule | ColumnRule, table: Table, group: Group, options: ReadOptions) -> Channel | str:
+    if isinstance(rule, TurnRule):
+        return rule.find(table, group, options.gyro_unit, options.lsb_per_dps)
+    return rule.find(table, group)
 
 
 def dps_per_lsb(channels: dict[str, Channel]) -> tuple[float, float, float] | None:

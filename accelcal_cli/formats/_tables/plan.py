@@ -58,7 +58,7 @@ def plan_of(source: Source, format_name: str) -> Plan:
     rate = description.checked_rate(timeline.rate_hz, source.path)
     scale, scale_notes = _scale(source)
     accel = Axes(source.group, scale)
-    channels, notes = find_channels(source.table, source.tracks, source.accel)
+    channels, notes = find_channels(source.table, source.tracks, source.accel, source.options)
     recording = _recording(source, format_name, timeline, rate, accel, channels)
     return Plan(
         recording=replace(recording, notes=timeline.notes + scale_notes + notes + recording.notes),

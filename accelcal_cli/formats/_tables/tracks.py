@@ -92,8 +92,10 @@ def described(tracks: Iterable[Track]) -> str:
     return ", ".join(shown[:20] + ["..."] * (len(shown) > 20)) or "none"
 
 
-def chosen_axes(tracks: tuple[Track, ...], columns: tuple[str, str, str], file: File) -> Group:
-    """The tracks that `--columns` names: three of one column, or one of three named thrice.
+def chosen_axes(
+    tracks: tuple[Track, ...], columns: tuple[str, str, str], file: File, option: str = "--columns"
+) -> Group:
+    """The tracks that an option names: three of one column, or one of three named thrice.
 
     Raises:
         UsageError: a name fits no dataset or several, or the lengths differ.
@@ -103,7 +105,7 @@ def chosen_axes(tracks: tuple[Track, ...], columns: tuple[str, str, str], file: 
         return named[:1]
     if any(item.width != 1 for item in named) or len({item.rows for item in named}) != 1:
         raise UsageError(
-            f"--columns must name three {file.word}s of one length, or one of three numbers a row thrice, "
+            f"{option} must name three {file.word}s of one length, or one of three numbers a row thrice, "
             f"not {described(named)}",
             path=file.path,
         )

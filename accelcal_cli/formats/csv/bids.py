@@ -22,7 +22,7 @@ from accelcal_cli.formats.csv.vendors import ExportDescription, Start
 
 ABOUT = "_motion.json"
 LARGEST_SIDECAR = 1 << 20
-ACCEL, AXES = "ACCEL", ("x", "y", "z")
+ACCEL, GYRO, AXES = "ACCEL", "GYRO", ("x", "y", "z")
 CELSIUS = ("oC", "\u00b0C", "degC")
 FASTEST_HZ = 100_000.0
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -45,13 +45,14 @@ def bids_description(path: Path) -> ExportDescription | None:
     rates = [one.get("sampling_frequency", "") for one in channels if one.get("type") == ACCEL]
     rates.append(str(about.get("SamplingFrequency")))
     rate_hz = next((rate for rate in map(_positive, rates) if rate is not None), None)
-    written = _acquired(path.parent, stem)
+    written, xyz = _acquired(path.parent, stem), _axes(channels, beside)
     model, serial = (about.get(key) for key in ("ManufacturersModelName", "DeviceSerialNumber"))
     return ExportDescription(
         title="Motion-BIDS",
         device=Device(model if isinstance(model, str) else None, serial if isinstance(serial, str) else None),
         names=tuple(_title(channel) for channel in channels),
-        xyz=_axes(channels, beside),
+        xyz=xyz,
+        gyro=None if xyz is None else _gyroscope(channels, channels[xyz[0]].get("tracked_point", "")),
         time=next((at for at, one in enumerate(channels) if one.get("type") == "LATENCY"), None),
         rate_hz=rate_hz,
         start=_start(written),
@@ -97,16 +98,27 @@ def _title(channel: dict[str, str]) -> str:
 
 def _axes(channels: Table, path: Path) -> tuple[int, int, int] | None:
     """The columns of the one accelerometer; None where several tracked points have one."""
-    points: dict[str, dict[str, int]] = {}
-    for number, channel in enumerate(channels):
-        axis = channel.get("component", "").lower()
-        if channel.get("type") == ACCEL and axis in AXES:
-            points.setdefault(channel.get("tracked_point", ""), {})[axis] = number
-    whole = [axes for axes in points.values() if len(axes) == len(AXES)]
+    whole = [*_whole(channels, ACCEL).values()]
     if not whole:
         hint = "name three columns with --columns if one of other types is acceleration"
         raise UnreadableError("lists no channels of type ACCEL for x, y and z", path=path, hint=hint)
-    return (whole[0]["x"], whole[0]["y"], whole[0]["z"]) if len(whole) == 1 else None
+    return whole[0] if len(whole) == 1 else None
+
+
+def _gyroscope(channels: Table, point: str) -> tuple[int, int, int] | None:
+    """The columns of the gyroscope of a tracked point."""
+    return _whole(channels, GYRO).get(point)
+
+
+def _whole(channels: Table, kind: str) -> dict[str, tuple[int, int, int]]:
+    """The columns of x, y and z of a type, by their tracked point; of those that have all three."""
+    points: dict[str, dict[str, int]] = {}
+    for number, channel in enumerate(channels):
+        axis = channel.get("component", "").lower()
+        if channel.get("type") == kind and axis in AXES:
+            points.setdefault(channel.get("tracked_point", ""), {})[axis] = number
+    whole = {point: axes for point, axes in points.items() if len(axes) == len(AXES)}
+    return {point: (axes["x"], axes["y"], axes["z"]) for point, axes in whole.items()}
 
 
 def _acquired(folder: Path, stem: str) -> str:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats._tables.channels import GYROSCOPE
 from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
     MISSING,
@@ -29,9 +30,11 @@ from accelcal_cli.formats.csv.dialect import Dialect
 
 ACCELEROMETER = frozenset({"acc", "accel", "accelerometer", "acceleration", "accelerations", "a"})
 NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
-OTHER_SENSORS = frozenset(
-    {"gyr", "gyro", "gyroscope", "mag", "magnetometer", "gravity", "linear", "lin", "user"}
-)
+TURNING = frozenset({"gyr", "gyro", "gyros", "gyroscope", "gyroscopes", "omega"})
+SHORT = frozenset({"g", "w"})
+"""What `gx` and `wx` begin with: rates of turn, beside `ax`."""
+
+OTHER_SENSORS = frozenset({*TURNING, "mag", "magnetometer", "gravity", "linear", "lin", "user"})
 TIME_NAMES = frozenset(
     {"time", "timestamp", "timestamps", "datetime", "epoch", "unix", "unixtime", "utc", "ts", "date"}
 )
@@ -84,6 +87,7 @@ class Roles:
 
     Attributes:
         time: None if the file has no time column.
+        gyro: those of a gyroscope, None without one or where it is not read.
         date: where the date is, if the time column has only the time of day.
         channels: column of each of `CHANNELS` that the file has.
         hints: units of acceleration in the names of x, y and z.
@@ -96,6 +100,7 @@ class Roles:
     hints: frozenset[str] = frozenset()
     time_unit_us: float | None = None
     date: int | None = None
+    gyro: tuple[int, int, int] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +120,11 @@ class Title:
             word for part in re.split(r"[\W_]+", spaced.lower()) for word in _axis_apart(part) if word
         )
         stated = unit or hint or ""
-        if not stated and len(words) > 1 and _is_unit(words[-1]):
-            words, stated = words[:-1], words[-1]
+        for last in (3, 2, 1) if not stated else ():
+            end = "".join(words[-last:])
+            if len(words) > last and (_is_rate(end) if last > 1 else _is_unit(end)):
+                words, stated = words[:-last], end
+                break
         return cls(number, words, stated.strip().strip("[]()"))
 
     @property
@@ -132,17 +140,22 @@ class Title:
 
 
 def _axis_apart(word: str) -> tuple[str, ...]:
-    """`accx` and `xacc` as two words."""
-    if word[:-1] in ACCELEROMETER and word[-1] in AXES:
+    """`accx` and `xacc` as two words, and so `gyrox` and `gx`."""
+    if word[:-1] in ACCELEROMETER | TURNING | SHORT and word[-1] in AXES:
         return word[:-1], word[-1]
-    if word[1:] in ACCELEROMETER and word[:1] in AXES:
+    if word[1:] in ACCELEROMETER | TURNING and word[:1] in AXES:
         return word[1:], word[0]
     return (word,)
 
 
 def _is_unit(word: str) -> bool:
     known = acceleration_unit(word) is not None or microseconds_in(word) is not None
-    return known or any(word in rule.units for rule in CHANNELS.values())
+    return known or _is_rate(word) or any(word in rule.units for rule in CHANNELS.values())
+
+
+def _is_rate(word: str) -> bool:
+    """Whether it is a unit of rates of turn: `dps`, or `rads` of `gyro_x_rad_s`."""
+    return GYROSCOPE.scale_of(word) is not None
 
 
 def find_roles(
@@ -158,8 +171,8 @@ def find_roles(
         UnreadableError: it is not clear, or a column that is needed holds no numbers.
         UsageError: --columns or --time-column names no column of the file.
     """
-    titles = _titles(dialect)
-    xyz = _chosen_axes(dialect, options, path) or known_xyz
+    titles = titles_of(dialect)
+    xyz = chosen_axes(dialect, options.columns, path) or known_xyz
     xyz = xyz or _named_axes(titles, path) or _placed_axes(dialect, path)
     for column in xyz:
         if dialect.kinds[column] is not Kind.NUMBER:
@@ -185,7 +198,8 @@ def column_name(dialect: Dialect, column: int) -> str:
     return f"column {column} ({name!r})" if name else f"column {column}"
 
 
-def _titles(dialect: Dialect) -> list[Title]:
+def titles_of(dialect: Dialect) -> list[Title]:
+    """The names of the columns, taken apart."""
     if dialect.names is None:
         return []
     units = dialect.units or ("",) * dialect.columns
@@ -214,12 +228,19 @@ def _pick(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
     )
 
 
-def _chosen_axes(dialect: Dialect, options: ReadOptions, path: Path) -> tuple[int, int, int] | None:
-    if options.columns is None:
+def chosen_axes(
+    dialect: Dialect, names: tuple[str, str, str] | None, path: Path, option: str = "--columns"
+) -> tuple[int, int, int] | None:
+    """The columns that an option names; None if it is not given.
+
+    Raises:
+        UsageError: it names no column of the file, or one twice.
+    """
+    if names is None:
         return None
-    x, y, z = (_pick(dialect, wanted, "--columns", path) for wanted in options.columns)
+    x, y, z = (_pick(dialect, wanted, option, path) for wanted in names)
     if len({x, y, z}) < 3:
-        raise UsageError("--columns names one column twice", path=path, hint="give x, y and z")
+        raise UsageError(f"{option} names one column twice", path=path, hint="give x, y and z")
     return x, y, z
 
 

@@ -14,11 +14,13 @@ from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
 from accelcal_cli.formats._gravity import guess_unit
 from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace
+from accelcal_cli.formats._tables.units import Scale as TurnScale
 from accelcal_cli.formats.csv import times
 from accelcal_cli.formats.csv.bids import bids_description
 from accelcal_cli.formats.csv.cells import Scale, check_unit, scale_for, stated_unit
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
 from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
+from accelcal_cli.formats.csv.gyroscope import find_gyroscope, often_missing
 from accelcal_cli.formats.csv.table import (
     Block,
     LineFile,
@@ -40,6 +42,7 @@ class Detected:
     Attributes:
         start_us: time of the first row where rows carry none; None if it is not known.
         first_values: of each channel, its first value; a column that the head leaves empty is none.
+        gyro: how rates of turn become counts, None without a gyroscope; gyro_notes: how it was understood.
         head: the file up to its first row.
     """
 
@@ -52,6 +55,8 @@ class Detected:
     line_bytes: float
     guessed_unit: bool
     head: bytes
+    gyro: TurnScale | None = None
+    gyro_notes: tuple[str, ...] = ()
 
     @property
     def has_dates(self) -> bool:
@@ -74,7 +79,7 @@ class Detected:
         if roles.time is not None:
             dates = "" if roles.date is None else f"{column_name(dialect, roles.date)} and "
             notes.append(f"time: {dates}{column_name(dialect, roles.time)}")
-        notes += self.pace.notes
+        notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
         above = dialect.skipped - self.export.preamble - headings
         if above > 0:
@@ -103,7 +108,12 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     block = RepeatedHeads(head[: dialect.offset]).without(_head_block(head, dialect))
     roles = find_roles(dialect, options, path, export.xyz, export.time)
     parser = _table_parser(block, dialect, roles, export, options, path)
+    gyro, gyro_notes = find_gyroscope(dialect, roles, export, options, path)
+    if gyro is not None:
+        parser = replace(parser, roles=replace(roles, gyro=gyro.xyz))
     cells = parser.cells(block)
+    if cells.rates is not None and (fault := often_missing(cells.values, cells.rates)):
+        gyro, gyro_notes, parser = None, (fault,), replace(parser, roles=roles)
     scale, guessed = _scale(cells, roles, export, options, path)
     pace = _pace(cells, export, options, path)
     start_us = None
@@ -111,7 +121,9 @@ def detect(path: Path, options: ReadOptions) -> Detected:
         start_us = export.start.us(options.date_format or export.date_order, path)
     line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
     above = head[: dialect.offset]
-    return Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed, above)
+    turning = None if gyro is None else gyro.scale
+    found = Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed, above)
+    return replace(found, gyro=turning, gyro_notes=gyro_notes)
 
 
 def _named(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:

@@ -99,7 +99,7 @@ class CsvReader(Reader):
     ) -> Iterator[tuple[Rows, Block]]:
         """Rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
-        row_parser = RowParser(detected.parser, detected.scale, detected.first_values)
+        row_parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
         stages = [*changes, *_stages(detected)]
         size = block_bytes(chunk_samples, detected.line_bytes)
         with LineFile(self._path, dialect.bare_returns) as file:
@@ -155,7 +155,7 @@ class CsvIntake(Intake):
         self._detected = detected
         self._lines = LineCutter(dialect, detected.parser.path)
         self._heads = RepeatedHeads(detected.head)
-        self._parser = RowParser(detected.parser, detected.scale, detected.first_values)
+        self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
         self._stages = [changes, *_stages(detected)]
         self._assembler = Assembler(detected, changes.rows, zone)
 
@@ -190,6 +190,7 @@ def _recording(path: Path, detected: Detected, first_us: int | None, last_us: in
         stamped=written is not None and written.since_1970,
         duration_s=length if length is not None and length > 0 else None,
         has_temperature="temperature_mc" in detected.first_values,
+        gyro_dps_per_lsb=None if detected.gyro is None else (1 / detected.gyro.lsb,) * 3,
         companion=export.companion,
         notes=detected.notes(),
     )
@@ -221,6 +222,8 @@ class Assembler:
         problems = () if detected.has_dates else (Problem("no_start_time", NO_DATE, None, 0),)
         self._row_bytes = max(1, round(detected.line_bytes))
         self._no_channels: Channels = {name: np.empty(0, np.int32) for name in detected.first_values}
+        if detected.gyro is not None:
+            self._no_channels["gyro_counts"] = np.empty((0, 3), np.int32)
         self._stamped = detected.parser.time is not None
         self._start_us = detected.start_us or 0
         self._pace = detected.pace

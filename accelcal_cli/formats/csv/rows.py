@@ -21,6 +21,7 @@ from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, Pace, SharedStamps
+from accelcal_cli.formats._tables.units import Scale as TurnScale
 from accelcal_cli.formats.csv.cells import Scale
 from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN
 from accelcal_cli.formats.csv.table import Block, ParsedTable, TableParser, lone_block
@@ -46,7 +47,7 @@ class Rows:
     """Consecutive rows of a file, good and bad ones.
 
     first_row: number of the first, from 0. line: (n,) number in the text. counts: (n, 3) int32.
-    fault: (n,) uint8 of `Fault`. time_us: (n,) or None. channels: (n,) int32 each.
+    fault: (n,) uint8 of `Fault`. time_us: (n,) or None. channels: (n,) or (n, 3) int32 each.
     filled: (n,) rows that the device did not measure, or None if none are known.
     """
 
@@ -90,11 +91,15 @@ class RowParser:
 
     Args:
         first_values: of each channel that is wanted, the file's first value, for rows before it.
+        gyro: how rates of turn become counts, None without.
     """
 
-    def __init__(self, parser: TableParser, scale: Scale, first_values: dict[str, int]) -> None:
+    def __init__(
+        self, parser: TableParser, scale: Scale, first_values: dict[str, int], gyro: TurnScale | None = None
+    ) -> None:
         self._parser = parser
         self._scale = scale
+        self._gyro = gyro
         self._last_values = dict(first_values)
         self._next_row = 0
 
@@ -113,7 +118,8 @@ class RowParser:
     def _placed(self, rows: Rows) -> Rows:
         """The next rows, with their number in the file, and values of channels from before them."""
         first, self._next_row = self._next_row, self._next_row + len(rows)
-        for name, values in rows.channels.items() if len(rows) else ():
+        for name in self._last_values if len(rows) else ():
+            values = rows.channels[name]
             np.copyto(values, self._last_values[name], where=values == UNKNOWN)
             self._last_values[name] = int(values[-1])
         return replace(rows, first_row=first)
@@ -121,13 +127,18 @@ class RowParser:
     def _parsed(self, block: Block) -> tuple[Rows, Block]:
         """The rows of a block by themselves; does not depend on what was done before."""
         cells = self._cells(block)
-        if self._scale.unit == "counts":
-            self._refuse_fractions(cells.values, cells.line)
+        self._refuse_fractions(cells)
         counts, fault = self._counts(cells.values)
         if cells.time_us is not None:
             fault[cells.time_us == NO_TIME] = Fault.MISSING
             fault[cells.time_us == IMPOSSIBLE] = Fault.TIME
-        channels = {name: CHANNELS[name].channel(cells.channels[name]) for name in self._last_values}
+        channels: Channels = {
+            name: CHANNELS[name].channel(cells.channels[name]) for name in self._last_values
+        }
+        if self._gyro is not None and cells.rates is not None:
+            channels["gyro_counts"], faults = self._gyro.counts(cells.rates)
+            fault[faults["missing_value"] & (fault == Fault.NONE)] = Fault.MISSING
+            fault[faults["out_of_range"] & (fault == Fault.NONE)] = Fault.OUT_OF_RANGE
         return Rows(0, cells.line, counts, fault, cells.time_us, channels), block.without_lines()
 
     def _cells(self, block: Block) -> ParsedTable:
@@ -136,9 +147,10 @@ class RowParser:
             return self._parser.cells(block)
         except UnreadableError as error:
             above = block.data.splitlines(keepends=True)[: (error.line or 0) - block.line]
-            if self._scale.unit == "counts" and above:
-                cells = self._parser.cells(lone_block(b"".join(above), block.line, block.offset))
-                self._refuse_fractions(cells.values, cells.line)
+            if above and self._in_counts:
+                self._refuse_fractions(
+                    self._parser.cells(lone_block(b"".join(above), block.line, block.offset))
+                )
             raise
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
@@ -151,7 +163,18 @@ class RowParser:
             scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
         return scaled.astype(np.int32), fault
 
-    def _refuse_fractions(self, values: NDArray[np.float64], line: NDArray[np.int64]) -> None:
+    @property
+    def _in_counts(self) -> bool:
+        return self._scale.unit == "counts" or (self._gyro is not None and self._gyro.divisor is None)
+
+    def _refuse_fractions(self, cells: ParsedTable) -> None:
+        """Raise UnreadableError for the first value that should be a whole number of counts."""
+        if self._scale.unit == "counts":
+            self._refuse(cells.values, cells.line, "--unit g, mg or m/s2")
+        if self._gyro is not None and self._gyro.divisor is None and cells.rates is not None:
+            self._refuse(cells.rates, cells.line, "--gyro-unit deg/s or rad/s")
+
+    def _refuse(self, values: NDArray[np.float64], line: NDArray[np.int64], option: str) -> None:
         broken = (np.rint(values) != values) & np.isfinite(values)
         if not broken.any():
             return
@@ -160,7 +183,7 @@ class RowParser:
             f"{values[row, axis]:g} is not a whole number of counts",
             path=self._parser.path,
             line=int(line[row]),
-            hint="give the unit of the values with --unit g, mg or m/s2",
+            hint=f"give the unit of the values with {option}",
         )
 
 

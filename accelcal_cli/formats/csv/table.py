@@ -269,18 +269,28 @@ def blank_lines_apart(data: bytes) -> NDArray[np.int64]:
     return np.array([number for number, line in enumerate(lines) if line], np.int64)
 
 
+def _three(table: Any, columns: tuple[int, int, int]) -> NDArray[np.float64]:
+    """Three columns of a parsed table, (n, 3)."""
+    values = np.empty((table.num_rows, 3))
+    for axis, column in enumerate(columns):
+        values[:, axis] = floats(table[str(column)])
+    return values
+
+
 @dataclass(frozen=True, slots=True)
 class ParsedTable:
     """The columns of a block that are used, one entry a row.
 
     line: (n,) number in the file. values: (n, 3) float64 in the file's unit, NaN where empty.
     time_us: (n,), or None without a time column. channels: (n,) float64 each, as `values`.
+    rates: (n, 3) of a gyroscope, as `values`, or None.
     """
 
     line: NDArray[np.int64]
     values: NDArray[np.float64]
     time_us: NDArray[np.int64] | None
     channels: Channels
+    rates: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)
@@ -297,7 +307,7 @@ class TableParser:
     def used(self) -> list[int]:
         """The numbers of the columns that are read, but for that of dates alone."""
         time = () if self.roles.time is None else (self.roles.time,)
-        return [*self.roles.xyz, *time, *self.roles.channels.values()]
+        return [*self.roles.xyz, *time, *self.roles.channels.values(), *(self.roles.gyro or ())]
 
     @cached_property
     def _parsing(self) -> Any:
@@ -335,14 +345,13 @@ class TableParser:
         line = block.line + np.arange(table.num_rows, dtype=np.int64)
         if block.lines != table.num_rows:
             line = block.line + blank_lines_apart(data)
-        values = np.empty((table.num_rows, 3))
-        for axis, column in enumerate(self.roles.xyz):
-            values[:, axis] = floats(table[str(column)])
+        values = _three(table, self.roles.xyz)
         stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
         if stamps is not None and impossible is not None:
             stamps[impossible] = IMPOSSIBLE
         channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
-        return ParsedTable(line, values, stamps, channels)
+        rates = None if self.roles.gyro is None else _three(table, self.roles.gyro)
+        return ParsedTable(line, values, stamps, channels, rates)
 
     def _table(self, data: bytes, block: Block) -> tuple[Any, bytes, NDArray[np.bool_] | None]:
         """The parsed columns, the text that they come from, which has the same lines; impossible times."""

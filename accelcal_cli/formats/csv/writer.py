@@ -1,4 +1,4 @@
-"""Writes recordings as gzip CSV: `time,x,y,z` in g, with `temperature_c` where there is one.
+"""Writes recordings as gzip CSV: `time,x,y,z` in g, and `temperature_c`, `gyro_x_dps` ... where it has them.
 
 Decimals are the shortest that give the same double back. The same recording gives the same
 bytes on every run: the gzip header carries neither a time nor a file name.
@@ -51,6 +51,8 @@ def _schema(recording: Recording) -> Any:
         fields.insert(0, ("time", pa.timestamp("us", tz=zone)))
     if recording.has_temperature:
         fields.append(("temperature_c", pa.float64()))
+    if recording.gyro_dps_per_lsb is not None:
+        fields += [(f"gyro_{axis}_dps", pa.float64()) for axis in "xyz"]
     return pa.schema(fields)
 
 
@@ -60,6 +62,10 @@ def _batch(chunk: Chunk, recording: Recording, schema: Any) -> Any:
         columns.insert(0, chunk.clock.times(0, len(chunk)))
     if recording.has_temperature:
         columns.append(None if chunk.temperature_mc is None else chunk.temperature_mc / 1000)
+    if recording.gyro_dps_per_lsb is not None:
+        turns = chunk.gyro_counts
+        steps = enumerate(recording.gyro_dps_per_lsb)
+        columns += [None if turns is None else turns[:, axis] * step for axis, step in steps]
     arrays = [
         pa.nulls(len(chunk), field.type) if column is None else pa.array(column, field.type)
         for column, field in zip(columns, schema, strict=True)
@@ -67,4 +73,4 @@ def _batch(chunk: Chunk, recording: Recording, schema: Any) -> Any:
     return pa.record_batch(arrays, schema=schema)
 
 
-ENCODER = Encoder("csv", ".csv.gz", write)
+ENCODER = Encoder("csv", ".csv.gz", write, gyroscope=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 AVRO_MAGIC = b"Obj\x01"
 OURS = (b"empatica", b"rawData")
@@ -19,5 +19,5 @@ FORMAT = Format(
     (".avro",),
     sniff,
     reader="accelcal_cli.formats.embraceplus.reader:open_recording",
-    ignores=("unit", "lsb_per_g", "columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("unit", "lsb_per_g", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

@@ -5,7 +5,7 @@ Specified in docs/flash-format.md.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 PAGE_BYTES = 512
 HEADER_MAGIC = b"\x89ACL\r\n\x1a\n"
@@ -31,5 +31,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.flash.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

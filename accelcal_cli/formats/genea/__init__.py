@@ -6,7 +6,7 @@ this reader is described in docs/more-devices.md.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 HEADER_MAGIC = b"GENEA/"
 
@@ -22,5 +22,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.genea.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

@@ -7,7 +7,7 @@ time of the computer that set it up.
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 HEADER_MAGIC = b"Device Identity"
 MARK = b"Recorded Data"
@@ -32,5 +32,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.geneactiv.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

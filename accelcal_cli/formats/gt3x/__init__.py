@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
 CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"
@@ -53,5 +53,5 @@ FORMAT = Format(
     SUFFIXES,
     sniff,
     reader="accelcal_cli.formats.gt3x.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "layout"),
+    ignores=("unit", "columns", "time_column", "layout", *GYRO_OPTIONS),
 )

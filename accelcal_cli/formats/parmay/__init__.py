@@ -6,7 +6,7 @@ sample files; what each field means to this reader is described in docs/more-dev
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 PACKET_MAGIC = b"MDTCPACK"
 HEADER_MAGIC = b"MDTC"
@@ -27,5 +27,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.parmay.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from accelcal_cli.core.formats import Format, Probe, ReadOptions
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe, ReadOptions
 
 SUFFIX = ".layout.toml"
 FOLDER_NAME = "layout.toml"
@@ -81,5 +81,5 @@ FORMAT = Format(
     DUMP_SUFFIXES,
     sniff,
     reader="accelcal_cli.formats.raw.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "sensor", *GYRO_OPTIONS),
 )

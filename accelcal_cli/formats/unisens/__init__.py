@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 DESCRIPTION = "unisens.xml"
 ROOT = re.compile(rb"<(?:\w+:)?unisens\b")
@@ -79,5 +79,5 @@ FORMAT = Format(
     (".bin",),
     sniff,
     reader="accelcal_cli.formats.unisens.reader:open_recording",
-    ignores=("columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 MAGIC = b"RIFF"
 KIND, KIND_AT = b"WAVE", 8
@@ -29,5 +29,5 @@ FORMAT = Format(
     (".wav",),
     sniff,
     reader="accelcal_cli.formats.wav.reader:open_recording",
-    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor"),
+    ignores=("unit", "columns", "time_column", "date_format", "layout", "sensor", *GYRO_OPTIONS),
 )

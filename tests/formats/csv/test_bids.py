@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.formats.csv import FORMAT
 from accelcal_cli.studies.discovery import Where, files
 from tests.formats.make_csv import GRID, Read, read
 
@@ -106,6 +108,27 @@ def test_several_tracked_points_are_settled_by_columns(tmp_path: Path) -> None:
         np.array([1.0, 2.0, 9.5]) / 9.80665, abs=1e-7
     )
     assert np.array_equal(read(path, columns=("chan1", "chan2", "chan3")).counts, COUNTS)
+
+
+def test_the_gyroscope_of_the_same_point(tmp_path: Path) -> None:
+    """Of two, whose names do not tell; one that is not whole is none."""
+    turns = [
+        (f"c{point[0]}{axis}", axis, "GYRO", point, "deg/s", "50")
+        for point in ("thigh", "sternum")
+        for axis in "zyx"
+    ]
+    lines = [[*line, 3.0, 2.0, 1.0, 6.0, 5.0, row / 8] for row, line in enumerate(rows())]
+    path = laid_out(
+        tmp_path,
+        channels=[*CHANNELS[:1], ("other", "n/a", "MISC", "n/a", "n/a", "50"), *CHANNELS[2:], *turns],
+        lines=lines,
+    )
+    with FORMAT.open(path, ReadOptions()) as reader:
+        (chunk,) = (chunk for chunk in reader.chunks(100) if len(chunk))
+    assert reader.recording.gyro_dps_per_lsb == (1 / 65_536,) * 3
+    assert chunk.gyro_counts is not None
+    assert chunk.gyro_counts[:, 1:].tolist() == [[5 << 16, 6 << 16]] * 30
+    assert chunk.gyro_counts[:, 0].tolist() == [row << 13 for row in range(30)]
 
 
 def test_a_gap_of_the_latency_stays_a_gap(tmp_path: Path) -> None:

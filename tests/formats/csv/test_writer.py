@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import gzip
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import datetime
 from fractions import Fraction
 from pathlib import Path
@@ -49,6 +50,17 @@ def test_times_and_shortest_exact_decimals(tmp_path: Path) -> None:
     steps = [datetime.fromisoformat(row[0]) - datetime(2024, 3, 4) for row in rows]
     assert [step.total_seconds() for step in steps] == [number / 100 for number in range(300)]
     assert rows[1][0] == "2024-03-04 00:00:00.010000"
+
+
+def test_a_gyroscope_comes_back(tmp_path: Path) -> None:
+    what = recording(gyro_dps_per_lsb=(0.0625,) * 3)
+    turned = (replace(chunk, gyro_counts=chunk.counts[::-1]) for chunk in chunks())
+    head, *rows = written(tmp_path / "a.csv.gz", what, turned)
+    assert head[4:] == ["gyro_x_dps", "gyro_y_dps", "gyro_z_dps"]
+    assert [float(cell) for cell in rows[0][4:]] == (COUNTS[69] / 16).tolist()
+    with FORMAT.open(tmp_path / "a.csv.gz", ReadOptions()) as reader:
+        found = [chunk.gyro_counts for chunk in reader.chunks(1000) if chunk.gyro_counts is not None]
+    assert np.concatenate(found)[:70].tolist() == (COUNTS[69::-1].astype(int) * 4096).tolist()
 
 
 def test_temperature_and_zone(tmp_path: Path) -> None:

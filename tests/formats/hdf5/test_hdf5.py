@@ -370,6 +370,21 @@ def test_a_gyroscope_in_counts_stays_in_counts(path: Path) -> None:
     assert got.recording.gyro_dps_per_lsb == (1 / 16.4,) * 3
 
 
+def test_what_the_user_says_of_a_gyroscope(path: Path) -> None:
+    write(path, {"accel": counts(), "gyro": counts(seed=5), "w": counts(seed=6) / 16}, about())
+    assert read(path).gyro is None
+    got = read(path, lsb_per_dps=16.4)
+    assert got.gyro is not None and (got.gyro == counts(seed=5)).all()
+    assert got.recording.gyro_dps_per_lsb == (1 / 16.4,) * 3
+    got = read(path, gyro_columns=("w", "w", "w"), gyro_unit="deg/s")
+    assert got.gyro is not None and (got.gyro == counts(seed=6).astype(int) * 4096).all()
+    got = read(path, lsb_per_dps=16.4, gyro_unit="none")
+    assert got.gyro is None
+    assert "the gyroscope is not read (--gyro-unit none)" in got.recording.notes
+    with pytest.raises(UsageError, match="--gyro-columns must name three"):
+        read(path, gyro_columns=("gyro", "w", "w"))
+
+
 @pytest.mark.parametrize("chunk_samples", [7, 64, 1 << 18])
 def test_neighbouring_rows_without_a_value_are_one_record_whichever_sensor_lacks_it(
     path: Path, chunk_samples: int

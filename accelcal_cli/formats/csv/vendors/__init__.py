@@ -79,6 +79,7 @@ class ExportDescription:
         preamble: lines before the names of the columns, or before the first row.
         names: of the columns, where no line of the file names them.
         xyz, time: numbers of the columns, where the names need not tell.
+        gyro: numbers of the columns of a gyroscope; gyro_unit: its unit, where no name says it.
         unit: of the acceleration, as in `--unit`; `lsb_per_g` where they are counts, and `zero`, the count
             that stands for 0 g.
         rate_hz: sampling rate.
@@ -109,6 +110,8 @@ class ExportDescription:
     repeats_idle: bool = False
     companion: Path | None = None
     doubt: Doubt | None = None
+    gyro: tuple[int, int, int] | None = None
+    gyro_unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,9 @@ writes zeros (ActiGraph, "Idle Sleep Mode Explained"; github.com/actigraph/agcou
 
 Shimmer's Verisense has the same header with its own name in place of ActiGraph's, and rates that are no
 whole number (github.com/wadpac/GGIR, `g.inspectfile` and `g.extractheadervars`); it has no idle sleep.
+
+The table of a GT9X's second sensor has gyroscope, temperature and magnetometer as well, `Gyroscope X` in
+deg/s (R package AGread, `read_IMU`).
 """
 
 from __future__ import annotations
@@ -51,6 +54,7 @@ def describe(head: Head) -> ExportDescription:
         date_order=None if dates is None else order_in(dates),
         repeats_idle=not verisense,
         doubt=_doubt(head, maker),
+        gyro_unit=None if verisense else "deg/s",
     )
 
 
