@@ -24,6 +24,7 @@ from accelcal_cli.studies.ledger import Ledger
 from accelcal_cli.studies.plan import Plan, RoundPlanner, ledger_of, plan
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
 from accelcal_cli.studies.prior import LEARNING, without_prior
+from accelcal_cli.studies.process_pool import sweep_folders
 from accelcal_cli.studies.records import OWN, Entry, Item, RecordingState
 from accelcal_cli.studies.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
 from accelcal_cli.studies.study import REPLACING, Study
@@ -70,7 +71,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
             raise UsageError(text, hint="give --collect the options of the parts, or run these first")
         for text in planned.notes:
             observer.note(printable(text))
-        _tidy_after_lost(planned, lease)
+        _tidy(planned, lease)
         study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
         result = _summary(study, planned, study_run)
@@ -84,8 +85,9 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     return result
 
 
-def _tidy_after_lost(planned: Plan, lease: Lease) -> None:
-    """Remove temporaries of runs of other machines that were taken over."""
+def _tidy(planned: Plan, lease: Lease) -> None:
+    """Remove what killed runs left for their workers, and what those left that were taken over."""
+    sweep_folders()
     outputs = [path for item in (*planned.todo, *planned.waiting) for path in item.job.outputs]
     for path, lost in lease.lost.items():
         sweep_host([*outputs, *map(path.with_suffix, (".lock", ".ledger", *SUMMARY))], lost)
