@@ -14,7 +14,15 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes
-from accelcal_cli.cli.options import FILE, OneOf, Positive, calibrating_options, precision_option, request_of
+from accelcal_cli.cli.options import (
+    FILE,
+    OneOf,
+    Positive,
+    Within,
+    calibrating_options,
+    precision_option,
+    request_of,
+)
 from accelcal_cli.cli.output import say_refused, show_row
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
@@ -23,6 +31,7 @@ from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.stated import plain
 from accelcal_cli.studies.discovery import Where
+from accelcal_cli.studies.heartbeat import LEAST_SILENCE_S
 from accelcal_cli.studies.plan import overlooked
 from accelcal_cli.studies.records import FAILED, Item
 from accelcal_cli.studies.run import preview, run
@@ -137,6 +146,8 @@ class TerminalObserver:
 @click.option("--dry-run", is_flag=True, help="Show what would be done without doing it.")
 @click.option("--shard", metavar="I/N",
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
+@click.option("--takeover", type=Within(LEAST_SILENCE_S / 60, 1e4), metavar="MINUTES",
+              help="Take over from a run of another host that gave no sign of life for so long.")  # fmt: skip
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
 @click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
@@ -226,6 +237,7 @@ def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:
         pool=values["pool"] is not None,
         borrow=values["borrow"],
         prior=learnt if learnt in LEARNT_PRIORS else None,
+        takeover_s=None if values["takeover"] is None else values["takeover"] * 60,
     )
 
 

@@ -176,6 +176,18 @@ def sweep_of(path: Path, lost: str) -> None:
             left.unlink(missing_ok=True)
 
 
+def sweep_host(paths: Iterable[Path], lost: str) -> None:
+    """Remove temporaries of these files that processes of another host left, which are known to be gone."""
+    below: dict[Path, list[str]] = {}
+    for path in paths:
+        below.setdefault(path.parent, []).append(_start(path, lost))
+    for folder, starts in below.items():
+        with contextlib.suppress(OSError):
+            for name in _temporaries(folder):
+                if name.startswith(tuple(starts)):
+                    (folder / name).unlink(missing_ok=True)
+
+
 def _temporaries(folder: Path) -> list[str]:
     """Names of what may be temporaries of ours.
 

@@ -69,26 +69,32 @@ def forkserver_folder() -> Iterator[None]:
 
 @cache
 def _temporary_folder() -> Path:
-    parent = next(
-        (path for path in (tempfile.gettempdir(), *SHORT_FOLDERS) if _fits(path)), tempfile.gettempdir()
-    )
-    start = f"accelcal-{hashlib.sha256(host().encode()).hexdigest()[:6]}-"
-    _sweep(Path(parent), start)
-    folder = tempfile.mkdtemp(prefix=f"{start}{os.getpid()}-", dir=parent)
+    sweep_folders()
+    folder = tempfile.mkdtemp(prefix=f"{_start()}{os.getpid()}-", dir=_parent())
     Finalize(None, shutil.rmtree, (folder, True), exitpriority=EXIT_PRIORITY)
     return Path(folder)
 
 
+def sweep_folders() -> None:
+    """Remove the folders that killed processes of this host and user left."""
+    with contextlib.suppress(OSError), os.scandir(_parent()) as entries:
+        for entry in entries:
+            owner = entry.name.removeprefix(_start()).split("-")[0]
+            if entry.name.startswith(_start()) and owner.isdigit() and not lives(int(owner)):
+                shutil.rmtree(entry.path, ignore_errors=True)
+
+
+def _start() -> str:
+    return f"accelcal-{hashlib.sha256(host().encode()).hexdigest()[:6]}-"
+
+
+def _parent() -> str:
+    usual = tempfile.gettempdir()
+    return next((path for path in (usual, *SHORT_FOLDERS) if _fits(path)), usual)
+
+
 def _fits(path: str) -> bool:
     return len(os.fsencode(path)) <= LONGEST_PATH and os.access(path, os.W_OK | os.X_OK)
-
-
-def _sweep(parent: Path, start: str) -> None:
-    with contextlib.suppress(OSError), os.scandir(parent) as entries:
-        for entry in entries:
-            owner = entry.name.removeprefix(start).split("-")[0]
-            if entry.name.startswith(start) and owner.isdigit() and not lives(int(owner)):
-                shutil.rmtree(entry.path, ignore_errors=True)
 
 
 @dataclass(slots=True)

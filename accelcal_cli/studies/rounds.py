@@ -141,16 +141,27 @@ def common_of(study: Study, recordings: int = MANY) -> Common:
 
 
 def results(
-    study: Study, work: records.TaskFunction, tasks: Sequence[Any], observer: StudyObserver
+    study: Study,
+    work: records.TaskFunction,
+    tasks: Sequence[Any],
+    observer: StudyObserver,
+    check: Callable[[], None],
 ) -> Iterator[tuple[records.Item, TaskResult]]:
-    """Have tasks done, the largest first, so that the last to end is a small one."""
+    """Have tasks done, the largest first, so that the last to end is a small one.
+
+    Args:
+        check: called whenever a task is further; what it raises ends the work.
+    """
     if not tasks:
         return
     observer.begin([task.item for task in tasks])
     ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
-    executor = executor_for(
-        study, work, len(tasks), lambda task, part: observer.advance(part * task.item.size), observer.note
-    )
+
+    def moved(task: Task, part: float) -> None:
+        check()
+        observer.advance(part * task.item.size)
+
+    executor = executor_for(study, work, len(tasks), moved, observer.note)
     with contextlib.closing(executor.run(ordered)) as ended:
         for one in ended:
             yield one.task.item, _result(one)

@@ -13,15 +13,18 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import OutputError, UsageError, counted, printable
+from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
+from accelcal_cli.output.files import sweep_host
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
-from accelcal_cli.studies.discovery import as_if_alone, places, refuse_foreign
+from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
+from accelcal_cli.studies.heartbeat import Lease
 from accelcal_cli.studies.ledger import Ledger
 from accelcal_cli.studies.plan import Plan, RoundPlanner, ledger_of, plan
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
 from accelcal_cli.studies.prior import LEARNING, without_prior
+from accelcal_cli.studies.process_pool import sweep_folders
 from accelcal_cli.studies.records import OWN, Entry, Item, RecordingState
 from accelcal_cli.studies.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
 from accelcal_cli.studies.study import REPLACING, Study
@@ -45,7 +48,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
 
     Raises:
         UsageError: see `plan`; or there is nothing to collect.
-        LockedError: another run works in the output folder.
+        LockedError: another run works in the output folder, or has taken this one over.
         OutputError: the folder or the summary cannot be written, or would overwrite what no study wrote.
     """
     places(study.where)
@@ -54,7 +57,11 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     except OSError as error:
         raise OutputError(f"cannot be made ({error.strerror or error})", path=study.out) from error
     base = study.shard.basename
-    with lock.held(study.lock, lambda: _other_locks(study)), closing(ledger_of(study)) as ledger:
+    patience = None if study.takeover_s is None else lock.Patience(study.takeover_s, observer.note)
+    with (
+        lock.held(study.lock, lambda: _other_locks(study), patience) as lease,
+        closing(ledger_of(study)) as ledger,
+    ):
         planned = plan(study, ledger)
         refuse_foreign(study.out, base, planned.sources(), force=study.request.force)
         if study.collect and planned.waiting and not planned.done:
@@ -64,15 +71,26 @@ def run(study: Study, observer: StudyObserver) -> Summary:
             raise UsageError(text, hint="give --collect the options of the parts, or run these first")
         for text in planned.notes:
             observer.note(printable(text))
-        study_run = StudyRun(study, ledger, observer, planned)
+        _tidy(planned, lease)
+        study_run = StudyRun(study, ledger, observer, planned, lease)
         study_run.run()
         result = _summary(study, planned, study_run)
+        lease.confirm()
         summary.write(result, study.out, base)
+        lease.confirm()
         others = (*planned.left_out, *planned.kept, *_of_waiting(study, planned, ledger))
         ledger.tidy([*study_run.entries(), *others])
         if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
+
+
+def _tidy(planned: Plan, lease: Lease) -> None:
+    """Remove what killed runs left for their workers, and what those left that were taken over."""
+    sweep_folders()
+    outputs = [path for item in (*planned.todo, *planned.waiting) for path in item.job.outputs]
+    for path, lost in lease.lost.items():
+        sweep_host([*outputs, *map(path.with_suffix, (".lock", ".ledger", *SUMMARY))], lost)
 
 
 def _of_waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
@@ -116,11 +134,15 @@ class StudyRun:
 
     Attributes:
         planned: what there was to do.
+        lease: what allows it to write in OUT; it is confirmed before each write that two runs must not do.
         worked: names of recordings that were given to a worker.
     """
 
-    def __init__(self, study: Study, ledger: Ledger, observer: StudyObserver, planned: Plan) -> None:
+    def __init__(
+        self, study: Study, ledger: Ledger, observer: StudyObserver, planned: Plan, lease: Lease
+    ) -> None:
         self.study = study
+        self.lease = lease
         self.known = StudyState()
         self.worked: set[str] = set()
         self.planned = planned
@@ -149,6 +171,7 @@ class StudyRun:
         self._planner.untouched |= planned.changing
         for item, entry in planned.done:
             self._own(item, TaskResult(entry, up_to_date=True))
+        self.lease.confirm()
         for item in planned.todo:
             if item.job != (alone := as_if_alone(item)):
                 withdraw(alone)
@@ -176,11 +199,15 @@ class StudyRun:
     def _calibrate(self, items: Sequence[Item]) -> None:
         common = common_of(self.study, len(items))
         tasks = [CalibrationTask(item, common) for item in items]
-        for item, result in results(self.study, calibrated, tasks, self._observer):
+        for item, result in results(self.study, calibrated, tasks, self._observer, self.lease.check):
             self.worked.add(item.name)
-            self._ledger.add(result.entry)
+            self._remember(result.entry)
             self._own(item, result)
             self._table.write_if_due()
+
+    def _remember(self, entry: Entry) -> None:
+        self.lease.confirm()
+        self._ledger.add(entry)
 
     def _own(self, item: Item, result: TaskResult) -> None:
         """An own result; it is reported at once if no later round can replace it."""
@@ -210,8 +237,8 @@ class StudyRun:
         todo, taken = self._planner.of(one, tasks)
         for task, entry in taken:
             self._take(one, task.item, TaskResult(entry, up_to_date=True))
-        for item, result in results(self.study, one.work, todo, self._observer):
-            self._ledger.add(result.entry)
+        for item, result in results(self.study, one.work, todo, self._observer, self.lease.check):
+            self._remember(result.entry)
             self._take(one, item, result)
             self.worked |= set() if one.of_pools else {item.name}
             self._table.write_if_due()
@@ -240,8 +267,9 @@ class _TableOnTheWay:
     def write(self) -> None:
         """Bring it up to date; what cannot be written is told at the end."""
         study, rows = self._run.study, self._run.rows(self._before)
-        with contextlib.suppress(OutputError):
+        with contextlib.suppress(OutputError, LockedError):
             if rows:
+                self._run.lease.confirm()
                 summary.write_csv(rows, study.out, study.shard.basename)
 
     @functools.cached_property

@@ -94,6 +94,7 @@ class Study:
         borrow: what cannot be calibrated well may use coefficients of its device's other recordings.
         prior: kind of prior that is learnt from the own results, which are found with that of the request;
             None: these stay.
+        takeover_s: a run of another host that was silent for so long has ended; None: that is not known.
     """
 
     where: Where
@@ -109,6 +110,7 @@ class Study:
     pool: bool = False
     borrow: bool = False
     prior: str | None = None
+    takeover_s: float | None = None
 
     @property
     def out(self) -> Path:

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import importlib
 import json
+import multiprocessing
 import os
 import signal
 import sys
 import tempfile
+from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
 from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory
 from accelcal_cli.pipeline import outputs
 from tests.faults.shim import LONGEST_S, arm
+from tests.studies.processes import session, soon
 
 COMMANDS = ("calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose")
 LOADED = (
@@ -36,6 +39,8 @@ def main() -> None:
         importlib.import_module(name)
     made = outputs.provenance(["accelcal"]) | {"time": START}
     outputs.provenance = lambda _command: made
+    if "ACCELCAL_FORKED" in os.environ:
+        _fork_workers()
     folder = Path(sys.argv[1])
     for line in sys.stdin.buffer:
         words, here = json.loads(line)
@@ -43,13 +48,23 @@ def main() -> None:
         if process == 0:
             _command(words, Path(here), folder)
         code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+        soon(lambda ended=process: not session(ended))
         arm(folder / "plan", False)
         sys.stdout.write(f"{code}\n")
         sys.stdout.flush()
 
 
+def _fork_workers() -> None:
+    """Let multiprocessing fork where it would start a server."""
+    context = multiprocessing.get_context("fork")
+    multiprocessing.get_context = lambda _method=None: context
+    for module in (forkserver, resource_tracker):
+        module.ensure_running = lambda: None
+
+
 def _command(words: list[str], here: Path, folder: Path) -> None:
     """What the console command does, to its end."""
+    os.setsid()
     signal.alarm(LONGEST_S)
     for number, name in enumerate(("out", "err"), 1):
         file = os.open(folder / name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)

@@ -1,4 +1,5 @@
 /* Fails the Nth call of one kind of operation of libc on files below a folder; preloaded by tests/faults/shim.py.
+Or kills all processes of the command before the Nth call of any kind.
 
 What is to fail stands in a file that all processes of a command map, and the calls are counted there. A call
 that is to be short takes half of what it is given. As on Linux, a close that fails has closed the file. */
@@ -10,6 +11,7 @@ that is to be short takes half of what it is given. As on Linux, a close that fa
 #include <fcntl.h>
 #include <limits.h>
 #include <pthread.h>
+#include <signal.h>
 #include <stdarg.h>
 #include <stdint.h>
 #include <stdio.h>
@@ -22,7 +24,7 @@ that is to be short takes half of what it is given. As on Linux, a close that fa
 #include <unistd.h>
 
 enum { OPEN, CREATE, READ, WRITE, FSYNC, CLOSE, RENAME, UNLINK, MKDIR, LINK, TRUNCATE, LIST, FORK, THREAD, ALL };
-enum { ONCE = 0, FROM_THEN_ON = 1 };
+enum { ONCE = 0, FROM_THEN_ON = 1, KILLS = 2 };
 enum { SHORT = -1 };
 
 struct plan {
@@ -77,6 +79,11 @@ static int struck_at(int operation, int folder, const char *name)
         errno = before;
         if (strncmp(text, plan->under, strlen(plan->under)))
             return 0;
+    }
+    if (plan->mode == KILLS) {
+        if (__sync_add_and_fetch(&plan->fired, 1) == plan->nth)
+            kill(0, SIGKILL);
+        return 0;
     }
     int64_t number = __sync_add_and_fetch(&plan->count[operation], 1);
     if (plan->operation != operation || plan->nth == 0 || number < plan->nth || (plan->mode == ONCE && number > plan->nth))

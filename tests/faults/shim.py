@@ -46,12 +46,14 @@ class Fault:
         error: a name of `errno`, or `short` for half of the bytes.
         nth: which call of the operation, counted from 1; 0: none, they are only counted.
         on: whether all later ones fail, too.
+        kills: whether all processes are killed instead, before the call of that number of any operation.
     """
 
     operation: str
     error: str = "EIO"
     nth: int = 0
     on: bool = False
+    kills: bool = False
 
     @property
     def number(self) -> int:
@@ -83,17 +85,19 @@ def compiled(folder: Path) -> Path | None:
 class Runner:
     """A process that has everything imported, and forks one for each command."""
 
-    def __init__(self, shim: Path, folder: Path) -> None:
+    def __init__(self, shim: Path, folder: Path, *, forked: bool = False) -> None:
         """Start it.
 
         Args:
             folder: for the plan and what commands print; no operation on it fails.
+            forked: whether workers are forked from a command itself, in milliseconds, and not from a server
+                that has to import everything.
         """
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "plan").write_bytes(bytes(LAYOUT.size))
         environment = os.environ | {"LD_PRELOAD": str(shim), "ACCELCAL_FAULTS": str(folder / "plan")}
-        environment |= dict.fromkeys(THREAD_VARIABLES, "1")
+        environment |= dict.fromkeys(THREAD_VARIABLES, "1") | ({"ACCELCAL_FORKED": "1"} if forked else {})
         words = [sys.executable, "-m", "tests.faults.runner", str(folder)]
         self.process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, cwd=HERE.parent.parent
@@ -101,7 +105,8 @@ class Runner:
 
     def run(self, words: Sequence[str], here: Path, fault: Fault) -> Struck:
         """Run a command in a folder, below which an operation fails."""
-        plan = (0, OPERATIONS.index(fault.operation), int(fault.on), fault.number, fault.nth, 0)
+        mode = 2 if fault.kills else int(fault.on)
+        plan = (0, OPERATIONS.index(fault.operation), mode, fault.number, fault.nth, 0)
         with (self.folder / "plan").open("r+b") as file:
             file.write(LAYOUT.pack(*plan, b"", os.fsencode(here), b""))
         assert self.process.stdin is not None
@@ -124,11 +129,11 @@ class Runner:
 
 
 @contextmanager
-def running(folder: Path) -> Iterator[Runner | None]:
+def running(folder: Path, *, forked: bool = False) -> Iterator[Runner | None]:
     """A runner; None where the shim cannot be made."""
     folder.mkdir(parents=True, exist_ok=True)
     shim = compiled(folder)
-    runner = None if shim is None else Runner(shim, folder / "runner")
+    runner = None if shim is None else Runner(shim, folder / "runner", forked=forked)
     try:
         yield runner
     finally:

@@ -22,8 +22,10 @@ from tests.cli.run import command
 Found = TypeVar("Found")
 
 HOOK = """
-import fcntl, os, sys
+import fcntl, os, platform, sys
 
+if (node := os.environ.get("ACCELCAL_NODE")) is not None:
+    platform.node = lambda: node
 AT, FOLDER = os.environ["ACCELCAL_HELD_AT"], os.environ["ACCELCAL_HELD_IN"]
 
 def hold(event, words):

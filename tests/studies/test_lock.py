@@ -61,7 +61,8 @@ def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
     path = write(tmp_path / "study.lock", host="elsewhere", pid=dead)
     with (
         pytest.raises(
-            LockedError, match=r"on elsewhere.*; if it is no longer running there, remove study\.lock"
+            LockedError,
+            match=r"on elsewhere.*; if it is no longer running there, remove study\.lock, or give --takeover",
         ),
         held(path),
     ):
@@ -115,9 +116,11 @@ def test_what_is_not_a_plain_file_is_neither_followed_nor_waited_for(tmp_path: P
 
 def test_of_two_that_find_it_stale_one_wins(tmp_path: Path, dead: int) -> None:
     path = write(tmp_path / "study.lock", pid=dead)
-    stale = json.loads(path.read_text())
-    assert lock.take_over(path, stale, lock.this_run())
-    assert not lock.take_over(path, stale, lock.this_run())
+    ended, winner = lock.holder(path), lock.this_run()
+    assert ended is not None
+    assert lock.take_over(path, ended, winner)
+    assert not lock.take_over(path, ended, lock.this_run())
+    assert json.loads(path.read_text()) == winner
 
 
 def test_others_locks_count(tmp_path: Path, dead: int) -> None:

@@ -1,0 +1,106 @@
+"""A study on two machines with one folder: one goes down, or is only held up and comes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from accelcal_cli.studies import heartbeat
+from tests.cli.run import Ran
+from tests.cli.studies import results, run_in, study_folder
+from tests.studies.processes import begun, held, kill, lines, soon
+
+pytestmark = pytest.mark.skipif(not Path("/proc").is_dir(), reason="needs /proc")
+NAMES = tuple(f"{site}/p{number}.raw" for site in ("a", "b") for number in range(2))
+STRUCK = "a/p0.calibration.json"
+
+
+class Hours:
+    """Time that a sleep takes none of."""
+
+    now_s = 0.0
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return study_folder(tmp_path_factory.mktemp("machines") / "in", NAMES)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    out = tmp_path_factory.mktemp("undisturbed")
+    assert run_in(folder, "study", folder, "-d", out).code == 0
+    return results(out)
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """This machine waits for no other longer than a moment, in which that one has no time to beat."""
+    monkeypatch.setattr(heartbeat, "time", Hours())
+
+
+def here(folder: Path, out: Path, *words: object) -> Ran:
+    return run_in(folder, "study", folder, "-d", out, "-j", 2, *words)
+
+
+@pytest.mark.parametrize("down", [True, pytest.param(False, marks=pytest.mark.nightly)])
+def test_the_other_takes_over_and_who_comes_back_stops(
+    folder: Path, undisturbed: dict[str, object], tmp_path: Path, down: bool
+) -> None:
+    out = tmp_path / "out"
+    with held(tmp_path, STRUCK) as hold:
+        process = begun(folder, out, environment={**hold.environment, "ACCELCAL_NODE": "first"})
+        hold.process()
+        soon(lambda: lines(out))
+        if down:
+            kill(process)
+        done = lines(out)
+        assert list(out.glob("a/.p0.calibration.json.first*.tmp"))
+        refused = here(folder, out)
+        assert refused.code == 75
+        assert f"process {process.pid} on first" in refused.err
+        assert "give --takeover MINUTES" in refused.err
+        taken = here(folder, out, "--takeover", 3)
+        assert taken.code == 0, taken.err
+        assert "after 3 minutes without a sign of life" in taken.err
+        assert not down or f"{done} unchanged" in taken.err
+        assert results(out) == undisturbed
+    if not down:
+        _, said = process.communicate()
+        assert process.returncode == 75, said
+        text = (
+            "study.lock: the lock of this run was removed; what was done is kept, and the same command does"
+        )
+        assert text in said.decode()
+    assert results(out) == undisturbed
+    again = here(folder, out)
+    assert (again.code, results(out)) == (0, undisturbed)
+    assert "4 unchanged" in again.err
+
+
+@pytest.mark.nightly
+def test_a_part_that_went_down_does_not_hinder_the_collection(
+    folder: Path, undisturbed: dict[str, object], tmp_path: Path
+) -> None:
+    """Each part, of which the first is killed at its table, and taken over by another machine."""
+    out = tmp_path / "out"
+    with held(tmp_path, "study.1-of-2.json") as hold:
+        node = {**hold.environment, "ACCELCAL_NODE": "first"}
+        process = begun(folder, out, "--shard", "1/2", environment=node)
+        hold.process()
+        kill(process)
+    assert here(folder, out, "--shard", "2/2").code == 0
+    assert here(folder, out, "--collect").code == 75
+    collected = here(folder, out, "--collect", "--takeover", 2)
+    assert collected.code == 0, collected.err
+    assert {name: content for name, content in results(out).items() if "-of-" not in name} == undisturbed
+    requeued = here(folder, out, "--shard", "1/2")
+    assert requeued.code == 0, requeued.err
+    assert not [name for name in results(out) if name.endswith((".lock", ".claim", ".tmp"))]
