@@ -10,9 +10,11 @@ import click
 
 from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.parts import is_never
 from accelcal_cli.core.settings import POSES, PoseSettings
 from accelcal_cli.pipeline import given
-from accelcal_cli.pipeline.jobs import Request, Result, plan_report
+from accelcal_cli.pipeline.jobs import Request, Result, plan_report, real
 from accelcal_cli.six_pose.run import session_of, six_pose
 
 
@@ -50,6 +52,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     inputs = [] if values["poses"] is None else [values["poses"]]
     session = session_of(recordings, values["poses"])
     job = plan_report(session, values["output_dir"], values["output"], *inputs)
+    _refuse_among(job.report, session)
     request = Request(
         options=given.read_options(values),
         settings=given.with_given(POSES, values),
@@ -61,6 +64,13 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         parts=True,
     )
     return run_jobs([job], lambda job, bars, source: six_pose(job, request, bars, source), values, report_of)
+
+
+def _refuse_among(report: Path, session: Path) -> None:
+    """Raise UsageError for a report that would be taken for a file of the session."""
+    if session.is_dir() and real(session) in real(report).parents and not is_never(report):
+        hint = "give a name outside, or one that ends in .calibration.json"
+        raise UsageError(f"{printable(report)} would be among the files of the session", hint=hint)
 
 
 def report_of(result: Result) -> Path:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
 from accelcal_cli.core.errors import counted
+from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Calibration, Fit, Operations, PointSet
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.judge.errors import coverage, mean, summary
 from accelcal_cli.judge.model_ladder import of_postures
+from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE
 from accelcal_cli.six_pose.poses import PoseError, Session, SixPoseFit, VectorErrors
 
 METHOD = "one orientation left out at a time"
@@ -95,7 +98,7 @@ def _outcome(
         return Outcome.REFUSED, (
             f"the poses disagree: {after:.1f} mg on orientations left out, {norm_after:.1f} mg in length "
             f"(the limits are {settings.max_vector_error_mg:g} and {settings.max_error_mg:g}); "
-            f"{_worst(session, fit)}; rest the device exactly on its faces, on a level surface"
+            f"{_worst(session, fit)}; {_way(session, settings)}"
         )
     if after >= before:
         return Outcome.ALREADY_GOOD, (
@@ -106,6 +109,15 @@ def _outcome(
         f"model 12: {norm_before:.1f} mg before, {norm_after:.2f} mg after on orientations left out; "
         f"as vectors {before:.1f} and {after:.2f} mg{_unchecked(session, fit)}"
     )
+
+
+def _way(session: Session, settings: PoseSettings) -> str:
+    """What may be done about poses that disagree."""
+    local_g = float(settings.gravity.local_g())
+    lengths = [sqrt(sum(value**2 for value in pose.reference)) / ONE for pose in session.poses]
+    if any(abs(length - local_g) > 2 * LENGTH_TOLERANCE for length in lengths):
+        return "check the references and their times"
+    return "rest the device exactly on its faces, on a level surface"
 
 
 def _worst(session: Session, fit: SixPoseFit) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import tarfile
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 import accelcal_cli as accelcal
 from accelcal_cli.core.errors import DivergedError, UsageError
 from tests.cli.run import assert_one_line, run, verify
+from tests.pages.html import check
 from tests.recordings import good_csv
 from tests.schema import check_report
 from tests.six_pose.made import (
@@ -33,11 +35,11 @@ NAMES = {face: f"{'minus' if face[0] == '-' else 'plus'}_{face[1]}.csv" for face
 ANY = [(0, 0, 1), (0, 0, -1), (0, 2, 1), (0, -2, 1), (3, 0, 1), (-3, 0, 1), (0, 5, 1), (1, 2, 2)]
 
 
-def folder_of(folder: Path, *, raw: bool = False, seed: int = 0) -> Path:
+def folder_of(folder: Path, seconds: float = 10.0) -> Path:
     """A file for each face, all of which begin at the same time."""
     folder.mkdir()
     for number, (face, name) in enumerate(NAMES.items()):
-        write_csv(folder / name, session([face], seed=seed + number + 1))
+        write_csv(folder / name, session([face], seconds, seed=number + 1))
     return folder
 
 
@@ -102,10 +104,10 @@ def test_the_calibration_is_that_of_one_recording_with_the_same_states(
     assert parts["holdout"] == one["holdout"]
 
 
-@pytest.mark.parametrize("chunk", [1, 77])
+@pytest.mark.parametrize("chunk", [1, pytest.param(77, marks=pytest.mark.nightly)])
 def test_the_bits_do_not_depend_on_the_chunk_size(tmp_path: Path, capsys: Capture, chunk: int) -> None:
-    folder = folder_of(tmp_path / "faces")
-    write_csv(folder / "roll.csv", rolled())
+    folder = folder_of(tmp_path / "faces", 4.0)
+    write_csv(folder / "roll.csv", rolled(seconds=5.0))
     words = ("six-pose", folder, "--roll", "z,roll.csv", "--json", "--force")
     whole, cut = (json.loads(run(capsys, *words, *more).out) for more in ((), ("--chunk-samples", chunk)))
     del whole["provenance"], cut["provenance"]
@@ -236,6 +238,14 @@ def test_what_no_pattern_stands_for_is_wrong_usage(tmp_path: Path, capsys: Captu
     assert "holds no recordings" in refused(capsys, 3, tmp_path / "empty")
 
 
+def test_a_report_must_not_become_a_file_of_the_session(tmp_path: Path, capsys: Capture) -> None:
+    folder = folder_of(tmp_path / "faces")
+    assert "would be among the files of the session" in refused(capsys, 2, folder, "-o", folder / "r.json")
+    for words in (("-d", folder), ("-o", folder / "r.calibration.json"), ("-o", tmp_path / "r.json")):
+        for _ in range(2):
+            assert run(capsys, "six-pose", folder, *words).code == 0
+
+
 def test_a_changed_file_is_done_again(tmp_path: Path, capsys: Capture) -> None:
     folder = folder_of(tmp_path / "faces")
     assert run(capsys, "six-pose", folder).code == 0
@@ -263,6 +273,11 @@ def test_four_poses_unchecked_say_so_everywhere(tmp_path: Path, capsys: Capture)
     assert ran.err.count("Nothing was held out") == 1, "not twice"
     assert verify(capsys, tmp_path / "four.calibration.json", path)[0].code == 0
     coefficients, other = tmp_path / "four.calibration.json", good_csv(tmp_path)
+    ran = run(capsys, "apply", "--coefficients", coefficients, path, "-d", tmp_path / "own")
+    assert_one_line(ran, "Nothing was held out: no error is known")
+    own = report_of(tmp_path / "own/four.calibration.json")
+    assert (own["outcome"], own["holdout"], own["known_orientations"]) == ("calibrated", None, known)
+    assert verify(capsys, tmp_path / "own/four.calibration.json", path)[0].code == 0
     assert run(capsys, "apply", "--coefficients", coefficients, other, "--any-device").code == 0
     assert run(capsys, "report", coefficients).code == 0
     page = (tmp_path / "four.html").read_text()
@@ -291,7 +306,12 @@ def test_a_roll_is_told_in_the_report(tmp_path: Path, capsys: Capture) -> None:
     assert report["settings"]["roll"] == ["z,55,75", "z,2024-03-04T08:00:58,74"]
     assert verify(capsys, tmp_path / "s.calibration.json", path)[0].code == 0
     assert run(capsys, "report", tmp_path / "s.calibration.json").code == 0
-    assert "Rolls with one axis level" in (tmp_path / "s.html").read_text()
+    page = check((tmp_path / "s.html").read_text())
+    tables = {one.all("caption")[0].text: one for one in page.all("table")}
+    cells = [cell.text for cell in tables["Rolls with one axis level, which should show nothing"].all("td")]
+    assert cells[0] == "55 to 75 s"
+    assert re.fullmatch(r"4[45]\.?\d? \(1[12]\.?\d?\)", cells[1])
+    assert len(tables["Poses, and the errors of their vectors"].all("tr")) == 5
     line = refused(capsys, 4, path, "--unchecked", "--roll", "y,55,75", "--force")
     assert "does not roll there by half a turn, with y level" in line
     assert "names no axis" in refused(capsys, 2, path, "--roll", "up")

@@ -125,6 +125,15 @@ def test_accelerations_of_any_size_give_k_and_o_of_the_stacked_equations() -> No
     assert verdict.outcome is Outcome.CALIBRATED
 
 
+def test_accelerations_that_disagree_are_refused_with_other_advice() -> None:
+    raw = ANY @ K.T + O
+    raw[4] += 0.3
+    session = session_of(poses_of(ANY, raw))
+    verdict, _ = judge_six_pose(session, six_pose_fit(session, CHECKED), CHECKED)
+    assert verdict.outcome is Outcome.REFUSED
+    assert verdict.message.endswith("; check the references and their times")
+
+
 def test_without_noise_any_sizes_give_the_truth_itself() -> None:
     k = np.array([[264, -8, 4], [8, 248, -4], [-4, 8, 260]]) / 256
     o = np.array([8, -16, 12]) / 256
