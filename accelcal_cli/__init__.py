@@ -1,6 +1,7 @@
 """Batch calibration of raw actigraph recordings from the stillness they contain.
 
-From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `apply`, `study` (docs/python.md).
+From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `from_poses`, `apply`, `study`
+(docs/python.md).
 """
 
 from __future__ import annotations
@@ -9,11 +10,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from accelcal_cli.api import AccelcalError, Reading, Result, Samples, apply, calibrate, fit, read, study
+    from accelcal_cli.api import (
+        AccelcalError,
+        Reading,
+        Result,
+        Samples,
+        apply,
+        calibrate,
+        fit,
+        from_poses,
+        read,
+        study,
+    )
 
 __version__ = "0.2.0"
 
-__all__ = ["AccelcalError", "Reading", "Result", "Samples", "apply", "calibrate", "fit", "read", "study"]
+__all__ = [
+    "AccelcalError", "Reading", "Result", "Samples",
+    "apply", "calibrate", "fit", "from_poses", "read", "study",
+]  # fmt: skip
 
 
 def __getattr__(name: str) -> Any:

@@ -9,7 +9,7 @@ as those of the commands. Nothing is written unless `Result.write` or `study` is
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
@@ -22,7 +22,7 @@ from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Reader, Recording
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import POSES, PoseSettings, Settings
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import calibration_of, read_document
@@ -307,6 +307,48 @@ def fit(points: Any, **options: Any) -> dict[str, Any]:
     return _as_written(outputs.with_provenance(report, ("accelcal_cli.fit",)))
 
 
+def from_poses(
+    recordings: AnyPath | Sequence[AnyPath],
+    *,
+    poses: AnyPath | None = None,
+    roll: Sequence[str] = (),
+    **options: Any,
+) -> dict[str, Any]:
+    """Calibrate from a session of known orientations, as `accelcal six-pose` does.
+
+    Args:
+        recordings: the session: a recording, or the folder or the paths of several of one device.
+        poses: list of poses; None: the six faces are found.
+        roll: where the device was rolled with one axis level, such as `z,80,95`.
+        options: `unchecked`, and others of `accelcal six-pose`.
+
+    Returns:
+        the report.
+
+    Raises:
+        AccelcalError: it cannot be read, the poses do not determine the parameters, or the options do not go
+            together.
+    """
+    # few programs have such a session
+    from accelcal_cli.six_pose.run import known_orientations, session_of
+
+    several = [recordings] if isinstance(recordings, str | PathLike) else recordings
+    source = session_of([Path(one) for one in several], None if poses is None else Path(poses))
+    values = _values(options, ReadOptions, PoseSettings)
+    request = Request(
+        options=given.read_options(values),
+        settings=replace(given.with_given(POSES, values), roll=tuple(roll)),
+        poses=None if poses is None else Path(poses),
+        report_only=True,
+        parts=True,
+    )
+    judge, before = known_orientations(request), file_stamp(source)
+    with open_run(Job(source, source, source), request) as run:
+        data = run.count_beyond(run.result(judge).data)
+    jobs.check_unchanged(source, before)
+    return _as_written(outputs.with_provenance(reports.build(data), ("accelcal_cli.from_poses",)))
+
+
 def _frame(points: Any) -> pd.DataFrame:
     import pandas as pd
 
@@ -432,4 +474,7 @@ class _Silent:
         """See `StudyObserver`."""
 
 
-__all__ = ["AccelcalError", "Reading", "Result", "Samples", "apply", "calibrate", "fit", "read", "study"]
+__all__ = [
+    "AccelcalError", "Reading", "Result", "Samples",
+    "apply", "calibrate", "fit", "from_poses", "read", "study",
+]  # fmt: skip

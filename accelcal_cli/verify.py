@@ -453,10 +453,12 @@ def refuse_other(document: Document, recording: Path) -> None:
 
 
 def _unchanged(then: NamedFile | None, recording: Path, named: Path | None, what: str) -> Path | None:
-    """A file that the report was made with, if any: beside the recording, or where the user says."""
+    """A file that the report was made with, if any: beside the recording or in its folder, or where the user
+    says."""
     if then is None:
         return None
-    path = named or recording.parent / then.name
+    inside = recording / then.name
+    path = named or (inside if inside.is_file() else recording.parent / then.name)
     if not path.is_file() or sha256(path) != then.sha256:
         raise UsageError(
             f"is not the {what} {then.name} that the report was made with",

@@ -78,6 +78,49 @@ def test_the_faces_are_found_and_agree_with_the_picked_ranges(
     assert np.all(np.abs(np.subtract(known["O"], listed["O"])) < 3 * np.array(errors["O"]))
 
 
+def test_four_faces_of_it_unchecked_are_what_numpy_gives_and_fair_on_the_others(
+    real_data: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    faces = ("+x", "-x", "+y", "+z")
+    lines = [
+        f"{LENGTH * RANGES[face][0] / RATE_HZ:.6f},{LENGTH * RANGES[face][1] / RATE_HZ:.6f},"
+        f"{','.join(map(str, UP[face]))}"
+        for face in faces
+    ]
+    listed = write_list(tmp_path / "poses.csv", lines)
+    report = calibrated(capsys, real_data, tmp_path, "--poses", listed, "--unchecked")
+    means = {face: part.mean(axis=0) / G for face, part in picked(samples(real_data)).items()}
+    k, o = stacked(np.array([UP[face] for face in faces], float), np.array([means[face] for face in faces]))
+    known = report["known_orientations"]
+    np.testing.assert_allclose(known["K"], k, atol=1e-7)
+    np.testing.assert_allclose(known["O"], o, atol=1e-7)
+    assert report["holdout"] is known["holdout_vector_mg"] is None
+    for face in ("-y", "-z"):
+        a = np.linalg.solve(known["K"], means[face] - known["O"])
+        assert 1000 * np.linalg.norm(a - UP[face]) < 20
+        assert 1000 * np.linalg.norm(means[face] - UP[face]) > 40
+
+
+def test_cut_into_one_file_a_face_it_gives_the_same(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
+    folder, names = tmp_path / "faces", {}
+    folder.mkdir()
+    for face, part in picked(samples(real_data)).items():
+        names[face] = f"{'m' if face[0] == '-' else 'p'}{face[1]}.csv"
+        frame = pd.DataFrame(np.vstack([part[-1:] + 9, part, part[:1] - 9]), columns=list("xyz"))
+        frame.to_csv(folder / names[face], index=False)
+    lines = [f"{name},{1 / RATE_HZ},99,{','.join(map(str, UP[face]))}" for face, name in names.items()]
+    listed = write_list(tmp_path / "poses.csv", lines, "file,start,end,ax,ay,az")
+    words = ("--rate", RATE_HZ, "--unit", "m/s2", "--poses", listed, "--json", "-q")
+    ran = run(capsys, "six-pose", folder, *words)
+    assert ran.code == 0, ran.err
+    found = json.loads(ran.out)
+    check_report(found)
+    whole = by_list(capsys, real_data, tmp_path)
+    held = [one["known_orientations"]["holdout_vector_mg"]["after"]["mean"] for one in (found, whole)]
+    assert held[0] == pytest.approx(held[1], abs=0.5)
+    np.testing.assert_allclose(found["known_orientations"]["K"], whole["known_orientations"]["K"], atol=5e-4)
+
+
 def test_the_ferraris_method_finds_the_same_matrix(real_data: Path, tmp_path: Path, capsys: Capture) -> None:
     """imucal computes each column of K from a pair of faces, as least squares over six faces does; its
     offset of an axis comes from that axis' own pair alone, ours from all six.

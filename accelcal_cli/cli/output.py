@@ -287,15 +287,22 @@ def bytes_of(recording: Path) -> Iterator[Path]:
             raise
 
 
+def _caution(result: Result, values: dict[str, Any]) -> str | None:
+    """What even a quiet run says against a result, unless it is said with the result itself."""
+    if result.outcome is Outcome.BORROWED:
+        from accelcal_cli.pipeline.apply import warning
+
+        return warning(result.report)
+    with_it = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
+    return None if with_it else advice.unchecked_poses(result.report)
+
+
 def _comment(result: Result, values: dict[str, Any]) -> None:
     report, name = result.report, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
         say_refused(report["message"], result.job.source, values)
-    if result.outcome is Outcome.BORROWED:
-        from accelcal_cli.pipeline.apply import warning
-
-        if (caution := warning(report)) is not None:
-            exit_codes.say(f"{name}: {caution}")
+    if (caution := _caution(result, values)) is not None:
+        exit_codes.say(f"{name}: {caution}")
     if values["quiet"]:
         return
     if result.up_to_date:

@@ -10,16 +10,25 @@ import click
 
 from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.parts import is_never
 from accelcal_cli.core.settings import POSES, PoseSettings
 from accelcal_cli.pipeline import given
-from accelcal_cli.pipeline.jobs import Request, Result, plan_report
-from accelcal_cli.six_pose.run import six_pose
+from accelcal_cli.pipeline.jobs import Request, Result, plan_report, real
+from accelcal_cli.six_pose.run import session_of, six_pose
 
 
 @click.command("six-pose")
-@click.argument("recording", type=options.FILE)
-@click.option("--poses", type=options.FILE,
-              help="CSV with start,end,ax,ay,az of each pose.  [default: find the six faces]")  # fmt: skip
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
+@click.option(
+    "--poses", type=options.FILE,
+    help="CSV with start,end (or file) and ax,ay,az of each pose.  [default: find the six faces]",
+)  # fmt: skip
+@options.setting_option(PoseSettings, "unchecked")
+@click.option(
+    "--roll", multiple=True, metavar="AXIS,START,END",
+    help="Check the result where the device was rolled with AXIS level; AXIS,FILE for a file.",
+)  # fmt: skip
 @click.option("-o", "--output", type=options.FILE, help="Name of the report (JSON).")
 @click.option("-d", "--output-dir", type=options.FILE, help="Folder for the report.")
 @options.printing_options
@@ -30,15 +39,20 @@ from accelcal_cli.six_pose.run import six_pose
 @options.reading_options
 @options.damage_option
 @options.gravity_options
-def command(recording: Path, **values: Any) -> int:
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """Calibrate from a session in which the device rested on its six faces; `-` reads standard input.
+
+    The session is one recording, or several of one device, such as one for each face: their folder, a pattern
+    in quotes, or a list if a pattern stands for just these files.
 
     Fits twelve parameters by linear least squares (docs/six-pose.md says how to record the session).
     Writes STEM.calibration.json beside the recording and prints one tab-separated line: path, outcome,
     model, error before and after in mg on held-out orientations, error before / after x 100, and the report.
     """
     inputs = [] if values["poses"] is None else [values["poses"]]
-    job = plan_report(recording, values["output_dir"], values["output"], *inputs)
+    session = session_of(recordings, values["poses"])
+    job = plan_report(session, values["output_dir"], values["output"], *inputs)
+    _refuse_among(job.report, session)
     request = Request(
         options=given.read_options(values),
         settings=given.with_given(POSES, values),
@@ -47,8 +61,16 @@ def command(recording: Path, **values: Any) -> int:
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),
+        parts=True,
     )
     return run_jobs([job], lambda job, bars, source: six_pose(job, request, bars, source), values, report_of)
+
+
+def _refuse_among(report: Path, session: Path) -> None:
+    """Raise UsageError for a report that would be taken for a file of the session."""
+    if session.is_dir() and real(session) in real(report).parents and not is_never(report):
+        hint = "give a name outside, or one that ends in .calibration.json"
+        raise UsageError(f"{printable(report)} would be among the files of the session", hint=hint)
 
 
 def report_of(result: Result) -> Path:

@@ -14,9 +14,11 @@ ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tbz", ".tar.xz", "
 """Suffixes of files that may hold parts."""
 
 NEVER = re.compile(
-    r"\..*|.*\.(log\.csv|toml|(un)?calibrated\.parquet|(calibration|quality|integers)\.json)", re.I
+    r"\..*|(.*\.)?poses\.csv|.*\.(log\.csv|toml|(un)?calibrated\.parquet|(calibration|quality|integers)\.json)",
+    re.I,
 )
-"""Names of files among parts that are none: logs (NHANES), options, layouts, and results of ours."""
+"""Names of files among parts that are none: logs (NHANES), options, layouts, lists of poses, and results of
+ours."""
 
 HOUR = re.compile(r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz)?)", re.IGNORECASE)
 HALF_HOUR = re.compile(r"(.+)_\d{10}\.avro", re.IGNORECASE)

@@ -322,6 +322,29 @@ def joined_channels(parts: Sequence[Channels]) -> Channels:
     return {name: np.concatenate([part[name] for part in parts]) for name in names}
 
 
+@dataclass(frozen=True, slots=True)
+class PlacedFile:
+    """One file of a session of several, each of which is a recording of its own.
+
+    Attributes:
+        name: within the session.
+        first_sample, samples: its rows within the whole.
+        first_us: time of its first row there, on the device's clock.
+        moved_us: what was added to its own times.
+        dated: whether these have a date.
+        problems, lost_bytes: its damage.
+    """
+
+    name: str
+    first_sample: int
+    samples: int
+    first_us: int
+    moved_us: int
+    dated: bool
+    problems: int
+    lost_bytes: int
+
+
 class Closing:
     """Closed at the end of a `with` block."""
 
@@ -362,10 +385,12 @@ class Reader(Closing):
 
     Attributes:
         threads: how many may work at a time; a format may leave them unused.
+        files: those of a session, once all its rows were read; of any other recording none.
     """
 
     recording: Recording
     threads: int = 1
+    files: tuple[PlacedFile, ...] = ()
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, about `chunk_samples` at a time (whole pages, at least one).

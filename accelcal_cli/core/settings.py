@@ -329,6 +329,10 @@ def _as_in_settings(name: str) -> Any:
     return field(default=same.default, metadata=same.metadata)
 
 
+POSES_IF_ASKED = ("unchecked", "roll")
+"""Fields of PoseSettings that a report has only where they were asked for."""
+
+
 @dataclass(frozen=True, slots=True)
 class PoseSettings:
     """What decides a calibration from known orientations, besides the recording and its list of poses.
@@ -348,6 +352,8 @@ class PoseSettings:
         max_vector_error_mg: held-out |a - reference| that a usable calibration stays below [mg]; one
             face tilted by a degree makes 12 mg of it.
         latitude, altitude_m, max_damage_percent: as in `Settings`.
+        unchecked: poses that leave none to judge a fit by are fitted all the same.
+        roll: where the device was rolled about a level axis, as given: `z,80,95`.
     """
 
     segment_seconds: float = setting(
@@ -377,6 +383,10 @@ class PoseSettings:
     latitude: float | None = _as_in_settings("latitude")
     altitude_m: float | None = _as_in_settings("altitude_m")
     max_damage_percent: float = _as_in_settings("max_damage_percent")
+    unchecked: bool = setting(
+        False, option=Option("--unchecked", "Fit four poses too, of which none can be held out.")
+    )
+    roll: tuple[str, ...] = ()
 
     @property
     def gravity(self) -> Gravity:
@@ -406,7 +416,8 @@ class PoseSettings:
     def as_json(self) -> dict[str, Any]:
         """The report's `settings` object."""
         fixed = {"profile": self.profile, "optimizer": "least-squares", "model": "12", "temperature": False}
-        return {**fixed, "stillness": self.stillness.stillness, **asdict(self)}
+        held = {name: value for name, value in asdict(self).items() if value or name not in POSES_IF_ASKED}
+        return {**fixed, "stillness": self.stillness.stillness, **held}
 
 
 @dataclass(frozen=True, slots=True)

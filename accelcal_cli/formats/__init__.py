@@ -147,13 +147,19 @@ def _refuse_options(names: Sequence[str], formats: Sequence[str], path: Path | N
 
 
 def open_recording(
-    path: Path, options: ReadOptions, threads: int = 1, unused: tuple[str, ...] = ()
+    path: Path,
+    options: ReadOptions,
+    threads: int = 1,
+    unused: tuple[str, ...] = (),
+    *,
+    session: bool = False,
 ) -> Reader:
     """Open a recording of any format for streaming, or one in parts.
 
     Args:
         threads: how many may work at a time on reading it.
         unused: options that were given for other recordings and mean nothing for this one; it is noted.
+        session: parts are no stretches of one recording, but recordings of one device, in which it rested.
 
     Raises:
         UnreadableError, UsageError: see `find_format` and the format's own `open`; or an option means
@@ -161,9 +167,11 @@ def open_recording(
         OutputError: there is no room to unpack an archive of parts.
     """
     if has_parts(path):
-        from accelcal_cli.formats._parts.reader import open_parts
+        from accelcal_cli.formats._parts.reader import PartsReader, open_parts
+        from accelcal_cli.formats._parts.session import SessionReader
 
-        reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused))
+        kind = SessionReader if session else PartsReader
+        reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused), kind)
     else:
         reader = _open_file(path, options, unused)
     reader.threads = threads

@@ -27,6 +27,11 @@ UNIT = (
     "Say what the values are: --unit, or --lsb-per-g for counts; --columns for a table; "
     "the fields of the layout file for a dump."
 )
+UNCHECKED = (
+    "Nothing was held out: no error is known, and a pose that is wrong would not show. "
+    "Add poses, or roll the device with one axis level (six-pose --roll)."
+)
+UNCHECKED_ROLLED = "Nothing was held out: what the roll shows is all that speaks for it."
 RIGHT_G = (0.7, 1.4)
 """Between these is the median of |a| at rest [g] if unit and scale are right."""
 
@@ -34,7 +39,7 @@ RIGHT_G = (0.7, 1.4)
 def cautions(report: Report) -> tuple[str, ...]:
     """What speaks against trusting a result without a look."""
     everywhere = report.get("sphere_mg") is not None
-    found = doubts(*_interval(report), everywhere=everywhere)
+    found = [*filter(None, [unchecked_poses(report)]), *doubts(*_interval(report), everywhere=everywhere)]
     change = report.get("change") or {"kind": "none"}
     calibration = report["calibration"] or {}
     if change["kind"] != "none" and calibration.get("course") is None:
@@ -93,6 +98,14 @@ def doubts(
 
 def _mg(value: float) -> str:
     return f"{value:.0f} mg" if value >= 100 else f"{value:.3g} mg"
+
+
+def unchecked_poses(report: Report) -> str | None:
+    """That nothing speaks for a calibration from known orientations; None where something does."""
+    known = report.get("known_orientations") or {}
+    if "unchecked" not in known or report["calibration"] is None:
+        return None
+    return UNCHECKED_ROLLED if known.get("rolls") else UNCHECKED
 
 
 def unchecked(report: Report) -> str | None:

@@ -14,6 +14,7 @@ from accelcal_cli.pages.along import Along, UnfitError, along
 from accelcal_cli.pages.figures import NEAR, Figure
 from accelcal_cli.pages.gyroscope import gyroscope_of
 from accelcal_cli.pages.hours import hours
+from accelcal_cli.pages.poses import poses_of
 from accelcal_cli.pages.rendering import Rows, Table, decimals, rendered
 from accelcal_cli.pages.svg import number
 from accelcal_cli.pages.words import Report
@@ -66,6 +67,7 @@ def page(report: Report, quality: Mapping[str, Any] | None = None) -> str:
         coefficients=_coefficients(report),
         models=_models(report),
         misfits=_misfits(report),
+        known=poses_of(report),
         gyroscope=gyroscope_of(report),
         health=_health(report),
         windows=_windows(report),

@@ -123,11 +123,18 @@ def methods(report: Report) -> str:
     parts.append(
         f"The model {equation} corrects {model_name(calibration['model'])} "
         f"(model {calibration['model']}); "
-        f"it was fitted by {calibration['optimizer']['name']} so that gravity measures "
-        f"{calibration['gravity']['local_g']:.5f} g at rest{_prior(report)}."
+        f"it was fitted by {calibration['optimizer']['name']} {_fitted_to(report, calibration)}."
     )
     parts += [_errors_for_paper(report), f"Reference: {CITATION.format(version=version)}"]
     return " ".join(parts)
+
+
+def _fitted_to(report: Report, calibration: Report) -> str:
+    """What the fit was to meet."""
+    known = report.get("known_orientations")
+    if known is not None:
+        return f"to {counted(known['orientations'], 'known acceleration')} (Bragge et al.)"
+    return f"so that gravity measures {calibration['gravity']['local_g']:.5f} g at rest{_prior(report)}"
 
 
 def _prior(report: Report) -> str:
@@ -137,6 +144,8 @@ def _prior(report: Report) -> str:
 
 def _errors_for_paper(report: Report) -> str:
     sphere, holdout, text = report.get("sphere_mg"), report["holdout"], ""
+    if "unchecked" in report.get("known_orientations", {}):
+        return "Its error is not known: no data were held out."
     if holdout is not None:
         after, before = holdout["after_mg"]["mean"], holdout["before_mg"]["mean"]
         text = (

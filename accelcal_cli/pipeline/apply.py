@@ -47,6 +47,7 @@ from accelcal_cli.pipeline.survey import Method, make_method
 READING = ("unit", "columns", "sensor", "lsb_per_g", "layout_sha256")
 """Reading options that decide the values themselves."""
 
+KNOWN = "known_orientations"
 ANY_DEVICE = "use --any-device to apply them anyway"
 SHOWN_HASH = 12
 UNSEEN = "coefficients of another recording: all points are held out"
@@ -113,7 +114,7 @@ class GivenCoefficients(Judge):
     def method(self, recording: Recording) -> Method:
         """As for the recording's own calibration; raises UnreadableError for a damaged report of its own."""
         if self.relation is Relation.OWN:
-            check_sections(self.donor.document, COPIED)
+            check_sections(self.donor.document, (*COPIED, KNOWN))
         return make_method(recording, self.settings)
 
     def verdict(self, run: RecordingRun, found: Survey) -> Verdict:
@@ -147,6 +148,8 @@ class GivenCoefficients(Judge):
         """Sections of the donor's report that hold here too."""
         report = self.donor.document.report
         copied = COPIED if self.relation is Relation.OWN else ()
+        if self.relation is Relation.OWN and "unchecked" in report.get(KNOWN, {}):
+            copied = (*copied, KNOWN)  # which says why there is no error
         section = _calibration(report["calibration"], self.donor.calibration, self.calibration)
         return {"calibration": section, **{name: report.get(name) for name in copied}}
 

@@ -233,7 +233,10 @@ def open_run(
     path = source or job.source
     before = before or jobs.file_stamp(path)
     request = request.for_recording(path)
-    with survey.open_marked(path, request.options, request.threads, request.unused) as reader:
+    session = isinstance(request.settings, PoseSettings)
+    with survey.open_marked(
+        path, request.options, request.threads, request.unused, session=session
+    ) as reader:
         if reader.recording.calibrated is not None:  # a copy of what is there already helps nobody
             request = replace(request, report_only=True)
         yield RecordingRun(job, request, progress, reader, path, before)

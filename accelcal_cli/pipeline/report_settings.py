@@ -14,7 +14,7 @@ from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import IF_GIVEN, ReadOptions
-from accelcal_cli.core.settings import SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
+from accelcal_cli.core.settings import POSES_IF_ASKED, SIX_POSE, STILLNESS, PoseSettings, Settings, setting_of
 from accelcal_cli.formats import named_format
 from accelcal_cli.optimize import named_optimizer
 from accelcal_cli.output.report_reading import Document, damaged
@@ -185,7 +185,9 @@ def _from_values(values: dict[str, Any]) -> ReportSettings:
 
 def _settings(values: Mapping[str, Any]) -> Restored[Any]:
     if values.get("profile") == SIX_POSE:
-        return restored(PoseSettings, _without(values, NOT_POSE_SETTINGS))
+        found = restored(PoseSettings, _without(values, NOT_POSE_SETTINGS))
+        missing = tuple(name for name in found.missing if name not in POSES_IF_ASKED)
+        return Restored(found.record, missing, found.unknown)
     return restored(Settings, _without(values, NOT_SETTINGS + IF_ASKED))
 
 

@@ -34,7 +34,7 @@ from accelcal_cli.core.points import (
     joined_windows,
 )
 from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording, clipped_at
+from accelcal_cli.core.recording import Chunk, Intake, PlacedFile, Reader, Recording, clipped_at
 from accelcal_cli.core.results import Change, Facts, Judgement
 from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.formats import open_recording
@@ -452,13 +452,23 @@ def _batched(still: Iterable[Windows]) -> Iterator[Windows]:
         yield joined_windows(batch)
 
 
-def open_marked(path: Path, options: ReadOptions, threads: int = 1, unused: tuple[str, ...] = ()) -> Reader:
+def open_marked(
+    path: Path,
+    options: ReadOptions,
+    threads: int = 1,
+    unused: tuple[str, ...] = (),
+    *,
+    session: bool = False,
+) -> Reader:
     """Open a recording; rows at the sensor's range are marked in their chunks' `validity`.
+
+    Args:
+        session: see `formats.open_recording`.
 
     Raises:
         UnreadableError, UsageError: see `formats.open_recording`.
     """
-    return MarkingReader(open_recording(path, options, threads, unused))
+    return MarkingReader(open_recording(path, options, threads, unused, session=session))
 
 
 class MarkingReader(Reader):
@@ -466,6 +476,11 @@ class MarkingReader(Reader):
 
     def __init__(self, reader: Reader) -> None:
         self.reader, self.recording, self.threads = reader, reader.recording, reader.threads
+
+    @property
+    def files(self) -> tuple[PlacedFile, ...]:  # type: ignore[override]
+        """See `Reader`."""
+        return self.reader.files
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""

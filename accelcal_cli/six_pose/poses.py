@@ -1,7 +1,8 @@
 """The poses of a session: from its still windows, either listed in a file or the six faces.
 
 Still windows of one orientation become a state, their mean in fixed-point g; a state whose true
-acceleration is known is a pose. A list says when the device rested and what it truly measured then.
+acceleration is known is a pose. A list (`listing.py`) says when the device rested and what it truly measured
+then. A session may be in several files, such as one for each face.
 
 Bragge et al. write z = K a + O for what a sensor shows of an acceleration a. Their K is the inverse of this
 package's gain, their O the negative offset; both are in the report.
@@ -9,23 +10,22 @@ package's gain, their O the negative offset; both are in the report.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from datetime import datetime, timedelta
 from fractions import Fraction
 from itertools import pairwise
-from math import cos, isfinite, radians, sqrt
-from pathlib import Path
+from math import cos, radians, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.errors import DivergedError, UsageError
-from accelcal_cli.core.fixed import ONE, checked, rounded_quotient, to_fixed
+from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError, UsageError
+from accelcal_cli.core.fixed import LIMIT, ONE, rounded_quotient, to_fixed
 from accelcal_cli.core.points import Calibration, Windows
 from accelcal_cli.core.results import ErrorSummary
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.core.text_files import read_text
+from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE, Listed, Place
+from accelcal_cli.six_pose.spans import Origin, Span, named, span_of
 
 FACES = ("+x", "-x", "+y", "-y", "+z", "-z")
 """The six faces, each named by the axis that shows about +1 g or -1 g on it."""
@@ -36,13 +36,8 @@ LISTED = "listed"
 BETWEEN = -1
 """Instead of the index of a face."""
 
-COLUMNS = ("start", "end", "ax", "ay", "az")
-LENGTH_TOLERANCE = 0.02
-LARGEST_FILE = 1 << 20
-LARGEST_NUMBER = 1e9
-
-_EPOCH = datetime(1970, 1, 1)
-_MICROSECOND = timedelta(microseconds=1)
+LARGEST_MEAN_G = 64
+SHOWN = 3
 
 Integers3 = tuple[int, int, int]
 Floats3 = tuple[float, float, float]
@@ -57,12 +52,14 @@ class State:
         start_us, end_us: on the device's clock [us].
         windows: number of still windows that were averaged.
         raw: mean of the raw values, fixed-point g.
+        file: number of the file of the session that it is in.
     """
 
     start_us: int
     end_us: int
     windows: int
     raw: Integers3
+    file: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,12 +86,14 @@ class Session:
         between: still states that lie on no face; they are not fitted.
         short: still states that are too short to count.
         first_us: time of the recording's first sample on the device's clock.
+        files: those of the session; empty where it is one recording.
     """
 
     first_us: int
     poses: tuple[Pose, ...]
     between: tuple[State, ...] = ()
     short: int = 0
+    files: tuple[Origin, ...] = ()
 
     @property
     def missing(self) -> tuple[str, ...]:
@@ -106,6 +105,15 @@ class Session:
     def orientations(self) -> int:
         """How many different orientations there are."""
         return len({pose.number for pose in self.poses})
+
+    def seconds(self, time_us: int, file: int) -> float:
+        """A time since the first sample, of its file where there are several [s]."""
+        first_us = self.files[file].first_us if self.files else self.first_us
+        return (time_us - first_us) / 1e6
+
+    def name(self, file: int) -> str | None:
+        """The name of a file; None where the session is one recording."""
+        return self.files[file].name if self.files else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,139 +160,52 @@ class SixPoseFit:
 
     Attributes:
         k, o: z = K a + O, in raw g per g and raw g.
-        precision: their standard errors.
+        precision: their standard errors; None where as many poses as unknowns leave no residuals.
         condition_number: of the matrix [a 1], a in g.
         errors: one for each pose.
         between_norm_mg: mean | |a| - local g | of the states between faces, None without any.
+        checked: whether enough orientations could be left out to judge it by.
     """
 
     calibration: Calibration
     k: Matrix3
     o: Floats3
-    precision: Uncertainty
+    precision: Uncertainty | None
     condition_number: float
     errors: tuple[PoseError, ...]
     between_norm_mg: float | None
+    checked: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class VectorErrors:
-    """|a - reference| of orientations held out [mg], and the largest spread of repeated ones."""
+    """|a - reference| of orientations held out [mg]."""
 
     before: ErrorSummary
     after: ErrorSummary
-    repeat_spread: float | None
 
 
-Moment = Fraction | datetime
-"""Seconds from the first sample, or a time with or without a zone."""
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """A line of a file."""
-
-    path: Path
-    line: int
-
-    def wrong(self, message: str, hint: str | None = None) -> UsageError:
-        """An error that names the line."""
-        return UsageError(message, path=self.path, line=self.line, hint=hint)
-
-
-@dataclass(frozen=True, slots=True)
-class Listed:
-    """One line: from when to when, and the direction there in units of local gravity."""
-
-    place: Place
-    start: Moment
-    end: Moment
-    direction: tuple[Fraction, Fraction, Fraction]
-
-
-def read_list(path: Path) -> tuple[Listed, ...]:
-    """Read a list of poses: a header `start,end,ax,ay,az` and a line for each pose.
-
-    Semicolons or tabs may separate (then decimals may have commas). Empty lines and lines that begin
-    with # are skipped.
-
-    Raises:
-        UsageError: with the line that is wrong.
-    """
-    lines = list(_lines(path))
-    if not lines:
-        raise UsageError("lists no poses", path=path, hint=f"write {','.join(COLUMNS)} and a line for each")
-    place, header = lines[0]
-    delimiter = next((mark for mark in ";\t" if mark in header), ",")
-    names = [name.lower() for name in _cells(header, delimiter)]
-    if sorted(names) != sorted(COLUMNS):
-        raise place.wrong(f"the first line is {header[:80]!r}", f"write {','.join(COLUMNS)}")
-    if not lines[1:]:
-        raise place.wrong("lists no poses", "write a line for each below this one")
-    return tuple(_listed(where, names, _cells(text, delimiter)) for where, text in lines[1:])
-
-
-def _lines(path: Path) -> Iterator[tuple[Place, str]]:
-    text = read_text(path, "the list of poses", LARGEST_FILE, "utf-8-sig")
-    for number, line in enumerate(text.split("\n"), 1):
-        if line.strip() and not line.lstrip().startswith("#"):
-            yield Place(path, number), line.strip()
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    cells = [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
-    return cells if delimiter == "," else [cell.replace(",", ".") for cell in cells]
-
-
-def _listed(place: Place, names: Sequence[str], cells: Sequence[str]) -> Listed:
-    if len(cells) != len(names):
-        raise place.wrong(f"has {len(cells)} values, the header {len(names)}")
-    values = dict(zip(names, cells, strict=True))
-    x, y, z = (_number(values[name], place) for name in ("ax", "ay", "az"))
-    length = sqrt(x * x + y * y + z * z)
-    if abs(length - 1) > LENGTH_TOLERANCE:
-        hint = "ax, ay, az are in g: at rest their length is 1"
-        raise place.wrong(f"the reference has the length {length:.4g}", hint)
-    return Listed(place, _moment(values["start"], place), _moment(values["end"], place), (x, y, z))
-
-
-def _number(text: str, place: Place) -> Fraction:
-    try:
-        value = float(text)
-    except ValueError:
-        raise place.wrong(f"{text[:80]!r} is not a number") from None
-    if not isfinite(value) or abs(value) > LARGEST_NUMBER:
-        raise place.wrong(f"{text[:80]!r} is not a usable number")
-    return Fraction(repr(value))
-
-
-def _moment(text: str, place: Place) -> Moment:
-    """A number of seconds, or else an ISO time."""
-    try:
-        float(text)
-    except ValueError:
-        pass
-    else:
-        return _number(text, place)
-    try:
-        return datetime.fromisoformat(text)
-    except ValueError:
-        wanted = "a number of seconds nor a time such as 2024-03-04T12:34:56"
-        raise place.wrong(f"{text[:80]!r} is neither {wanted}") from None
-
-
-def state(still: Windows, indices: list[int], lsb_per_g: float) -> State:
+def state(
+    still: Windows, indices: list[int], lsb_per_g: float, file: int = 0, *, any_size: bool = False
+) -> State:
     """The state of the windows with these indices, which ascend.
 
+    Args:
+        file: number of the file of the session that they are in.
+        any_size: its acceleration need not be that of rest.
+
     Raises:
-        FixedPointOverflowError: its mean lies beyond 4 g.
+        FixedPointOverflowError: its mean lies beyond 4 g, or of any size beyond 64 g.
     """
     samples = int(still.samples[indices].sum())
     sums = still.sums[indices].sum(axis=0).tolist()
     raw = _mean(sums, samples, Fraction(lsb_per_g))
-    checked(np.array(raw, np.int64), "the mean of a still state")
+    largest = LARGEST_MEAN_G if any_size else LIMIT // ONE
+    if max(map(abs, raw)) >= largest * ONE:
+        text = f"the mean of a still state leaves the range of +-{largest} g"
+        raise FixedPointOverflowError(text, hint="check the unit and --lsb-per-g")
     start_us, end_us = _times(still)
-    return State(int(start_us[indices[0]]), int(end_us[indices[-1]]), len(indices), raw)
+    return State(int(start_us[indices[0]]), int(end_us[indices[-1]]), len(indices), raw, file)
 
 
 def _times(still: Windows) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -305,104 +226,110 @@ def unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(vectors / np.where(lengths == 0, 1, lengths))
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """What the times of a list refer to.
-
-    Attributes:
-        first_us: time of the first sample on the device's clock.
-        dated: whether that clock shows a date.
-        offset_s: seconds that it is ahead of UTC, None if unknown.
-    """
-
-    first_us: int
-    dated: bool
-    offset_s: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class Span:
-    """A listed pose on the device's clock [us]."""
-
-    start_us: int
-    end_us: int
-    listed: Listed
-
-
 def find_listed(
-    still: Windows, listed: Sequence[Listed], origin: Origin, lsb_per_g: float, settings: PoseSettings
+    still: Windows,
+    listed: Sequence[Listed],
+    origins: Sequence[Origin],
+    lsb_per_g: float,
+    settings: PoseSettings,
+    rolled: Collection[int] = (),
 ) -> Session:
-    """One state a line, of the still windows that lie within its times (to half a sample).
+    """One state a line: of the still windows that lie within its times (to half a sample), or of the longest
+    rest in its file.
+
+    Args:
+        origins: of the files of the session.
+        rolled: numbers of the files that need not be listed.
 
     Raises:
-        UsageError: two lines overlap, or a line's times cannot be compared with the recording's.
+        UsageError: two lines overlap, a line's times cannot be compared with the recording's, or the lines
+            are not of the session's files.
         DivergedError: no window within a line's times is still.
     """
-    spans = _in_order([_span(item, origin) for item in listed])
+    spans = in_order([span_of(item, origins) for item in listed])
+    _refuse_unlisted(spans, origins, rolled)
     numbers = _numbers([item.listed for item in spans], settings.posture_degrees)
     local_g = settings.gravity.local_g()
     poses = []
     for span, number in zip(spans, numbers, strict=True):
-        rest = state(still, _within(still, span, settings), lsb_per_g)
-        x, y, z = (to_fixed(value * local_g) for value in span.listed.direction)
-        poses.append(Pose(_face(span.listed), number, rest, (x, y, z)))
-    return Session(origin.first_us, tuple(poses))
+        item = span.listed
+        windows = _within(still, span, origins[span.file], settings)
+        rest = state(still, windows, lsb_per_g, span.file, any_size=not item.of_rest)
+        x, y, z = (to_fixed(value) for value in item.in_g(local_g))
+        poses.append(Pose(_face(item), number, rest, (x, y, z)))
+    return Session(origins[0].first_us, tuple(poses), files=named(origins))
 
 
-def _span(item: Listed, origin: Origin) -> Span:
-    start, end = (_device_us(moment, item, origin) for moment in (item.start, item.end))
-    if end <= start:
-        raise item.place.wrong("ends before it starts")
-    return Span(start, end, item)
-
-
-def _device_us(moment: Moment, item: Listed, origin: Origin) -> int:
-    if not isinstance(moment, datetime):
-        return origin.first_us + round(moment * 1_000_000)
-    if not origin.dated:
-        raise item.place.wrong("the recording has no date", "write seconds from its start")
-    local_us = (moment.replace(tzinfo=None) - _EPOCH) // _MICROSECOND
-    zone = moment.utcoffset()
-    if zone is None:
-        return local_us
-    if origin.offset_s is None:
-        raise item.place.wrong(
-            "the time has a zone, but that of the recording is not known", "give --timezone"
+def _refuse_unlisted(spans: Sequence[Span], origins: Sequence[Origin], rolled: Collection[int]) -> None:
+    """Raise UsageError for files of the session that no line names."""
+    known = {span.file for span in spans} | set(rolled)
+    left = [origin.name for number, origin in enumerate(origins) if number not in known]
+    if left and left[0] is not None:
+        some = ", ".join(str(name) for name in left[:SHOWN]) + (", ..." if len(left) > SHOWN else "")
+        raise UsageError(
+            f"does not list {some}",
+            path=spans[0].listed.place.path,
+            hint="write a line for each file of the session, or take it out of the folder",
         )
-    return local_us - zone // _MICROSECOND + origin.offset_s * 1_000_000
 
 
-def _in_order(spans: Sequence[Span]) -> list[Span]:
-    """Spans by time; raises UsageError if two overlap."""
-    ordered = sorted(spans, key=lambda span: (span.start_us, span.end_us))
+def in_order(spans: Sequence[Span]) -> list[Span]:
+    """Spans by file and time; raises UsageError if two overlap."""
+    ordered = sorted(spans, key=lambda span: (span.file, span.start_us, span.end_us))
     for before, after in pairwise(ordered):
-        if after.start_us < before.end_us:
+        if after.file == before.file and after.start_us < before.end_us:
             raise after.listed.place.wrong(f"overlaps line {before.listed.place.line}")
     return ordered
 
 
-def _within(still: Windows, span: Span, settings: PoseSettings) -> list[int]:
+def _within(still: Windows, span: Span, origin: Origin, settings: PoseSettings) -> list[int]:
+    """Indices of the windows of a line's rest."""
     start_us, end_us = _times(still)
     slack_us = (end_us - start_us) // np.maximum(2 * still.samples, 1)
     inside = (start_us + slack_us >= span.start_us) & (end_us - slack_us <= span.end_us)
-    indices: list[int] = np.flatnonzero(inside).tolist()
+    indices: list[int] = np.flatnonzero(inside & origin.holds(still.first_sample)).tolist()
+    place = span.listed.place
     if not indices:
-        raise DivergedError(
-            f"no still window of {settings.segment_seconds:g} s lies within these times",
-            path=span.listed.place.path,
-            line=span.listed.place.line,
-            hint="check the times, or give shorter windows with --segment-seconds",
-        )
-    return indices
+        where = "lies within these times"
+        hint = "check the times, or give shorter windows with --segment-seconds"
+        if span.whole:
+            where, hint = f"is in {origin.name}", "rest the device for 10 s without touching it"
+        text = f"no still window of {settings.segment_seconds:g} s {where}"
+        raise DivergedError(text, path=place.path, line=place.line, hint=hint)
+    return _longest(still, indices, settings, place) if span.whole else indices
+
+
+def _longest(still: Windows, indices: list[int], settings: PoseSettings, place: Place) -> list[int]:
+    """The longest state of a file, without its first and last window, if there are others."""
+    some = still.select(np.array(indices))
+    alike = np.zeros(len(some), np.int64)
+    run = max(
+        runs(some, unit(some.sums / some.samples[:, np.newaxis]), alike, settings.state_degrees), key=len
+    )
+    start_us, end_us = _times(some)
+    if int(end_us[run[-1]] - start_us[run[0]]) < settings.min_state_seconds * 1e6:
+        text = f"the longest rest of its file is shorter than {settings.min_state_seconds:g} s"
+        raise DivergedError(text, path=place.path, line=place.line, hint="rest the device for 10 s")
+    return [indices[index] for index in _inner(run)]
+
+
+def _inner(run: list[int]) -> list[int]:
+    return run[1:-1] if len(run) > 2 else run
 
 
 def _numbers(listed: Sequence[Listed], degrees: float) -> list[int]:
-    """Each reference joins the first one within so many degrees."""
-    directions = unit(np.array([[float(value) for value in item.direction] for item in listed]))
+    """Each reference joins the first one that is within so many degrees, and as near in length."""
+    directions = unit(np.array([[float(value) for value in item.reference] for item in listed]))
+    apart_g = 2 * sin(radians(degrees) / 2)
     leaders: list[int] = []
     numbers = []
     for index, direction in enumerate(directions):
-        cosines = [float((directions[leader] * direction).sum()) for leader in leaders]
+        cosines = [
+            float((directions[leader] * direction).sum())
+            if abs(listed[leader].length - listed[index].length) <= apart_g
+            else -1.0
+            for leader in leaders
+        ]
         near = next((n for n, cosine in enumerate(cosines) if cosine >= cos(radians(degrees))), len(leaders))
         leaders += [index] if near == len(leaders) else []
         numbers.append(near)
@@ -410,28 +337,43 @@ def _numbers(listed: Sequence[Listed], degrees: float) -> list[int]:
 
 
 def _face(item: Listed) -> str:
-    """The face a reference points to exactly, or LISTED."""
-    turned = [axis for axis, value in enumerate(item.direction) if value]
-    if len(turned) != 1:
+    """The face a reference points to exactly, at about 1 g, or LISTED."""
+    turned = [axis for axis, value in enumerate(item.reference) if value]
+    if len(turned) != 1 or abs(item.length - 1) > LENGTH_TOLERANCE:
         return LISTED
-    return FACES[2 * turned[0] + (item.direction[turned[0]] < 0)]
+    return FACES[2 * turned[0] + (item.reference[turned[0]] < 0)]
 
 
-def find_faces(still: Windows, first_us: int, lsb_per_g: float, settings: PoseSettings) -> Session:
+def find_faces(
+    still: Windows,
+    origins: Sequence[Origin],
+    lsb_per_g: float,
+    settings: PoseSettings,
+    rolled: Collection[int] = (),
+) -> Session:
     """The states of a session, each on the face whose axis it shows most of.
 
     A state is a run of adjacent still windows on one face that keep within a few degrees of their
-    mean: taking the device up ends it, putting it down again begins another. Its first and last
-    window may hold the beginning of a movement and are left out where there are others.
+    mean: taking the device up ends it, putting it down again begins another, and so does another file. Its
+    first and last window may hold the beginning of a movement and are left out where there are others.
+
+    Args:
+        origins: of the files of the session.
+        rolled: numbers of the files that need not hold a pose.
+
+    Raises:
+        DivergedError: another file holds none.
     """
     directions = unit(still.sums / still.samples[:, np.newaxis])
     faces = faces_of(directions, settings.face_degrees)
+    firsts = np.array([origin.first_sample for origin in origins[1:]], np.int64)
+    files = np.searchsorted(firsts, still.first_sample, side="right")
     local_g = to_fixed(settings.gravity.local_g())
     shortest_us = settings.min_state_seconds * 1e6
     start_us, end_us = _times(still)
     poses, between, short = [], [], 0
-    for run in runs(still, directions, faces, settings.state_degrees):
-        rest = state(still, run[1:-1] if len(run) > 2 else run, lsb_per_g)
+    for run in runs(still, directions, faces + len(FACES) * 2 * files, settings.state_degrees):
+        rest = state(still, _inner(run), lsb_per_g, int(files[run[0]]))
         face = int(faces[run[0]])
         if int(end_us[run[-1]] - start_us[run[0]]) < shortest_us:
             short += 1
@@ -439,7 +381,19 @@ def find_faces(still: Windows, first_us: int, lsb_per_g: float, settings: PoseSe
             between.append(rest)
         else:
             poses.append(Pose(FACES[face], face, rest, reference(face, local_g)))
-    return Session(first_us, tuple(poses), tuple(between), short)
+    _refuse_without({pose.state.file for pose in poses} | set(rolled), origins, settings)
+    return Session(origins[0].first_us, tuple(poses), tuple(between), short, named(origins))
+
+
+def _refuse_without(known: Collection[int], origins: Sequence[Origin], settings: PoseSettings) -> None:
+    """Raise DivergedError for the first file of a session without a pose."""
+    for number, origin in enumerate(origins):
+        if origin.name is not None and number not in known:
+            raise DivergedError(
+                f"{origin.name}: no rest of {settings.min_state_seconds:g} s lies within "
+                f"{settings.face_degrees:g} degrees of a face",
+                hint="rest the device on a face in each file, or take this one out",
+            )
 
 
 def faces_of(directions: NDArray[np.float64], degrees: float) -> NDArray[np.int64]:

@@ -11,18 +11,26 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.collect.cells import CellCollector, plausible
-from accelcal_cli.core.errors import DivergedError
+from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError
+from accelcal_cli.core.parts import is_never, pattern_of
 from accelcal_cli.core.points import Windows
-from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.recording import PlacedFile, Recording
+from accelcal_cli.core.results import Judgement
+from accelcal_cli.core.retime import NO_START
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
-from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, Result, no_progress
+from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
 from accelcal_cli.pipeline.survey import CellProcedure, Method, StillWindows, local_lsb_per_g
 from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import TimedSegmenter
-from accelcal_cli.six_pose.poses import Listed, Origin, Session, find_faces, find_listed, read_list
+from accelcal_cli.six_pose.listing import Listed, read_list
+from accelcal_cli.six_pose.poses import Session, find_faces, find_listed
+from accelcal_cli.six_pose.roll import Roll, Rolled, rolled, rolls_of, span_of_roll, sums_of, told
+from accelcal_cli.six_pose.sections import known_json, poses_json
 from accelcal_cli.six_pose.solve import check_range, six_pose_fit
-from accelcal_cli.six_pose.verdict import judge_six_pose, known_json, poses_json
+from accelcal_cli.six_pose.spans import Origin, Span
+from accelcal_cli.six_pose.verdict import judge_six_pose
 
 OPTIMIZER = {"name": "least-squares", "arithmetic": "float", "settings": {}}
 
@@ -45,11 +53,53 @@ def six_pose(
         return run.complete(judge)
 
 
+def session_of(recordings: Sequence[Path], poses: Path | None = None) -> Path:
+    """What stands for the recordings of a session; the list of poses may be among them.
+
+    Raises:
+        UsageError: no pattern does, or one of them is standard input.
+        UnreadableError: one of them is missing.
+    """
+    if len(recordings) == 1:
+        return real(recordings[0]) if recordings[0].name in ("", "..") else recordings[0]
+    if STDIN in recordings:
+        raise UsageError("standard input is one recording", hint="give the names of several, or - alone")
+    files = [one for one in dict.fromkeys(recordings) if not is_never(one) and one != poses]
+    for one in files:
+        if not one.is_file():
+            what = "is a folder" if one.is_dir() else "cannot be read (No such file or directory)"
+            raise UnreadableError(what, path=one, hint="name the files of one session, or their folder alone")
+    return pattern_of(files) if len(files) > 1 else next(iter(files), recordings[0])
+
+
 def known_orientations(request: Request) -> KnownOrientations:
     """The judge of a session; raises UsageError for a list of poses that cannot be read."""
     assert isinstance(request.settings, PoseSettings)
     listed = () if request.poses is None else read_list(request.poses)
-    return KnownOrientations(request.recording_settings, request.settings, listed)
+    rolls = rolls_of(request.settings.roll)
+    return KnownOrientations(request.recording_settings, request.settings, listed, rolls)
+
+
+def _origins(files: Sequence[PlacedFile], found: Survey) -> tuple[Origin, ...]:
+    """What times refer to: the recording, or each file of the session."""
+    facts, zone = found.facts, found.recording.timezone
+    if not files:
+        dated = all(problem.code != NO_START for problem in facts.problems)
+        return (Origin(facts.first_us or 0, dated, facts.utc_offset_s),)
+    return tuple(
+        Origin(
+            one.first_us,
+            one.dated,
+            utc_offset_s(zone, one.first_us - one.moved_us) if one.dated else None,
+            one.name,
+            one.first_sample,
+            one.first_sample + one.samples,
+            one.moved_us,
+            one.problems,
+            one.lost_bytes,
+        )
+        for one in files
+    )
 
 
 class SessionProcedure(CellProcedure):
@@ -79,10 +129,12 @@ class KnownOrientations(Judge):
     Attributes:
         poses: how.
         listed: the poses, none to find the six faces.
+        rolls: where the device was rolled, to check the calibration by.
     """
 
     poses: PoseSettings
     listed: Sequence[Listed]
+    rolls: Sequence[Roll] = ()
 
     def method(self, recording: Recording) -> Method:
         """All still windows with their times."""
@@ -104,44 +156,58 @@ class KnownOrientations(Judge):
             DivergedError: too much is damaged, or the poses do not determine the parameters.
         """
         try:
-            return self._verdict(found)
+            return self._verdict(run, found)
         except DivergedError as error:
             error.path = error.path or run.job.source
             raise
 
-    def _verdict(self, found: Survey) -> Verdict:
+    def _verdict(self, run: RecordingRun, found: Survey) -> Verdict:
         if found.damage is not None:
             raise DivergedError(found.damage.message)
-        session = self.find_poses(found)
+        origins = _origins(run.reader.files, found)
+        spans = [span_of_roll(roll, origins) for roll in self.rolls]
+        session = self.find_poses(found, origins, [span.file for span in spans])
         fit = six_pose_fit(session, self.poses)
         judgement, vectors = judge_six_pose(session, fit, self.poses)
         if judgement.calibration is not None:
             check_range(judgement.calibration)
-        known = known_json(session, fit, judgement.outcome, vectors)
+        rolls = self._rolled(run, judgement, spans, origins)
+        judgement = replace(judgement, message="; ".join([judgement.message, *map(told, rolls)]))
+        known = known_json(session, fit, judgement.outcome, vectors, rolls)
         sections = {"poses": poses_json(session, fit), "known_orientations": known}
         return Verdict(judgement, sections, sum(pose.state.windows for pose in session.poses))
 
-    def find_poses(self, found: Survey) -> Session:
+    def _rolled(
+        self, run: RecordingRun, judgement: Judgement, spans: Sequence[Span], origins: Sequence[Origin]
+    ) -> list[Rolled]:
+        """What comes of each roll; the recording is read once more for it."""
+        lsb_per_g, found = run.reader.recording.lsb_per_g, []
+        for roll, span in zip(self.rolls, spans, strict=True):
+            sums = sums_of(run.reader.chunks(run.request.chunk_samples), span, origins[span.file])
+            found.append(rolled(roll, span, sums, lsb_per_g, judgement.calibration))
+        return found
+
+    def find_poses(self, found: Survey, origins: Sequence[Origin], rolled: Sequence[int] = ()) -> Session:
         """The listed poses, or else the six faces.
+
+        Args:
+            rolled: numbers of the files of the session in which the device is rolled.
 
         Raises:
             UsageError: the list does not fit the recording.
             DivergedError: nothing is still, or no rest under gravity.
         """
         assert isinstance(found.method.procedure, SessionProcedure)
-        facts, lsb_per_g, still = found.facts, found.recording.lsb_per_g, found.method.procedure.still()
-        first_us = facts.first_us or 0
+        lsb_per_g, still = found.recording.lsb_per_g, found.method.procedure.still()
         if not len(still):
             raise self._no_stillness(found)
         if self.listed:
-            dated = all(problem.code != "no_start_time" for problem in facts.problems)
-            origin = Origin(first_us, dated, facts.utc_offset_s)
-            return find_listed(still, self.listed, origin, lsb_per_g, self.poses)
+            return find_listed(still, self.listed, origins, lsb_per_g, self.poses, rolled)
         near_1_g = plausible(still, found.method.rest_lsb, self.settings)
         if not near_1_g.any():
             hint = "check the unit with --unit and --lsb-per-g"
             raise DivergedError("still windows measure far from 1 g", hint=hint)
-        return find_faces(still.select(near_1_g), first_us, lsb_per_g, self.poses)
+        return find_faces(still.select(near_1_g), origins, lsb_per_g, self.poses, rolled)
 
     def _no_stillness(self, found: Survey) -> DivergedError:
         counts = found.method.segmenter.counts

@@ -28,6 +28,7 @@ from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import (
+    LISTED,
     Floats3,
     Integers3,
     Matrix3,
@@ -50,6 +51,8 @@ FEWEST_CHECKED = 2
 """A mean of fewer errors has no confidence interval."""
 
 _LONGER = "rest the device on every face for 10 s, or list the poses with --poses"
+_MORE = "list more poses, in other directions"
+_UNCHECKED = "or fit them without any check, with --unchecked"
 _LOWER = ((0, 0), (1, 1), (2, 2), (1, 0), (2, 0), (2, 1))
 _UPPER = ((0, 1), (0, 2), (1, 2))
 
@@ -67,15 +70,19 @@ def six_pose_fit(session: Session, settings: PoseSettings) -> SixPoseFit:
     _require(session, condition, settings)
     solution = solve(session.poses, settings.gravity)
     errors = pose_errors(session.poses, solution.calibration, settings)
-    _require_checks(session, errors)
+    checked = _are_checks(session, errors)
+    if not checked and not settings.unchecked:
+        raise _without_checks(session)
+    surplus = session.orientations > UNKNOWNS
     return SixPoseFit(
         calibration=solution.calibration,
         k=_matrix3(solution.k),
         o=_offset(solution),
-        precision=uncertainty(session.poses, solution),
+        precision=uncertainty(session.poses, solution) if surplus else None,
         condition_number=condition,
         errors=errors,
         between_norm_mg=between_norm_mg(session.between, solution.calibration, settings.gravity),
+        checked=checked,
     )
 
 
@@ -83,26 +90,35 @@ def _require(session: Session, condition: float, settings: PoseSettings) -> None
     """Raise DivergedError unless the matrix [a 1] of the poses has rank 4, and well so."""
     if not session.poses:
         raise DivergedError(_no_poses(session, settings), hint=_LONGER)
-    number = session.orientations
-    if number < FEWEST or condition > settings.max_condition:
+    number, limit = session.orientations, settings.max_condition
+    if number < FEWEST or condition > limit:
         few = counted(number, "pose") if number < FEWEST else "the poses"
+        known = "" if settings.unchecked else ", and a fifth to judge the fit by"
+        told = "" if number < FEWEST else f" (its condition number is {condition:.3g}, and may be {limit:g})"
         raise DivergedError(
             f"{few}{_which(session)} cannot determine twelve parameters: that needs four whose matrix [a 1] "
-            "has rank 4, and a fifth to judge the fit by",
-            hint=f"{_missing(session)}{_LONGER}",
+            f"has rank 4{told}{known}",
+            hint=f"{_missing(session)}{_way(session)}",
         )
 
 
-def _require_checks(session: Session, errors: Sequence[PoseError]) -> None:
-    """Raise DivergedError if hardly any orientation could be left out."""
+def _are_checks(session: Session, errors: Sequence[PoseError]) -> bool:
+    """Whether enough orientations could be left out for a mean with an interval."""
     pairs = zip(session.poses, errors, strict=True)
-    judged = {pose.number for pose, error in pairs if error.held_out is not None}
-    if len(judged) < FEWEST_CHECKED:
-        raise DivergedError(
-            f"the poses{_which(session)} only just determine twelve parameters "
-            "and leave none to judge the fit by",
-            hint=f"{_missing(session)}{_LONGER}",
-        )
+    return len({pose.number for pose, error in pairs if error.held_out is not None}) >= FEWEST_CHECKED
+
+
+def _without_checks(session: Session) -> DivergedError:
+    return DivergedError(
+        f"the poses{_which(session)} only just determine twelve parameters "
+        "and leave none to judge the fit by",
+        hint=f"{_missing(session)}{_way(session)}, {_UNCHECKED}",
+    )
+
+
+def _way(session: Session) -> str:
+    """What may be done about too few poses."""
+    return _MORE if any(pose.face == LISTED for pose in session.poses) else _LONGER
 
 
 def _no_poses(session: Session, settings: PoseSettings) -> str:

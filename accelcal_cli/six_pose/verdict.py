@@ -1,35 +1,25 @@
-"""The verdict on a calibration from known orientations, by orientations that the fit has not seen.
-
-Also the report's sections on known orientations: the poses, and the model in its authors' convention.
-"""
+"""The verdict on a calibration from known orientations, by orientations that the fit has not seen."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from math import sqrt
 
 import numpy as np
 
-from accelcal_cli.core.fixed import to_float
+from accelcal_cli.core.errors import counted
+from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Calibration, Fit, Operations, PointSet
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.judge.errors import coverage, mean, summary
 from accelcal_cli.judge.model_ladder import of_postures
-from accelcal_cli.output.report import rounded, significant, summary_json
-from accelcal_cli.six_pose.poses import (
-    Integers3,
-    Pose,
-    PoseError,
-    Session,
-    SixPoseFit,
-    Uncertainty,
-    VectorErrors,
-)
+from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE
+from accelcal_cli.six_pose.poses import PoseError, Session, SixPoseFit, VectorErrors
 
-EQUATION = "z = K a + O"
 METHOD = "one orientation left out at a time"
+NOTHING_HELD_OUT = "nothing was held out, so that the error is not known"
 DEGREE_MG = 17.5
 """What a tilt of one degree makes of 1 g across it."""
 
@@ -50,8 +40,14 @@ class SessionHoldout:
 
 def judge_six_pose(
     session: Session, fit: SixPoseFit, settings: PoseSettings
-) -> tuple[Judgement, VectorErrors]:
-    """Accept, refuse, or find that the raw data are no worse than the poses."""
+) -> tuple[Judgement, VectorErrors | None]:
+    """Accept, refuse, or find that the raw data are no worse than the poses; without a check, accept.
+
+    Returns:
+        the judgement, and the errors of vectors; None where nothing was held out.
+    """
+    if not fit.checked:
+        return _unjudged(session, fit), None
     holdout = _holdout(session, fit)
     outcome, message = _outcome(session, fit, settings, holdout)
     verdict = Judgement(
@@ -65,6 +61,20 @@ def judge_six_pose(
     return _with_calibration(verdict, fit), holdout.vectors
 
 
+def _unjudged(session: Session, fit: SixPoseFit) -> Judgement:
+    """The calibration of poses that leave none to judge it by: no error is claimed."""
+    before = mean(_by_orientation(session, fit, lambda error: error.raw, every=True))
+    verdict = Judgement(
+        outcome=Outcome.CALIBRATED,
+        message=f"model 12 of {counted(session.orientations, 'pose')}, unchecked: {NOTHING_HELD_OUT}; "
+        f"the raw data are {before:.1f} mg off, as vectors",
+        coverage=_coverage(session, fit),
+        trials=(Trial("0", None, NOTHING_HELD_OUT), Trial("12", None, NOTHING_HELD_OUT)),
+        fit_errors=None if fit.precision is None else _fit_errors(session, fit),
+    )
+    return _with_calibration(verdict, fit)
+
+
 def _with_calibration(verdict: Judgement, fit: SixPoseFit) -> Judgement:
     if verdict.outcome is Outcome.REFUSED:
         return verdict
@@ -75,7 +85,7 @@ def _with_calibration(verdict: Judgement, fit: SixPoseFit) -> Judgement:
         verdict,
         calibration=fit.calibration,
         fit=Fit(fit.calibration.parameters, 1, "solved", Operations()),
-        standard_errors=fit.precision.parameters,
+        standard_errors=None if fit.precision is None else fit.precision.parameters,
     )
 
 
@@ -88,7 +98,7 @@ def _outcome(
         return Outcome.REFUSED, (
             f"the poses disagree: {after:.1f} mg on orientations left out, {norm_after:.1f} mg in length "
             f"(the limits are {settings.max_vector_error_mg:g} and {settings.max_error_mg:g}); "
-            f"{_worst(session, fit)}; rest the device exactly on its faces, on a level surface"
+            f"{_worst(session, fit)}; {_way(session, settings)}"
         )
     if after >= before:
         return Outcome.ALREADY_GOOD, (
@@ -101,15 +111,26 @@ def _outcome(
     )
 
 
+def _way(session: Session, settings: PoseSettings) -> str:
+    """What may be done about poses that disagree."""
+    local_g = float(settings.gravity.local_g())
+    lengths = [sqrt(sum(value**2 for value in pose.reference)) / ONE for pose in session.poses]
+    if any(abs(length - local_g) > 2 * LENGTH_TOLERANCE for length in lengths):
+        return "check the references and their times"
+    return "rest the device exactly on its faces, on a level surface"
+
+
 def _worst(session: Session, fit: SixPoseFit) -> str:
     """The state farthest from what the other orientations say of it."""
     error, pose = max(
         ((error, pose) for pose, error in zip(session.poses, fit.errors, strict=True)),
         key=lambda pair: pair[0].held_out or 0.0,
     )
-    start_s = (pose.state.start_us - session.first_us) / 1e6
+    start_s = session.seconds(pose.state.start_us, pose.state.file)
+    file = session.name(pose.state.file)
+    where = pose.face if file is None else f"{pose.face} in {file}"
     return (
-        f"worst is {pose.face} at {start_s:.0f} s with {error.held_out or 0.0:.0f} mg (or its opposite is "
+        f"worst is {where} at {start_s:.0f} s with {error.held_out or 0.0:.0f} mg (or its opposite is "
         f"the cause; a tilt of 1 degree makes {DEGREE_MG:g} mg)"
     )
 
@@ -131,16 +152,13 @@ def _holdout(session: Session, fit: SixPoseFit) -> SessionHoldout:
     norm_after = _by_orientation(session, fit, lambda error: error.held_out_norm or 0.0)
     before = _by_orientation(session, fit, lambda error: error.raw)
     after = _by_orientation(session, fit, lambda error: error.held_out or 0.0)
-    repeats = [error.repeat for error in fit.errors if error.repeat is not None]
     raw, norms = (
         of_postures(
             METHOD, len(known), tuple(zip(norm_before, shown, strict=True)), tuple(enumerate(compared))
         )
         for shown, compared in ((norm_before, before), (norm_after, after))
     )
-    return SessionHoldout(
-        raw, norms, VectorErrors(summary(before), summary(after), max(repeats, default=None))
-    )
+    return SessionHoldout(raw, norms, VectorErrors(summary(before), summary(after)))
 
 
 def _by_orientation(
@@ -170,60 +188,5 @@ def _coverage(session: Session, fit: SixPoseFit) -> Coverage:
     return replace(
         coverage(points, np.array([pose.number for pose in session.poses], np.int64)),
         condition_number=fit.condition_number,
-        worst_direction_mg=fit.precision.worst_direction_mg,
+        worst_direction_mg=None if fit.precision is None else fit.precision.worst_direction_mg,
     )
-
-
-def poses_json(session: Session, fit: SixPoseFit) -> list[dict[str, Any]]:
-    """The `poses` list, in the order of time."""
-    return [_pose(session, pose, error) for pose, error in zip(session.poses, fit.errors, strict=True)]
-
-
-def _pose(session: Session, pose: Pose, error: PoseError) -> dict[str, Any]:
-    return {
-        "face": pose.face,
-        "start_s": _seconds(pose.state.start_us, session),
-        "end_s": _seconds(pose.state.end_us, session),
-        "windows": pose.state.windows,
-        "mean_raw_g": _in_g(pose.state.raw),
-        "reference_g": _in_g(pose.reference),
-        "raw_mg": round(error.raw, 4),
-        "residual_mg": round(error.residual, 4),
-        "held_out_mg": rounded(error.held_out),
-        "held_out_norm_mg": rounded(error.held_out_norm),
-        "held_out_tilt_degrees": rounded(error.tilt_degrees),
-        "repeat_mg": rounded(error.repeat),
-    }
-
-
-def _seconds(time_us: int, session: Session) -> float:
-    return round((time_us - session.first_us) / 1e6, 6)
-
-
-def _in_g(values: Integers3) -> list[float]:
-    return [to_float(value) for value in values]
-
-
-def known_json(session: Session, fit: SixPoseFit, outcome: Outcome, vectors: VectorErrors) -> dict[str, Any]:
-    """The `known_orientations` object; K and O are null where they were refused."""
-    refused = outcome is Outcome.REFUSED
-    return {
-        "equation": EQUATION,
-        "K": None if refused else [list(row) for row in fit.k],
-        "O": None if refused else list(fit.o),
-        "standard_errors": None if refused else _errors(fit.precision),
-        "holdout_vector_mg": {"before": summary_json(vectors.before), "after": summary_json(vectors.after)},
-        "repeat_spread_mg": rounded(vectors.repeat_spread),
-        "orientations": session.orientations,
-        "missing_faces": list(session.missing),
-        "left_out": {
-            "between_faces": len(session.between),
-            "between_faces_norm_mg": rounded(fit.between_norm_mg),
-            "short": session.short,
-        },
-    }
-
-
-def _errors(known: Uncertainty) -> dict[str, Any]:
-    k = [[significant(value) for value in row] for row in known.k]
-    return {"K": k, "O": [significant(value) for value in known.o]}

@@ -24,6 +24,7 @@ import pytest
 from accelcal_cli.cli.main import cli
 from tests.cli.run import Ran, command, run, run_process
 from tests.recordings import directions, still_counts, write_raw
+from tests.six_pose.made import session, write_csv
 
 Capture = pytest.CaptureFixture[str]
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="such names are not allowed elsewhere")
@@ -128,6 +129,8 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
     "fit": (("{windows}",), (0,), 1),
     "report": (("-d", "{out}", "--", "{report}"), (0,), 1),
     "six-pose": (("-d", "{out}", "--", "{recording}"), (4,), 1),
+    "six-pose --unchecked": (("-d", "{out}", "--roll", "z,{body}", "--", "{recording}"), (2,), 0),
+    "six-pose --poses": (("{recording}", "-d", "{out}", "--", "{recording}"), (2,), 0),
     "evaluate methods": (("--only", "fixed32", "--", "{recording}"), (0,), None),
     "evaluate methods --csv": (("--only", "fixed32", "--", "{recording}"), (0,), 2),
     "evaluate methods --json": (("--only", "fixed32", "--", "{recording}"), (0,), 1),
@@ -189,6 +192,29 @@ def test_every_command(tmp_path: Path, capsys: Capture, calibrated: dict[str, Pa
         assert_cells(made.read_text("utf-8"))
     for made in out.glob("*.html"):
         assert_page(made, 0)
+
+
+def test_a_session_of_files(tmp_path: Path, capsys: Capture) -> None:
+    folder = tmp_path / f"={BODY}"
+    folder.mkdir()
+    for number, lead in enumerate("=+-@\tx"):
+        face = ("+x", "-x", "+y", "-y", "+z", "-z")[number]
+        write_csv(folder / f"{lead}{BODY}.csv", session([face], seed=number + 1))
+    first = write_csv(folder / f"#{BODY}.csv", session(["+x"]))
+    assert_harmless(run(capsys, "six-pose", "-d", tmp_path, "--", folder), 0, lines=1)
+    (made,) = tmp_path.glob("*.calibration.json")
+    for one in json.loads(made.read_text("utf-8"))["known_orientations"]["files"]:
+        assert_text(one["name"], "")
+    assert_harmless(run(capsys, "report", "-d", tmp_path / "page", "--", made), 0, lines=1)
+    (page,) = (tmp_path / "page").glob("*.html")
+    assert_page(page, 0)
+    first.write_bytes(b"hello")
+    assert_harmless(run(capsys, "six-pose", "-d", tmp_path, "--", folder), 3, lines=0)
+    listed = tmp_path / f"@{BODY}.poses.csv"
+    listed.write_text(f"file;ax;ay;az\n{SERIAL.replace(chr(10), ' ')};1;0;0\n")
+    write_csv(first, session(["+x"]))
+    words = ("--roll", f"z,{BODY}", "--poses", listed, "-d", tmp_path, "--", folder)
+    assert_harmless(run(capsys, "six-pose", *words), 2, lines=0)
 
 
 @pytest.mark.parametrize("tool", ["biobank", "omconvert"])

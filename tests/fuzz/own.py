@@ -245,10 +245,10 @@ def poses(folder: Path) -> Attempt:
         what = damaged_lines(lines, random) if number % 2 else ""
         data = ("\n".join(lines) + "\n").encode()
         path.write_bytes(data)
-        listed.write_text(
-            "\n".join(["start,end,ax,ay,az", *(pose(random) for _ in range(random.choice([0, 3, 6])))])
-        )
+        header = random.choice(["start,end,ax,ay,az", "start,end,ax_g,ay_g,az_g", "file,start,ax,ay,az"])
+        listed.write_text("\n".join([header, *(pose(random) for _ in range(random.choice([0, 3, 6])))]))
         words = [*random.choice(SESSIONS), *([] if number % 2 else ["--poses", listed])]
+        words += random.choice([[], ["--unchecked"], ["--unchecked", "--roll", "z," + pose(random)]])
         ran, found = command.checked_run(["six-pose", path, "-d", out, *words], out)
         tally.refused += ran.code != 0
         return data, f"{words} {what}", found

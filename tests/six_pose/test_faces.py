@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE, to_fixed
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import FACES, Session, find_faces
+from accelcal_cli.six_pose.spans import Origin
 from tests.six_pose.made import UP, turned
 
 LSB = 1000.0
@@ -39,7 +41,7 @@ def windows(*runs: tuple[object, int] | None) -> Windows:
 
 
 def found(*runs: tuple[object, int] | None, settings: PoseSettings = SETTINGS) -> Session:
-    return find_faces(windows(*runs), 5_000_000, LSB, settings)
+    return find_faces(windows(*runs), [Origin(5_000_000, False, None)], LSB, settings)
 
 
 def test_the_six_faces_are_found_in_their_order_and_their_edges_are_left_out() -> None:
@@ -90,6 +92,24 @@ def test_references_are_local_gravity() -> None:
     session = found(("-z", 4), settings=settings)
     local = (9.780327 - 3.086e-6 * 3000) / 9.80665
     assert session.poses[0].reference == (0, 0, -to_fixed(round(local, 9)))
+
+
+def test_another_file_begins_another_state_though_its_windows_follow() -> None:
+    origins = [Origin(5_000_000, True, None, name, 200 * n, 200 * (n + 1)) for n, name in enumerate("ab")]
+    session = find_faces(windows(("+x", 8)), origins, LSB, SETTINGS)
+    assert [(pose.face, pose.state.file, pose.state.windows) for pose in session.poses] == [
+        ("+x", 0, 2),
+        ("+x", 1, 2),
+    ]
+    assert (session.name(1), session.files) == ("b", tuple(origins))
+
+
+def test_a_file_without_a_pose_ends_the_session_unless_it_is_a_roll() -> None:
+    origins = [Origin(5_000_000, True, None, name, 200 * n, 200 * (n + 1)) for n, name in enumerate("ab")]
+    with pytest.raises(DivergedError, match="b: no rest of 2 s lies within 15 degrees of a face"):
+        find_faces(windows(("+x", 4)), origins, LSB, SETTINGS)
+    session = find_faces(windows(("+x", 4)), origins, LSB, SETTINGS, rolled=[1])
+    assert len(session.poses) == 1
 
 
 def test_nothing_still_is_no_pose() -> None:

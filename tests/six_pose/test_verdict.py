@@ -37,7 +37,6 @@ def test_good_poses_are_calibrated_and_the_figures_are_those_of_the_orientations
     assert vectors.after.mean == pytest.approx(np.mean([e.held_out for e in fit.errors]))
     raw = FACES @ K.T + O
     assert vectors.before.mean == pytest.approx(1000 * np.linalg.norm(raw - FACES, axis=1).mean(), abs=3)
-    assert vectors.repeat_spread is None
     assert [trial.model for trial in verdict.trials] == ["0", "12"]
     assert verdict.coverage.condition_number == pytest.approx(np.sqrt(3))
 

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -60,8 +61,14 @@ Open = Callable[[Path], Reader]
 """Opens one part; raises NoFormatError for a file that is no recording."""
 
 
-def open_parts(path: Path, open_part: Open) -> PartsReader:
+AnyReader = TypeVar("AnyReader", bound=Reader)
+
+
+def open_parts(path: Path, open_part: Open, kind: Callable[[Path, Found, Open], AnyReader]) -> AnyReader:
     """Open a recording of several files: a folder, a pattern, or an archive.
+
+    Args:
+        kind: what reads them.
 
     Raises:
         UnreadableError: none of them can be read, or they do not say when they begin.
@@ -70,7 +77,7 @@ def open_parts(path: Path, open_part: Open) -> PartsReader:
     """
     files = files_of(path)
     if files is not None:
-        return PartsReader(path, _Found(files), open_part)
+        return kind(path, Found(files), open_part)
     try:
         folder = Path(tempfile.mkdtemp(prefix="accelcal-"))
     except OSError as error:
@@ -81,15 +88,15 @@ def open_parts(path: Path, open_part: Open) -> PartsReader:
         ) from error
     try:
         unpacked = archive.unpack(path, folder, lambda name: not is_never(Path(name)))
-        found = _Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
-        return PartsReader(path, found, open_part)
+        found = Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
+        return kind(path, found, open_part)
     except BaseException:
         archive.removed(folder)
         raise
 
 
 @dataclass(slots=True)
-class _Found:
+class Found:
     """The files of a recording.
 
     Attributes:
@@ -114,7 +121,7 @@ class PartsReader(Reader):
         parts: in this order.
     """
 
-    def __init__(self, path: Path, found: _Found, open_part: Open) -> None:
+    def __init__(self, path: Path, found: Found, open_part: Open) -> None:
         self._found, self._open_part = found, open_part
         self.parts = self._alike(path, self._described(path))
         if found.damage is not None:
@@ -187,7 +194,7 @@ class PartsReader(Reader):
             raise UsageError(printable(text), path=path, hint="name the parts of one by a pattern in quotes")
         kept = []
         for part in parts:
-            if (why := _unlike(parts[0].recording, part.recording)) is None:
+            if (why := unlike(parts[0].recording, part.recording)) is None:
                 kept.append(part)
             else:
                 text = printable(
@@ -202,7 +209,7 @@ class PartsReader(Reader):
         return self.recording.total_bytes * (before + end_byte) // max(whole, 1)
 
 
-def _unlike(first: Recording, other: Recording) -> str | None:
+def unlike(first: Recording, other: Recording) -> str | None:
     """What speaks against two parts being of one recording."""
     if abs(other.rate_hz - first.rate_hz) > RATE_AGREEMENT * first.rate_hz:
         return "sampling rate"
@@ -213,7 +220,7 @@ def _unlike(first: Recording, other: Recording) -> str | None:
     return None
 
 
-def _as_one(path: Path, parts: Sequence[Part], found: _Found) -> Recording:
+def _as_one(path: Path, parts: Sequence[Part], found: Found) -> Recording:
     """The description of all parts together."""
     first, last = parts[0].recording, parts[-1].recording
     notes = [f"{counted(len(parts), 'part')}, from {parts[0].path.name} to {parts[-1].path.name}"]
