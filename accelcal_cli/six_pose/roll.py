@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import DivergedError, UsageError, printable
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.points import Calibration, Windows
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.six_pose.listing import Listed, Place, moment
 from accelcal_cli.six_pose.spans import Origin, Span, span_of
@@ -170,6 +170,13 @@ class Sums:
         rows = [[self._second[i][j] / scale - mean[i] * mean[j] for j in range(3)] for i in range(3)]
         first, second, third = ((x, y, z) for x, y, z in rows)
         return first, second, third
+
+
+def within(still: Windows, span: Span, origin: Origin) -> NDArray[np.bool_]:
+    """Which windows a roll reaches into."""
+    assert still.start_us is not None and still.end_us is not None
+    inside = (still.end_us > span.start_us) & (still.start_us < span.end_us)
+    return np.asarray(inside & origin.holds(still.first_sample))
 
 
 def sums_of(chunks: Iterable[Chunk], span: Span, origin: Origin) -> Sums:

@@ -13,7 +13,7 @@ from typing import Any
 from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError
-from accelcal_cli.core.parts import is_never, pattern_of
+from accelcal_cli.core.parts import files_of, is_never, pattern_of
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import PlacedFile, Recording
 from accelcal_cli.core.results import Judgement
@@ -26,7 +26,7 @@ from accelcal_cli.segment import chosen_rule, short_gaps, window_length
 from accelcal_cli.segment.segmenter import TimedSegmenter
 from accelcal_cli.six_pose.listing import Listed, read_list
 from accelcal_cli.six_pose.poses import Session, find_faces, find_listed
-from accelcal_cli.six_pose.roll import Roll, Rolled, rolled, rolls_of, span_of_roll, sums_of, told
+from accelcal_cli.six_pose.roll import Roll, Rolled, rolled, rolls_of, span_of_roll, sums_of, told, within
 from accelcal_cli.six_pose.sections import known_json, poses_json
 from accelcal_cli.six_pose.solve import check_range, six_pose_fit
 from accelcal_cli.six_pose.spans import Origin, Span
@@ -57,18 +57,33 @@ def session_of(recordings: Sequence[Path], poses: Path | None = None) -> Path:
     """What stands for the recordings of a session; the list of poses may be among them.
 
     Raises:
-        UsageError: no pattern does, or one of them is standard input.
+        UsageError: no pattern does, one of them is standard input, or the list of poses would be taken for
+            one of them.
         UnreadableError: one of them is missing.
     """
+    path = recordings[0]
     if len(recordings) == 1:
-        return real(recordings[0]) if recordings[0].name in ("", "..") else recordings[0]
+        path = real(path) if path.name in ("", "..") else path
+    else:
+        path = _pattern(recordings, poses)
+    if poses is not None and not is_never(poses) and real(poses) in map(real, files_of(path) or ()):
+        hint = "call it poses.csv, or keep it elsewhere"
+        raise UsageError("the list of poses lies among the files of the session", path=poses, hint=hint)
+    return path
+
+
+def _pattern(recordings: Sequence[Path], poses: Path | None) -> Path:
+    """The pattern that stands for several recordings."""
     if STDIN in recordings:
         raise UsageError("standard input is one recording", hint="give the names of several, or - alone")
-    files = [one for one in dict.fromkeys(recordings) if not is_never(one) and one != poses]
+    files = [one for one in dict.fromkeys(recordings) if not is_never(one)]
     for one in files:
         if not one.is_file():
             what = "is a folder" if one.is_dir() else "cannot be read (No such file or directory)"
             raise UnreadableError(what, path=one, hint="name the files of one session, or their folder alone")
+    if poses in files:
+        hint = "call it poses.csv, or keep it elsewhere"
+        raise UsageError("the list of poses is named as a recording", path=poses, hint=hint)
     return pattern_of(files) if len(files) > 1 else next(iter(files), recordings[0])
 
 
@@ -166,7 +181,7 @@ class KnownOrientations(Judge):
             raise DivergedError(found.damage.message)
         origins = _origins(run.reader.files, found)
         spans = [span_of_roll(roll, origins) for roll in self.rolls]
-        session = self.find_poses(found, origins, [span.file for span in spans])
+        session = self.find_poses(found, origins, spans)
         fit = six_pose_fit(session, self.poses)
         judgement, vectors = judge_six_pose(session, fit, self.poses)
         if judgement.calibration is not None:
@@ -187,11 +202,11 @@ class KnownOrientations(Judge):
             found.append(rolled(roll, span, sums, lsb_per_g, judgement.calibration))
         return found
 
-    def find_poses(self, found: Survey, origins: Sequence[Origin], rolled: Sequence[int] = ()) -> Session:
+    def find_poses(self, found: Survey, origins: Sequence[Origin], rolls: Sequence[Span] = ()) -> Session:
         """The listed poses, or else the six faces.
 
         Args:
-            rolled: numbers of the files of the session in which the device is rolled.
+            rolls: where the device was rolled; a slow roll may look still, but is no pose.
 
         Raises:
             UsageError: the list does not fit the recording.
@@ -199,6 +214,9 @@ class KnownOrientations(Judge):
         """
         assert isinstance(found.method.procedure, SessionProcedure)
         lsb_per_g, still = found.recording.lsb_per_g, found.method.procedure.still()
+        for span in rolls:
+            still = still.select(~within(still, span, origins[span.file]))
+        rolled = [span.file for span in rolls]
         if not len(still):
             raise self._no_stillness(found)
         if self.listed:

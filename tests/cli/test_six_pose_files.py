@@ -238,6 +238,16 @@ def test_what_no_pattern_stands_for_is_wrong_usage(tmp_path: Path, capsys: Captu
     assert "holds no recordings" in refused(capsys, 3, tmp_path / "empty")
 
 
+def test_a_list_among_the_recordings(tmp_path: Path, capsys: Capture) -> None:
+    folder = folder_of(tmp_path / "faces", 4.0)
+    listed = list_of_files(folder / "angles.csv")
+    told = "angles.csv: the list of poses lies among the files of the session; call it poses.csv"
+    for path in (folder, folder / "*.csv"):
+        assert told in refused(capsys, 2, path, "--poses", listed)
+    line = refused(capsys, 2, *sorted(folder.glob("*.csv")), "--poses", listed)
+    assert "angles.csv: the list of poses is named as a recording" in line
+
+
 def test_a_report_must_not_become_a_file_of_the_session(tmp_path: Path, capsys: Capture) -> None:
     folder = folder_of(tmp_path / "faces")
     assert "would be among the files of the session" in refused(capsys, 2, folder, "-o", folder / "r.json")
@@ -331,6 +341,17 @@ def test_a_file_of_the_session_may_be_a_roll(tmp_path: Path, capsys: Capture) ->
     assert (roll["file"], roll["start_s"], roll["samples"]) == ("roll.csv", 0.0, 1000)
     assert abs(roll["level_mg"]["after"]["mean"]) < 0.5
     assert abs(roll["level_mg"]["before"]["mean"]) > 30
+
+
+def test_what_looks_still_in_a_slow_roll_is_no_pose(tmp_path: Path, capsys: Capture) -> None:
+    turn = np.arange(0, 360, 0.02)
+    true = np.stack([np.cos(np.radians(turn)), np.sin(np.radians(turn)), 0 * turn], axis=1)
+    path = write_csv(tmp_path / "s.csv", np.vstack([session(list(UP)), sensed(true, 4)]))
+    assert run(capsys, "six-pose", path).code == 4, "1 degree a second is still, and up to 15 degrees off"
+    assert run(capsys, "six-pose", path, "--roll", "z,81,442", "--force").code == 0
+    report = report_of(tmp_path / "s.calibration.json")
+    assert len(report["poses"]) == 6
+    assert report["known_orientations"]["left_out"]["between_faces"] == 0
 
 
 def test_a_refused_session_has_a_roll_before_only(tmp_path: Path, capsys: Capture) -> None:
