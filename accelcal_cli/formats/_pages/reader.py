@@ -136,16 +136,20 @@ class PageEvents(EventMaker):
             if behind:
                 yield replace(self.event(place, CLOCK_BACK, sample), amount_us=behind)
 
-    def ending(self, raw: Block, decoded: Decoded, rows_in: int) -> Iterator[Event]:
-        """An incomplete page or frame at the end, unless it is erased flash."""
-        blank = len(decoded.leftover) >= BLANK_BYTES or self._erased is not None or decoded.unused_end
-        if not raw.broken and paged.is_erased(decoded.leftover) and (blank or not decoded.leftover):
+    def ending(self, raw: Block, leftover: bytes, rows_in: int, *, unused: bool) -> Iterator[Event]:
+        """An incomplete page or frame at the end, unless it is erased flash.
+
+        Args:
+            unused: the frames before these bytes were never written.
+        """
+        blank = len(leftover) >= BLANK_BYTES or self._erased is not None or unused
+        if not raw.broken and paged.is_erased(leftover) and (blank or not leftover):
             return
         position = raw.next_position
-        offset = self._file.offset(position) + len(raw.tail) - len(decoded.leftover)
+        offset = self._file.offset(position) + len(raw.tail) - len(leftover)
         text = BROKEN_OFF if raw.broken else CUT_OFF
-        lost = len(decoded.leftover) + raw.undecoded
-        event = Event(position, 1, "truncated", text, offset, rows_in, len(decoded.leftover))
+        lost = len(leftover) + raw.undecoded
+        event = Event(position, 1, "truncated", text, offset, rows_in, len(leftover))
         yield replace(event, lost_bytes=lost)
 
 
@@ -204,6 +208,7 @@ class PageJoiner:
         self._channels = paged.HeldChannels(first_values)
         self._filter = paged.RowFilter()
         self._last: Stretch | None = None
+        self._unused_end = False
         self._rows_in = self._rows_out = sample
 
     def feed(self, raw: Block, decoded: Decoded) -> Chunk:
@@ -214,8 +219,10 @@ class PageJoiner:
         events += self._events.rows(block, self._rows_in)
         stretch = self._settled(block, events)
         self._rows_in += int(rows.sum())
+        if len(block) or decoded.bad:
+            self._unused_end = decoded.unused_end
         if raw.last:
-            events += self._events.ending(raw, decoded, self._rows_in)
+            events += self._events.ending(raw, decoded.leftover, self._rows_in, unused=self._unused_end)
         elif len(stretch.block):
             stretch, self._last = stretch.cut(len(stretch.block) - 1)
         for event in sorted(events, key=lambda event: event.position):

@@ -351,6 +351,16 @@ def test_frames_that_were_never_written_are_not_samples(tmp_path: Path) -> None:
     assert reader.recording.samples == 700
 
 
+@pytest.mark.parametrize("chunk_samples", [1, 1 << 20])
+def test_a_few_bytes_behind_frames_that_were_never_written_are_no_damage(
+    tmp_path: Path, chunk_samples: int
+) -> None:
+    stamped = [page(k, EPOCH_S + k, rows_of(k)) for k in range(4)]
+    unused = stamped[3][:8] + b"\xff" * (len(stamped[3]) - 8)
+    reader = opened(tmp_path, b"HEA" + b"".join(stamped[:3]) + unused + b"\xff" * 5, paged(crc=None))
+    assert "truncated" not in [code for code, *_ in problems(all_of(reader, chunk_samples)[3])]
+
+
 def test_erased_flash_between_frames_is_a_gap(tmp_path: Path) -> None:
     data = frames(COUNTS[:512]) + b"\xff" * 6 * 512 + frames(COUNTS[512:600])
     _, times, breaks, chunks = all_of(opened(tmp_path, data))
