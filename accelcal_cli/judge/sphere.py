@@ -33,6 +33,12 @@ BEND_ROUNDS = 4
 LARGEST_RATIO = 6.0
 """Beyond so many standard deviations noise does not change a mean error."""
 
+STEPS = 100
+"""Places of the table of mean errors in one standard deviation."""
+
+TOGETHER = 50
+"""Draws at a time: what is worked out of them stays in the processor's cache."""
+
 Floats = NDArray[np.float64]
 
 
@@ -173,15 +179,30 @@ def _lengths(raw: Floats, parameters: tuple[int, ...]) -> Floats:
 
 
 def _mean_error(deviations: Floats, noise: Floats) -> Floats:
-    """Mean of |d + noise| for each deviation d: that of a folded normal distribution."""
-    ratio = np.abs(deviations) / noise
-    places, values = _folded()
-    return np.asarray(np.where(ratio < LARGEST_RATIO, np.interp(ratio, places, values), ratio) * noise)
+    """Mean of |d + noise| for each deviation d, (DRAWS, n): that of a folded normal distribution."""
+    found = np.empty_like(deviations)
+    for first in range(0, len(deviations), TOGETHER):
+        rows = slice(first, first + TOGETHER)
+        ratio = np.abs(deviations[rows]) / noise[rows]
+        found[rows] = np.where(ratio < LARGEST_RATIO, _tabulated(ratio), ratio) * noise[rows]
+    return found
+
+
+def _tabulated(ratio: Floats) -> Floats:
+    """What the table has for ratios, linear between its places; of no use beyond its end.
+
+    The same bits as of np.interp, which searches where the even steps of the table tell the place.
+    """
+    places, values, slopes = _folded()
+    before = (np.fmin(ratio, LARGEST_RATIO) * STEPS + 0.5).astype(np.intp)  # the nearest place
+    before -= places[before] > ratio
+    np.minimum(before, len(slopes) - 1, out=before)
+    return np.asarray(slopes[before] * (ratio - places[before]) + values[before])
 
 
 @cache
-def _folded() -> tuple[Floats, Floats]:
-    """Mean of |t + a standard normal number| for t from 0 to LARGEST_RATIO."""
-    places = np.linspace(0, LARGEST_RATIO, 601)
+def _folded() -> tuple[Floats, Floats, Floats]:
+    """Mean of |t + a standard normal number| for t from 0 to LARGEST_RATIO, and its slopes between these."""
+    places = np.linspace(0, LARGEST_RATIO, round(LARGEST_RATIO * STEPS) + 1)
     means = [sqrt(2 / pi) * exp(-t * t / 2) + t * erf(t / sqrt(2)) for t in places.tolist()]
-    return places, np.array(means)
+    return places, np.array(means), np.diff(means) / np.diff(places)

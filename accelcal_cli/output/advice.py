@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from accelcal_cli.core.errors import counted, listed
+from accelcal_cli.core.settings import DEFAULT
 
 Report = Mapping[str, Any]
 
-LIMIT_MG = 10.0
+LIMIT_MG = DEFAULT.max_error_mg
 """What the 95 % interval of a good result stays below, where a report's settings do not say."""
 
 MIN_POSTURES = 9

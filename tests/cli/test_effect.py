@@ -28,10 +28,10 @@ def effect_of(capsys: Capture, *words: object) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def day(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A simulated day whose true parameters are beside it."""
+    """Half a simulated day whose true parameters are beside it."""
     path = tmp_path_factory.mktemp("effect") / "day.bin"
     words = ("--rate", "25", "--seed", "11", "--temp-slope", "0.9", "-0.6", "1.2")
-    assert exit_code("simulate", path, "--days", "1", *words, "-q") == 0
+    assert exit_code("simulate", path, "--days", "0.5", *words, "-q") == 0
     return path
 
 

@@ -17,9 +17,10 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tests.cli.run import Ran, command, run_process
+from tests.cli.run import Ran, command, run, run_process
 from tests.recordings import LSB_PER_G, good_raw, paper_recording
 
+Capture = pytest.CaptureFixture[str]
 PAPER = ("--profile", "paper")
 
 
@@ -114,14 +115,14 @@ def test_what_ends_a_watch_leaves_a_state_to_go_on_with(
 
 
 def test_a_file_goes_on_where_it_was_left(
-    recording: Path, undisturbed: tuple[list[Any], bytes], tmp_path: Path
+    recording: Path, undisturbed: tuple[list[Any], bytes], tmp_path: Path, capsys: Capture
 ) -> None:
     data, path, state = recording.read_bytes(), tmp_path / "paper.raw", tmp_path / "state"
     (tmp_path / "paper.layout.toml").write_bytes(recording.with_name("paper.layout.toml").read_bytes())
     events = []
     for size in (400_000, 1_200_000, 1_300_001, len(data)):
         path.write_bytes(data[:size])
-        ran = run_process("watch", path, *PAPER, "--state", state)
+        ran = run(capsys, "watch", path, *PAPER, "--state", state)
         assert ran.err == ""
         events += [event for event in events_of(ran) if event["event"] != "ended"]
     assert events == undisturbed[0][:-1]
@@ -149,8 +150,8 @@ def test_rows_go_to_standard_output_and_events_to_stderr(recording: Path) -> Non
     assert np.datetime64(rows[0].split(",")[0].strip('"')) == np.datetime64(round(seconds * 1e6), "us")
 
 
-def test_rows_as_an_arrow_stream(recording: Path, tmp_path: Path) -> None:
-    ran = run_process("watch", recording, *PAPER, "-o", tmp_path / "rows.arrows")
+def test_rows_as_an_arrow_stream(recording: Path, tmp_path: Path, capsys: Capture) -> None:
+    ran = run(capsys, "watch", recording, *PAPER, "-o", tmp_path / "rows.arrows")
     (fitted,) = [event for event in events_of(ran) if event["event"] == "fitted"]
     table = pa.ipc.open_stream(io.BytesIO((tmp_path / "rows.arrows").read_bytes())).read_all()
     assert table.schema.names == ["time", "x", "y", "z", "validity"]
@@ -159,7 +160,7 @@ def test_rows_as_an_arrow_stream(recording: Path, tmp_path: Path) -> None:
     assert np.abs(found - expected_rows(recording, fitted)).max() < 1e-6
 
 
-def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path, capsys: Capture) -> None:
     state, output = tmp_path / "state", tmp_path / "rows.csv"
     state.write_bytes(b"nonsense")
     output.write_bytes(b"mine")
@@ -171,17 +172,17 @@ def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path) ->
         ((tmp_path / "nothing.csv",), 3, "cannot be read"),
         ((tmp_path,), 3, "is a folder"),
     ):
-        ran = run_process("watch", *words)
+        ran = run(capsys, "watch", *words)
         assert (ran.code, ran.out) == (code, ""), ran
         assert text in ran.err
         assert len(ran.err.splitlines()) == 1
     assert output.read_bytes() == b"mine"
 
 
-def test_too_little_stillness_is_exit_code_4(tmp_path: Path) -> None:
+def test_too_little_stillness_is_exit_code_4(tmp_path: Path, capsys: Capture) -> None:
     path = good_raw(tmp_path)
     path.write_bytes(path.read_bytes()[:20_000])
-    ran = run_process("watch", path)
+    ran = run(capsys, "watch", path)
     assert ran.code == 4
     assert events_of(ran)[-1]["outcome"] == "refused"
     assert run_process("watch", "-", stdin=b"").code == 3

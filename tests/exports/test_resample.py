@@ -6,9 +6,9 @@ from math import gcd
 
 import numpy as np
 import pytest
+import scipy  # its parts are loaded when they are used
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.signal import resample_poly
 
 from accelcal_cli.exports.resample import resampled
 from accelcal_cli.exports.rows import Rows
@@ -46,7 +46,7 @@ def test_it_is_what_scipy_gives_away_from_the_ends(rate: int, wanted: int) -> No
     values = wave(rate, 20 * rate)
     found = at(of(values, rate), rate, wanted)
     shared = gcd(rate, wanted)
-    expected = resample_poly(values, wanted // shared, rate // shared)[: len(found)]
+    expected = scipy.signal.resample_poly(values, wanted // shared, rate // shared)[: len(found)]
     inner = slice(2 * wanted, -2 * wanted)
     assert np.abs(found.xyz[inner, 0] - expected[inner]).max() < 1e-3
     assert np.abs(found.xyz[inner, 0] + found.xyz[inner, 1]).max() == 0.0

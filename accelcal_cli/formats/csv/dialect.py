@@ -39,8 +39,14 @@ TWELVE_HOURS = re.compile(
 )
 """A time of day with AM or PM behind it, after a blank of any kind or none."""
 
+HALF_OF_THE_DAY = re.compile(rb"[AaPp](?<=[\d \xa0\xaf].)\.? ?[Mm]")
+"""What TWELVE_HOURS ends with, which is sooner found to be nowhere."""
+
 SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
 """Before an hour of one digit at the beginning of a cell."""
+
+AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
+"""The same by its colon, which is sooner found to be nowhere."""
 
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 COLON, POINT = b":."
@@ -361,14 +367,14 @@ def _parts(line: bytes, delimiter: str) -> bool:
 
 def _normalisers(head: bytes) -> list[Normaliser]:
     """What each delimiter would need; the times are looked for once."""
-    split_date = SPLIT_DATE.search(head) is not None
+    split_date = b" " in head and SPLIT_DATE.search(head) is not None
     any_delimiter = Normaliser(
         "",
         slash_dates=b"/" in head and SLASH_DATE.search(head) is not None,
         long_fraction=LONG_FRACTION.search(head) is not None,
         colon_fraction=COLON_FRACTION.search(head) is not None,
-        twelve_hours=TWELVE_HOURS.search(head) is not None,
-        short_hours=SHORT_HOUR.search(head) is not None,
+        twelve_hours=HALF_OF_THE_DAY.search(head) is not None and TWELVE_HOURS.search(head) is not None,
+        short_hours=AFTER_SHORT_HOUR.search(head) is not None,
     )
     return [
         replace(

@@ -23,18 +23,10 @@ from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read, even_times
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_parquet import make, table
+from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
-ROWS = 600
 GRAVITY = 9.80665
-
-
-def values(rows: int = ROWS) -> np.ndarray:
-    """Vectors of about 1 g on the grid of decimal fractions, (n, 3)."""
-    around = np.random.RandomState(3).standard_normal((rows, 3))
-    around /= np.linalg.norm(around, axis=1)[:, None]
-    grid: np.ndarray = np.rint(around * 4096) / 4096
-    return grid
 
 
 @pytest.fixture
@@ -98,7 +90,7 @@ def test_a_long_row_group_is_read_a_few_pages_at_a_time(path: Path) -> None:
 
 
 def test_other_writers_say_the_same(path: Path) -> None:
-    frame = pl.DataFrame({"time": even_times(ROWS, 50.0), **axes(values())})
+    frame = pl.DataFrame({"time": TIMES, **axes(values())})
     frame = frame.with_columns(pl.col("time").cast(pl.Datetime("us")))
     frame.write_parquet(path, row_group_size=100)
     first = read(path)
@@ -178,11 +170,11 @@ def test_rows_without_a_value_are_reported_and_break_the_recording(
     assert (found.counts == counts[kept]).all()
     assert [(one.code, one.sample, one.count) for one in found.problems] == [("missing_value", 100, 3)]
     assert found.breaks == [100]
-    assert (found.times == even_times(ROWS, 50.0)[kept]).all()
+    assert (found.times == TIMES[kept]).all()
 
 
 def test_rows_without_a_time_are_left_out(path: Path) -> None:
-    stamps = even_times(ROWS, 50.0).tolist()
+    stamps = TIMES.tolist()
     stamps[50:52] = [None, None]
     write(path, {"time": pa.array(stamps, pa.timestamp("us")), **axes(values())})
     found = read(path)
@@ -207,7 +199,7 @@ def test_rows_without_a_time_are_left_out(path: Path) -> None:
     ids=["us", "ns", "zoned", "ms", "seconds", "int-ms", "days", "from-start", "ms-from-start", "duration"],
 )
 def test_times_of_all_kinds(path: Path, column: Any, zone: str | None, start_us: int | None) -> None:
-    us = even_times(ROWS, 50.0)
+    us = TIMES
     write(path, {"time": column(us), **axes(values())})
     found = read(path)
     assert (found.recording.rate_hz, found.recording.timezone, found.recording.start_us) == (
@@ -222,14 +214,14 @@ def test_times_of_all_kinds(path: Path, column: Any, zone: str | None, start_us:
 def test_a_pandas_frame_with_its_index(path: Path) -> None:
     import pandas as pd
 
-    index = pd.to_datetime(even_times(ROWS, 50.0), unit="us")
+    index = pd.to_datetime(TIMES, unit="us")
     frame = pd.DataFrame(axes(values()), index=index)
     frame.attrs["serial"] = "A1"
     for name in ("time", None):
         frame.rename_axis(name).to_parquet(path)
         found = read(path)
         assert (found.g == values()).all()
-        assert (found.times == even_times(ROWS, 50.0)).all()
+        assert (found.times == TIMES).all()
         assert found.recording.device.serial == "A1"
 
 
@@ -243,7 +235,7 @@ def test_temperature_and_gyroscope_come_along(path: Path) -> None:
 
 
 def test_only_the_columns_that_are_needed_are_read(path: Path) -> None:
-    made = table(values(), even_times(ROWS, 50.0)).append_column("light", pa.array(np.arange(ROWS)))
+    made = table(values(), TIMES).append_column("light", pa.array(np.arange(ROWS)))
     pq.write_table(made, path, compression="none", use_dictionary=False, row_group_size=ROWS)
     column = pq.read_metadata(path).row_group(0).column(4)
     broken(path, column.data_page_offset, column.total_compressed_size)
@@ -258,14 +250,14 @@ def broken(path: Path, start: int, size: int) -> None:
 
 @pytest.mark.parametrize("groups", [100, 5])
 def test_a_damaged_row_group_loses_its_own_rows_alone(path: Path, groups: int) -> None:
-    pq.write_table(table(values(), even_times(ROWS, 50.0)), path, row_group_size=groups)
+    pq.write_table(table(values(), TIMES), path, row_group_size=groups)
     column = pq.read_metadata(path).row_group(3).column(2)
     start = column.dictionary_page_offset or column.data_page_offset
     broken(path, start, column.total_compressed_size)
     found = read(path)
     kept = np.delete(np.arange(ROWS), np.arange(3 * groups, 4 * groups))
     assert (found.g == values()[kept]).all()
-    assert (found.times == even_times(ROWS, 50.0)[kept]).all()
+    assert (found.times == TIMES[kept]).all()
     assert [(one.code, one.sample, one.count) for one in found.problems] == [("bad_page", 3 * groups, groups)]
     assert found.breaks == [3 * groups]
     assert (
@@ -274,7 +266,7 @@ def test_a_damaged_row_group_loses_its_own_rows_alone(path: Path, groups: int) -
 
 
 def test_a_page_with_a_wrong_checksum_is_lost(path: Path) -> None:
-    made = table(values(), even_times(ROWS, 50.0))
+    made = table(values(), TIMES)
     how: dict[str, Any] = {"compression": "none", "use_dictionary": False, "write_page_checksum": True}
     pq.write_table(made, path, row_group_size=200, **how)
     column = pq.read_metadata(path).row_group(1).column(1)

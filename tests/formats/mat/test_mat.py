@@ -17,20 +17,10 @@ from accelcal_cli.formats import find_format
 from accelcal_cli.formats.hdf5 import HDF5
 from accelcal_cli.formats.mat import FORMAT
 from tests.formats.cuts import every_byte, table_cuts
-from tests.formats.make_hdf5 import START_US, Read, even_times
+from tests.formats.make_hdf5 import START_US, Read
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_mat import CELL, OPAQUE, array, element, file_of, make, matrix, write
-
-ROWS = 600
-TIMES = even_times(ROWS, 50.0)
-
-
-def values() -> np.ndarray:
-    """Vectors of about 1 g on the grid of decimal fractions, (n, 3)."""
-    around = np.random.RandomState(3).standard_normal((ROWS, 3))
-    around /= np.linalg.norm(around, axis=1)[:, None]
-    grid: np.ndarray = np.rint(around * 4096) / 4096
-    return grid
+from tests.formats.table_values import ROWS, TIMES, values
 
 
 @pytest.fixture

@@ -13,22 +13,12 @@ from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats.npz import FORMAT
 from tests.cli.run import run
 from tests.formats.cuts import every_byte, table_cuts
-from tests.formats.make_hdf5 import START_US, Read, even_times
+from tests.formats.make_hdf5 import START_US, Read
 from tests.formats.make_hdf5 import read as read_of
 from tests.formats.make_npz import archive, make, member, write
 from tests.formats.make_parquet import make as make_parquet
+from tests.formats.table_values import ROWS, TIMES, values
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
-
-ROWS = 600
-TIMES = even_times(ROWS, 50.0)
-
-
-def values() -> np.ndarray:
-    """Vectors of about 1 g on the grid of decimal fractions, (n, 3)."""
-    around = np.random.RandomState(3).standard_normal((ROWS, 3))
-    around /= np.linalg.norm(around, axis=1)[:, None]
-    grid: np.ndarray = np.rint(around * 4096) / 4096
-    return grid
 
 
 @pytest.fixture
