@@ -11,18 +11,22 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.files import exists, output_error
 from accelcal_cli.pipeline import watch_state
 from accelcal_cli.pipeline.export import transform
 from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.watch import Calibrated, Happened, Watch
+
+if TYPE_CHECKING:
+    from accelcal_cli.output.row_stream import RowStream
 
 PIECE_BYTES = 1 << 16
 SAVE_S = 1800
@@ -59,7 +63,7 @@ def command(recording: Path, **values: Any) -> int:
     watch = Watch(recording, request.options, request.recording_settings, state.load())
     with _input(recording, watch) as source, _Rows(values, recording) as rows, _Signals(recording) as signals:
         told = exit_codes.show if values["output"] != STDIN else _told_on_stderr
-        return _watched(watch, source, state, signals, lambda happened: _put_out(happened, rows, told))
+        return _watched(watch, source, state, signals, _Outputs(rows, told))
 
 
 class _State:
@@ -96,22 +100,25 @@ class _State:
         return self._path is not None
 
 
-def _watched(
-    watch: Watch, source: BinaryIO, state: _State, signals: _Signals, put_out: Callable[[Happened], None]
-) -> int:
+def _watched(watch: Watch, source: BinaryIO, state: _State, signals: _Signals, outputs: _Outputs) -> int:
     """Read to the end; the state is sound whenever a signal may end that."""
+
+    def save() -> None:
+        outputs.settle()
+        state.save(watch)
+
     try:
         while data := signals.read(source):
             happened = watch.take(data)
-            put_out(happened)
+            outputs.put(happened)
             if state.is_old(watch) or any(event["event"] in FITS for event in happened.events):
-                state.save(watch)
+                save()
     except exit_codes.InterruptedBySignalError:
-        state.save(watch)
+        save()
         raise exit_codes.InterruptedBySignalError(*state.words(watch)) from None
-    state.save(watch)
+    save()
     happened = watch.end(for_good=not state.kept)
-    put_out(happened)
+    outputs.put(happened)
     return exit_codes.OK if happened.events[-1]["calibration"] is not None else exit_codes.REFUSED
 
 
@@ -190,11 +197,22 @@ def _told_on_stderr(text: str) -> None:
     click.echo(printable(text), err=True)
 
 
-def _put_out(happened: Happened, rows: _Rows, told: Callable[[str], None]) -> None:
-    for one in happened.rows:
-        rows.write(one)
-    for event in happened.events:
-        told(json.dumps(event, allow_nan=False, ensure_ascii=False))
+class _Outputs:
+    """Where rows and events go."""
+
+    def __init__(self, rows: _Rows, told: Callable[[str], None]) -> None:
+        self._rows, self._told = rows, told
+
+    def put(self, happened: Happened) -> None:
+        """Write what came of some bytes."""
+        for one in happened.rows:
+            self._rows.write(one)
+        for event in happened.events:
+            self._told(json.dumps(event, allow_nan=False, ensure_ascii=False))
+
+    def settle(self) -> None:
+        """See that a state which is saved next knows of no rows that a power failure could take back."""
+        self._rows.settle()
 
 
 class _Rows:
@@ -204,7 +222,8 @@ class _Rows:
         self._path, self._precision_mg = values["output"], values["precision_mg"]
         self._kind = values["kind"]
         self._stack = contextlib.ExitStack()
-        self._stream: Any = None
+        self._stream: RowStream | None = None
+        self._file: BinaryIO | None = None
         if self._path is not None and self._kind is None:
             self._kind = "csv" if self._path == STDIN or self._path.suffix.lower() == ".csv" else "arrow"
         if self._path is not None and self._path != STDIN and exists(self._path) and self._path.is_file():
@@ -223,15 +242,25 @@ class _Rows:
         if self._path is None:
             return
         if self._stream is None:
-            from accelcal_cli.output.row_stream import RowStream  # few runs write rows
-
-            try:
-                target = sys.stdout.buffer if self._path == STDIN else self._stack.enter_context(
-                    self._path.open("wb"))  # fmt: skip
-            except OSError as error:
-                raise output_error(error, self._path) from error
-            self._stream = self._stack.enter_context(
-                RowStream(target, self._path, self._kind, rows.recording)
-            )
+            self._stream = self._stack.enter_context(self._begun(rows.recording))
         right = transform(rows.calibration, rows.recording.lsb_per_g, self._precision_mg)
         self._stream.write(rows.chunk, right.apply(rows.chunk))
+
+    def _begun(self, recording: Recording) -> RowStream:
+        from accelcal_cli.output.row_stream import RowStream  # few runs write rows
+
+        if self._path == STDIN:
+            return RowStream(sys.stdout.buffer, self._path, self._kind, recording)
+        try:
+            self._file = self._stack.enter_context(self._path.open("wb"))
+        except OSError as error:
+            raise output_error(error, self._path) from error
+        return RowStream(self._file, self._path, self._kind, recording)
+
+    def settle(self) -> None:
+        """Bring the rows of a file to the disk; raises OutputError where that fails."""
+        if self._file is not None and stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise output_error(error, self._path) from error

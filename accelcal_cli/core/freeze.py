@@ -1,18 +1,21 @@
 """Objects of the package as plain JSON values, and back: what a program remembers, for a file.
 
-Numbers, texts, containers, arrays, paths (by their names), functions and objects of this package are kept,
-the latter by their fields; nothing else is, and reading back runs no code but that of classes which ask for
-it by `__getnewargs__`. Lists, dictionaries and objects that several others hold stay shared. Equal objects
-give equal text, whatever machine made it.
+Numbers, texts, containers, arrays, paths (by their names), and functions and objects of the packages in KEPT
+are kept, the latter by their fields; nothing else is. Lists, dictionaries and objects that several others
+hold stay shared. Equal objects give equal text, whatever machine made it.
+
+Plain values may come from anybody. Reading them back imports modules of KEPT alone, runs no code but that of
+classes which ask for it by `__getnewargs__`, and takes no more memory than some ten times that of the values.
 """
 
 from __future__ import annotations
 
 import importlib
+import re
 from collections import Counter, defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields, is_dataclass
-from enum import Enum
+from enum import Enum, EnumType
 from fractions import Fraction
 from pathlib import Path
 from types import FunctionType
@@ -22,7 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 PACKAGE = __name__.split(".", maxsplit=1)[0]
+KEPT = ("collect", "core", "formats", "pipeline", "segment")
 PLAIN = (type(None), bool, int, float, str)
+NUMBER = re.compile(r"[<>|][iufb][1248]")
+"""Types of the numbers in arrays."""
 
 
 class ThawError(ValueError):
@@ -53,13 +59,15 @@ def thawed(plain: Any) -> Any:
 def _name(thing: Any) -> str:
     """Of a class or function of the package."""
     top, _, module = thing.__module__.partition(".")
-    if top != PACKAGE or "<" in thing.__qualname__:
+    if top != PACKAGE or not module.startswith(KEPT) or "<" in thing.__qualname__:
         raise TypeError(f"{thing!r} cannot be kept")
     return f"{module}:{thing.__qualname__}"
 
 
 def _named(name: str, kind: type) -> Any:
     module, _, place = name.partition(":")
+    if module.partition(".")[0] not in KEPT:
+        raise ThawError(f"{name} is never kept")
     thing: Any = importlib.import_module(f"{PACKAGE}.{module}")
     for part in place.split("."):
         thing = getattr(thing, part)
@@ -192,24 +200,35 @@ class _Thawer:
     def _made(self, held: list[Any]) -> Any:
         place = len(self._met)
         self._met.append(None)
-        self._met[place] = _named(held[0], type)(*map(self.thaw, held[1:]))
+        kind = _named(held[0], type)
+        if not hasattr(kind, "__getnewargs__"):
+            raise ThawError(f"{kind.__name__} is made of its fields")
+        self._met[place] = kind(*map(self.thaw, held[1:]))
         return self._met[place]
 
     def _object(self, held: list[Any]) -> Any:
         kind = _named(held[0], type)
         made = object.__new__(kind)
         self._met.append(made)
-        known = {field.name for field in fields(kind)} if is_dataclass(kind) else None
-        for name, value in zip(held[1::2], held[2::2], strict=True):
-            if known is not None and name not in known:
-                raise ThawError(f"{kind.__name__} has no {name}")
+        names = held[1::2]
+        if is_dataclass(kind) and names != [field.name for field in fields(kind)]:
+            raise ThawError(f"{held[0]} has other fields")
+        for name, value in zip(names, held[2::2], strict=True):
+            if name.startswith("__"):
+                raise ThawError(f"{name} is never kept")
             object.__setattr__(made, name, self.thaw(value))
         return made
 
 
+def _number(kind: str) -> np.dtype[Any]:
+    if not NUMBER.fullmatch(kind):
+        raise ThawError(f"{kind} is no type of numbers")
+    return np.dtype(kind)
+
+
 def _thawed_array(held: list[Any]) -> NDArray[Any]:
     kind, shape, values = held
-    array = np.array(values, np.dtype(kind)).reshape(shape)
+    array = np.array(values, _number(kind)).reshape(shape)
     if array.dtype.kind in "iu" and array.ndim:
         array = np.cumsum(array, axis=_longest(shape), dtype=array.dtype)
     return array
@@ -222,6 +241,8 @@ def _longest(shape: Sequence[int]) -> int:
 def _thawed_table(held: list[Any]) -> NDArray[Any]:
     number, columns = held
     parts = [(name, _thawed_array(part[1:])) for name, part in columns]
+    if any(len(part) != number for _, part in parts) or not parts:
+        raise ThawError("columns of a table differ in length")
     table = np.zeros(number, [(name, part.dtype, part.shape[1:]) for name, part in parts])
     for name, part in parts:
         table[name] = part
@@ -233,9 +254,9 @@ _THAW: dict[str, Callable[[list[Any]], Any]] = {
     "fraction": lambda held: Fraction(held[0], held[1]),
     "array": _thawed_array,
     "table": _thawed_table,
-    "path": lambda held: Path(held[0]),
-    "number": lambda held: np.dtype(held[0]).type(held[1]),
-    "enum": lambda held: _named(held[0], type)[held[1]],
+    "path": lambda held: Path(Path(held[0]).name),
+    "number": lambda held: _number(held[0]).type(held[1]),
+    "enum": lambda held: _named(held[0], EnumType)[held[1]],
     "function": lambda held: _named(held[0], FunctionType),
     "set": set,
     "frozenset": frozenset,

@@ -129,12 +129,10 @@ class InForce:
 
     Attributes:
         worst_mg: their largest error over the sphere.
-        since: number of the first row that they are for.
     """
 
     calibration: Calibration
     worst_mg: float
-    since: int
 
 
 @dataclass(slots=True)
@@ -358,7 +356,7 @@ class Watch:
             self._check(force, stage, taken, happened)
         if judgement.calibration is None or (force and force.calibration == judgement.calibration):
             return
-        new = InForce(judgement.calibration, _worst_mg(judgement), stage.samples)
+        new = InForce(judgement.calibration, _worst_mg(judgement))
         if force is not None and not standing.drifted and new.worst_mg > BETTER * force.worst_mg:
             return
         name = "fitted" if force is None else "refitted"

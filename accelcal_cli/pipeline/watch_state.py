@@ -24,8 +24,8 @@ from accelcal_cli.pipeline.watch import Standing
 
 KIND = "accelcal watch"
 LONGEST_LINE = 1 << 12
-LARGEST_BYTES = 1 << 26
-"""No state is as large, packed or unpacked."""
+LARGEST_BYTES = 1 << 24
+"""No state is as large, packed or unpacked: one that claims to be would take all memory."""
 
 REMOVE = "remove it to begin anew, and send the recording from its first byte"
 

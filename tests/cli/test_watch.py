@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tests.cli.run import Ran, command, run, run_process
+from tests.cli.run import Ran, command, exit_code, run, run_process
 from tests.recordings import LSB_PER_G, good_raw, paper_recording
 
 Capture = pytest.CaptureFixture[str]
@@ -158,6 +158,20 @@ def test_rows_as_an_arrow_stream(recording: Path, tmp_path: Path, capsys: Captur
     assert table.schema.field("x").metadata == {b"unit": b"g"}
     found = np.stack([table[axis].to_numpy() for axis in "xyz"], axis=1)
     assert np.abs(found - expected_rows(recording, fitted)).max() < 1e-6
+
+
+def test_rows_are_on_the_disk_before_a_state_that_knows_of_them(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state, rows, order, bring = tmp_path / "state", tmp_path / "rows.csv", [], os.fsync
+
+    def noted(file: int) -> None:
+        order.append(os.fstat(file).st_ino)
+        bring(file)
+
+    monkeypatch.setattr(os, "fsync", noted)
+    assert exit_code("watch", recording, *PAPER, "--state", state, "-o", rows) == 0
+    assert order[order.index(state.stat().st_ino) - 1] == rows.stat().st_ino
 
 
 def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path, capsys: Capture) -> None:

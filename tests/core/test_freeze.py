@@ -74,6 +74,7 @@ def test_a_dictionary_of_lists_goes_on_making_them() -> None:
 
 def test_of_a_path_the_name_is_kept(tmp_path: Path) -> None:
     assert again(tmp_path / "a.csv") == Path("a.csv")
+    assert thawed(["path", "../../etc/passwd"]) == Path("passwd")
 
 
 def test_what_cannot_be_kept_is_an_error() -> None:
@@ -91,7 +92,25 @@ def test_what_cannot_be_kept_is_an_error() -> None:
         ["object", "core.clock:Path"],
         ["object", "core.clock:UniformClock", "__class__", 1],
         ["object", "nothing:Nothing"],
+        ["object", "core.clock:UniformClock", "__dict__", {}],
+        ["object", "core.clock:UniformClock"],
+        ["object", "cli.exit_codes:InterruptedBySignalError"],
+        ["object", "corer:Thing"],
+        ["object", "formats.cwa.reader:CwaReader", "__class__", 1],
         ["made", "core.freeze:frozen", 1],
+        ["made", "formats.cwa.reader:CwaReader", ["path", "a.csv"]],
+        ["function", "output.files:discard"],
+        ["function", "pipeline.nothing:discard"],
+        ["enum", "core.clock:UniformClock", "A"],
+        ["number", "|V1000000000", 0],
+        ["number", "|O", 0],
+        ["array", "<U1000000000", [1], ["a"]],
+        ["array", "|O", [1], ["a"]],
+        ["array", "<i8", [1 << 40], []],
+        ["table", 1 << 40, []],
+        ["table", 1 << 40, [["a", ["array", "<i8", [1], [1]]]]],
+        ["made", "collect.grid:Cells", 1, ["array", "<i8", [10, 1], [1] * 10], ["list", ["list", 0]]],
+        ["fraction", 1, 0],
         ["function", "core.clock:UniformClock"],
         ["enum", "core.recording:Validity", "NOTHING"],
         ["array", "<i8", [7], [1]],

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
+import hashlib
 import json
 import tracemalloc
 from collections.abc import Iterator
@@ -283,6 +285,37 @@ def test_a_state_is_refused_where_it_is_damaged_or_of_others(tmp_path: Path) -> 
     state.write_bytes(b"[1]\n")
     with pytest.raises(UnreadableError, match="no state of accelcal watch"):
         watch_state.load(state, "mine")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"[" + b"0," * (1 << 26) + b"0]",
+        b"[" * 100_000,
+        b'["object","studies.lock:Lock"]',
+        b'["object","pipeline.watch:Standing"]',
+        b'["object","core.clock:UniformClock","start_us",0,"first_index",0,"rate",["fraction",1,1]]',
+        b"7",
+        b"",
+    ],
+    ids=["much", "deep", "others", "no fields", "another thing", "number", "nothing"],
+)
+def test_a_state_that_somebody_forged_does_nothing(text: bytes, tmp_path: Path) -> None:
+    """Its seal is right, as anybody can make one."""
+    path, state = paper_recording(tmp_path), tmp_path / "state"
+    watch_state.save(state, standing_after(path, 100_000), "mine")
+    head = json.loads(state.read_bytes().split(b"\n", 1)[0])
+    packed = bz2.compress(text)
+    assert len(packed) < 5000
+    del head["sha256"]
+    line = json.dumps(head, separators=(",", ":")).encode()
+    head["sha256"] = hashlib.sha256(line + packed).hexdigest()
+    state.write_bytes(json.dumps(head).encode() + b"\n" + packed)
+    tracemalloc.start()
+    with pytest.raises(UnreadableError, match="is a damaged state"):
+        watch_state.load(state, "mine")
+    assert tracemalloc.get_traced_memory()[1] < 200 << 20
+    tracemalloc.stop()
 
 
 def test_a_state_goes_on_in_its_own_recording_alone(tmp_path: Path) -> None:
