@@ -181,6 +181,10 @@ def test_a_refusal_has_a_report_and_no_values(tmp_path: Path) -> None:
         result.table()
     with pytest.raises(accelcal.AccelcalError, match="nothing to apply"):
         accelcal.apply(result, np.zeros((1, 3)))
+    settings = accelcal.calibrate(path, profile="paper", stillness_axis="y", max_subset_points=1).report[
+        "settings"
+    ]
+    assert (settings["stillness_axes"], settings["min_subset_points"]) == ([1], 1)
 
 
 def test_a_plot_shows_both(tmp_path: Path) -> None:
