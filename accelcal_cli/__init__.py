@@ -1,7 +1,7 @@
 """Batch calibration of raw actigraph recordings from the stillness they contain.
 
-From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `from_poses`, `apply`, `study`
-(docs/python.md).
+From Python: `import accelcal_cli as accelcal`; `read`, `calibrate`, `fit`, `from_poses`, `apply`,
+`effect`, `study` (docs/python.md).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         Samples,
         apply,
         calibrate,
+        effect,
         fit,
         from_poses,
         read,
@@ -27,7 +28,7 @@ __version__ = "0.2.0"
 
 __all__ = [
     "AccelcalError", "Reading", "Result", "Samples",
-    "apply", "calibrate", "fit", "from_poses", "read", "study",
+    "apply", "calibrate", "effect", "fit", "from_poses", "read", "study",
 ]  # fmt: skip
 
 

@@ -25,10 +25,12 @@ from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import POSES, PoseSettings, Settings
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import ReportInput
-from accelcal_cli.output.report_reading import calibration_of, read_document
+from accelcal_cli.output.report_reading import calibration_of, read_coefficients, read_document
 from accelcal_cli.pipeline import export, given, jobs, outputs, survey
+from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
+from accelcal_cli.pipeline.effect import EPOCH_S
 from accelcal_cli.pipeline.fit import fit_frame, fit_points
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, FileStamp, Job, Request, file_stamp
 from accelcal_cli.pipeline.stated import folder_rules, options_of
@@ -420,6 +422,50 @@ class _Rows:
         return len(self.counts)
 
 
+def effect(
+    path: AnyPath,
+    *,
+    coefficients: AnyPath | None = None,
+    any_device: bool = False,
+    epoch: int = EPOCH_S,
+    **options: Any,
+) -> dict[str, Any]:
+    """What a recording's calibration changes in measures of activity, as `accelcal effect` does.
+
+    Args:
+        coefficients: a report whose coefficients are applied; None: the recording's own calibration.
+        any_device: accept coefficients of any device.
+        epoch: length of an epoch [s], 1 to 3600.
+        options: those of `accelcal effect` that say how it is read and how it is calibrated.
+
+    Returns:
+        what `accelcal effect --json` prints: `recording`, `outcome`, `message` and `effect`, whose `versions`
+        have the measures of the raw and the calibrated values (docs/effect.md).
+
+    Raises:
+        AccelcalError: it cannot be read, the options do not go together, or the coefficients are not for it.
+    """
+    from accelcal_cli.evaluate.effect import as_json
+    from accelcal_cli.evaluate.effect import effect as measured
+
+    if isinstance(epoch, bool) or not isinstance(epoch, int | np.integer):
+        raise TypeError(f"epoch cannot be {epoch!r}")
+    if not 1 <= epoch <= LONGEST_EPOCH_S:
+        raise UsageError(f"epoch cannot be {epoch}", hint=f"possible: 1 to {LONGEST_EPOCH_S}")
+    if any_device and coefficients is None:
+        raise UsageError("any_device is for coefficients only", hint="omit it")
+    values = _values(options, ReadOptions, Settings)
+    request = Request(
+        options=given.read_options(values),
+        settings=given.settings(values) if coefficients is None else given.settings_beside(values),
+        coefficients=None if coefficients is None else read_coefficients(Path(coefficients)),
+        any_device=any_device,
+        report_only=True,
+        parts=True,
+    )
+    return _as_written(as_json(measured(Path(path), request, int(epoch))))
+
+
 def study(
     folder: AnyPath, output: AnyPath, *, report_only: bool = False, jobs: int | None = None, **options: Any
 ) -> pd.DataFrame:
@@ -476,5 +522,5 @@ class _Silent:
 
 __all__ = [
     "AccelcalError", "Reading", "Result", "Samples",
-    "apply", "calibrate", "fit", "from_poses", "read", "study",
+    "apply", "calibrate", "effect", "fit", "from_poses", "read", "study",
 ]  # fmt: skip

@@ -104,6 +104,43 @@ def test_points_may_be_in_any_table(tmp_path: Path) -> None:
         accelcal.fit(means[["x", "y"]])
 
 
+@pytest.mark.parametrize("given", [False, True], ids=["its own", "of a report"])
+def test_the_effect_is_that_of_the_command(given: bool, tmp_path: Path, capsys: Capture) -> None:
+    path, words, options = ROOT / "sample_data/recording.bin", ["--epoch", 60], {"epoch": 60}
+    if given:
+        _, report = accelcal.calibrate(path, report_only=True).write(tmp_path)
+        words += ["--coefficients", str(report)]
+        found = accelcal.effect(path, coefficients=report, **options)
+        with pytest.raises(accelcal.AccelcalError, match="--min-distance-g is for the recording's own"):
+            accelcal.effect(path, coefficients=report, min_distance_g=0.1)
+    else:
+        words += ["--profile", "paper", "--stillness-axis", "y"]
+        found = accelcal.effect(path, profile="paper", stillness_axis="y", **options)
+    told = run(capsys, "effect", path, "--json", "-q", *words)
+    assert found == json.loads(told.out)
+    assert found["effect"]["versions"]["raw"]["enmo_mg"] > 0
+    made = {"recording.calibration.json", "recording.quality.json"}
+    assert {one.name for one in tmp_path.iterdir()} == (made if given else set())
+
+
+@pytest.mark.parametrize(
+    ("options", "kind", "text"),
+    [
+        ({"epoch": 0}, accelcal.AccelcalError, "epoch cannot be 0; possible: 1 to 3600"),
+        ({"epoch": 2.5}, TypeError, "epoch cannot be 2.5"),
+        ({"any_device": True}, accelcal.AccelcalError, "any_device is for coefficients only"),
+        ({"stillness_axis": "w"}, accelcal.AccelcalError, "possible: x, y, z"),
+        ({"stillness_axis": "y"}, accelcal.AccelcalError, "does not look at one axis"),
+    ],
+)
+def test_an_effect_that_cannot_be_asked_for(
+    options: dict[str, Any], kind: type[Exception], text: str
+) -> None:
+    with pytest.raises(kind) as raised:
+        accelcal.effect(ROOT / "sample_data/recording.bin", **options)
+    assert text in str(raised.value)
+
+
 def test_a_study_is_that_of_the_command(tmp_path: Path, capsys: Capture) -> None:
     folder = study_folder(tmp_path / "in", NAMES[:2])
     table = accelcal.study(folder, tmp_path / "one", jobs=1, report_only=True)
@@ -144,6 +181,10 @@ def test_a_refusal_has_a_report_and_no_values(tmp_path: Path) -> None:
         result.table()
     with pytest.raises(accelcal.AccelcalError, match="nothing to apply"):
         accelcal.apply(result, np.zeros((1, 3)))
+    settings = accelcal.calibrate(path, profile="paper", stillness_axis="y", max_subset_points=1).report[
+        "settings"
+    ]
+    assert (settings["stillness_axes"], settings["min_subset_points"]) == ([1], 1)
 
 
 def test_a_plot_shows_both(tmp_path: Path) -> None:

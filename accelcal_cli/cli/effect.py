@@ -12,7 +12,7 @@ from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, each_recording, number, refuse_both
 from accelcal_cli.cli.quality import request_beside
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.evaluate.effect import Found, check_table, effect
+from accelcal_cli.evaluate.effect import Found, as_json, check_table, effect
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
 from accelcal_cli.pipeline.effect import EPOCH_S
@@ -76,7 +76,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
 
 def _shown(found: list[Found], values: dict[str, Any]) -> str:
     if values["as_json"]:
-        return "\n".join(json.dumps(_as_json(one)) for one in found)
+        return "\n".join(json.dumps(as_json(one)) for one in found)
     if values["as_csv"]:
         head = ["recording", "outcome", "version", "model", *FIGURES]
         rows = [
@@ -86,15 +86,6 @@ def _shown(found: list[Found], values: dict[str, Any]) -> str:
         ]
         return csv_text(head, rows).rstrip("\n")
     return "\n\n".join(map(_text, found))
-
-
-def _as_json(one: Found) -> dict[str, Any]:
-    return {
-        "recording": printable(one.path),
-        "outcome": one.outcome,
-        "message": one.message,
-        "effect": one.effect,
-    }
 
 
 def _text(one: Found) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, number, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.output.report_reading import read_coefficients
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request
@@ -31,12 +29,6 @@ WORDS = {
     State.UNCHECKED: "not judged",
     State.REFUSED: "refused",
 }
-OF_A_FIT = (
-    "profile", "min_distance_g", "min_subset_points", "max_subset_points", "stillness", "stillness_axes",
-    "segment_seconds", "stillness_threshold_g", "optimizer", "model", "prior",
-)  # fmt: skip
-"""Settings that coefficients of a report bring with them."""
-
 WORN = {True: "yes", False: "no", None: "-"}
 
 
@@ -75,23 +67,12 @@ def request_beside(recording: Path, values: dict[str, Any]) -> Request:
     return Request(
         options=given.read_options(values),
         parts=values["parts"],
-        settings=given.settings(values) if path is None else _settings_beside(values),
+        settings=given.settings(values) if path is None else given.settings_beside(values),
         chunk_samples=values["chunk_samples"],
         coefficients=None if path is None else read_coefficients(path),
         any_device=values["any_device"],
         report_only=True,
     )
-
-
-def _settings_beside(values: dict[str, Any]) -> Settings:
-    """What the user may say besides coefficients, as for `apply`."""
-    for name in OF_A_FIT:
-        if values[name] is not None:
-            raise UsageError(
-                f"--{name.removesuffix('_g').replace('_', '-')} is for the recording's own calibration",
-                hint="omit it: the coefficients are tested as their own recording was",
-            )
-    return replace(given.with_given(DEFAULT, values), temperature=not values["no_temperature"])
 
 
 def text(found: Quality, shown: dict[str, Any], *, tsv: bool) -> str:

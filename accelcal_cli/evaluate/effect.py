@@ -138,6 +138,16 @@ def _lines(part: Table, epoch_s: int, offset_s: int | None) -> Iterator[list[obj
         yield list(line)
 
 
+def as_json(found: Found) -> dict[str, Any]:
+    """What was found, as an object."""
+    return {
+        "recording": printable(found.path),
+        "outcome": found.outcome,
+        "message": found.message,
+        "effect": found.effect,
+    }
+
+
 def check_table(table: Path, *, force: bool) -> None:
     """Refuse to write epochs where something else is.
 

@@ -38,6 +38,10 @@ LARGEST_ERROR = 0.02
 LARGEST_DEG = 5.0
 """Median angle on held-out turns beyond which something else is wrong, such as the sign of an axis."""
 
+OTHER_UNIT = 5.0
+"""The scale of S, or its inverse, beyond which the unit of the rates is not the one that is stated: rad/s and
+deg/s differ by 57."""
+
 UNUSUAL = 0.2
 """An entry of S that is so far from that of a perfect sensor is told: devices are off by some percent."""
 
@@ -85,6 +89,12 @@ def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
     if held.after > LARGEST_DEG:
         text = f"on turns that it has not seen gravity is still {held.after:.2g} degrees off"
         return replace(known, message=f"{text}; units, axes or times of the gyroscope may be wrong")
+    factor = mean([abs(fit.scale[axis, axis]) for axis in range(3)])
+    if not 1 / OTHER_UNIT < factor < OTHER_UNIT:
+        how = (
+            f"{factor:.2g} times too small" if factor > 1 else f"{1 / max(factor, 1e-12):.2g} times too large"
+        )
+        return replace(known, message=f"its rates are about {how} for its turns: look at their unit")
     worst = float(errors.max())
     if worst > LARGEST_ERROR:
         axis = "xyz"[int(errors.max(axis=0).argmax())]

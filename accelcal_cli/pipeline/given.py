@@ -37,6 +37,12 @@ from accelcal_cli.pipeline.report_settings import converted
 OF_PAPER = ("min_distance_g", "min_subset_points", "max_subset_points")
 """Settings of profile `paper` alone."""
 
+OF_A_FIT = (
+    *("profile", *OF_PAPER, "stillness", "stillness_axes", "segment_seconds", "stillness_threshold_g"),
+    *("optimizer", "model", "prior"),
+)
+"""Settings that coefficients of a report bring with them."""
+
 AnySettings = TypeVar("AnySettings", Settings, PoseSettings)
 
 
@@ -133,12 +139,34 @@ def settings(values: dict[str, Any], *, in_study: bool = False) -> Settings:
         )
     for name in OF_PAPER if profile.profile != "paper" else ():
         if values.get(name) is not None:
-            option = "--" + name.replace("_", "-")
-            raise UsageError(f"{option} is for --profile paper only", hint="omit it, or use --profile paper")
+            text = f"{_option(name)} is for --profile paper only"
+            raise UsageError(text, hint="omit it, or use --profile paper")
     least, most = _subset_points(values)
     chosen = _stillness_settings(profile, values)
     chosen = replace(chosen, min_subset_points=least, max_subset_points=most)
     return fitting_settings(values, chosen, in_study=in_study)
+
+
+def _option(name: str) -> str:
+    """The option of a field of `Settings`."""
+    option = setting_of(Settings, name).option
+    assert option is not None
+    return option.name
+
+
+def settings_beside(values: dict[str, Any]) -> Settings:
+    """What the user may say besides coefficients, as for `apply`.
+
+    Raises:
+        UsageError: a setting is given that the coefficients bring along.
+    """
+    for name in OF_A_FIT:
+        if values.get(name) is not None:
+            raise UsageError(
+                f"{_option(name)} is for the recording's own calibration",
+                hint="omit it: the coefficients are tested as their own recording was",
+            )
+    return replace(with_given(DEFAULT, values), temperature=not values["no_temperature"])
 
 
 def _subset_points(values: dict[str, Any]) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from pathlib import Path
 from random import Random
@@ -138,3 +139,17 @@ def test_samples_beyond_those_that_a_sound_file_tells_of_are_not_lost_in_silence
         refusal = pytest.raises(UnreadableError, match="more samples follow than its header tells of")
         with refusal:
             list(reader.intake().take(path.read_bytes() + bytes(100), last=False))
+
+
+def test_a_gyroscope_in_text(tmp_path: Path) -> None:
+    """Its rows wait with those of the acceleration; one without a rate is left out of both."""
+    words = ("--format", "csv", "--gyro", "--days", "0.004", "--rate", "50", "--seed", "3", "-q")
+    assert exit_code("simulate", tmp_path / "a", *words) == 0
+    lines = gzip.decompress((tmp_path / "a.csv.gz").read_bytes()).splitlines(keepends=True)
+    lines[9000] = lines[9000].rsplit(b",", 1)[0] + b",\n"
+    path = tmp_path / "a.csv"
+    path.write_bytes(b"".join(lines))
+    expected = whole(path)
+    assert expected.gyro_counts is not None and len(expected.gyro_counts) == len(lines) - 2
+    assert [problem.code for problem in expected.problems] == ["missing_value"]
+    assert same(grown(path, path.read_bytes(), Random(4)), expected)

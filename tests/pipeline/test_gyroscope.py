@@ -90,6 +90,21 @@ def test_the_same_from_text(xsens: Path, tmp_path: Path, capsys: Capture) -> Non
     assert told.code == 0, told
 
 
+@pytest.mark.parametrize("name", ["mpu9150_imu0.log", "mpu9150_imu1.log"])
+def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path, capsys: Capture) -> None:
+    path, read = real_data / "imu" / name, ("--columns", "0,1,2", "--unit", "m/s2", "--rate", 100)
+    words = (*read, "--segment-seconds", 1, "--report-only", "-d", tmp_path)
+    assert "gyroscope" not in calibrated(capsys, path, *words)
+    turning = ("--gyro-columns", "3,4,5", "--gyro-unit")
+    found = calibrated(capsys, path, *words, *turning, "rad/s")["gyroscope"]
+    assert found["outcome"] == "calibrated", found["message"]
+    assert found["holdout_deg"]["after"] < 0.6 * found["holdout_deg"]["before"] < 0.2
+    assert np.abs(np.array(found["scale"]) - np.eye(3)).max() < 0.02
+    wrong = calibrated(capsys, path, *words, *turning, "deg/s")["gyroscope"]
+    assert (wrong["outcome"], wrong["scale"]) == ("refused", None)
+    assert wrong["message"] == "its rates are about 57 times too small for its turns: look at their unit"
+
+
 def test_parquet_holds_what_the_report_says(xsens: Path, capsys: Capture) -> None:
     found = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")["gyroscope"]
     table = pq.read_table(xsens.with_name("xsens.calibrated.parquet"))
