@@ -116,7 +116,7 @@ class Ledger:
         with (
             contextlib.suppress(OutputError),
             replacing(self.path) as temporary,
-            temporary.open("w", encoding="utf-8") as file,
+            temporary.open("w", encoding="utf-8", newline="\n") as file,
         ):
             file.writelines(_line(entry) for entry in sorted(entries, key=lambda one: (one.name, one.round)))
 

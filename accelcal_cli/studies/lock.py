@@ -139,7 +139,7 @@ def take_over(path: Path, ended: Holder, me: dict[str, Any]) -> bool:
     """
     claim, temporary = _claim(path, ended.text), beside(path)
     try:
-        temporary.write_text(json.dumps(me), encoding="utf-8")
+        temporary.write_bytes(json.dumps(me).encode())
         if not _link(temporary, claim, me):
             return False
         if (now := holder(path)) is None or now.says != me:
@@ -240,7 +240,7 @@ def _create(path: Path, me: dict[str, Any], claim: Path | None = None) -> bool:
     """
     temporary = beside(path)
     try:
-        temporary.write_text(json.dumps(me), encoding="utf-8")
+        temporary.write_bytes(json.dumps(me).encode())
         return _link(temporary, claim or path, me)
     finally:
         discard(temporary)
@@ -263,8 +263,8 @@ def _link(temporary: Path, path: Path, me: dict[str, Any]) -> bool:
 def _create_exclusively(path: Path, me: dict[str, Any]) -> bool:
     """For disks without links."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            json.dump(me, file)
+        with path.open("xb") as file:
+            file.write(json.dumps(me).encode())
     except FileExistsError:
         return False
     return _says(path) == me

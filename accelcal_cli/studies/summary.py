@@ -21,7 +21,8 @@ from accelcal_cli import __version__
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.core.zones import UNKNOWN, UTC
-from accelcal_cli.output.files import csv_text, replacing, write_text
+from accelcal_cli.output import files
+from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.output.report import SPHERE_COLUMNS, sphere_columns
 from accelcal_cli.studies.records import FAILED, Item
 
@@ -272,7 +273,7 @@ def write(summary: Summary, out: Path, name: str) -> None:
 def write_csv(rows: Sequence[dict[str, Any]], out: Path, name: str) -> None:
     """`NAME.csv` alone; raises OutputError if it cannot be written."""
     cells = ([row.get(column) for column in COLUMNS] for row in rows)
-    write_text(out / f"{name}.csv", csv_text(COLUMNS, cells))
+    files.write_csv(out / f"{name}.csv", COLUMNS, cells)
 
 
 def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
