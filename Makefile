@@ -10,7 +10,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz faults oldest audit lint docs firmware browser browser-ready bench bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz faults oldest audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -97,6 +97,10 @@ firmware: $(PLAIN)
 
 bench: $(READY)
 	$(BIN)/python -m bench $(BENCH)
+
+# a study of 100 000 recordings (docs/scale.md): about 10 minutes
+bench-scale: $(READY)
+	$(BIN)/python -m bench.scale $(BENCH)
 
 bench-peers: $(READY) bench_data/peers/.ready
 	$(BIN)/python -m bench --peers bench_data/peers/bin/python $(BENCH)

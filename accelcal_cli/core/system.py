@@ -29,6 +29,9 @@ FIRST_NUMBERS = "pid:[4026531836]"
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
 """Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
 
+PROCESS_QUERY_LIMITED_INFORMATION, ERROR_INVALID_PARAMETER, STILL_ACTIVE = 0x1000, 87, 259
+"""Of Windows: what is asked of a process, the error if there is none, and the exit code of one that lives."""
+
 KEPT_BYTES = 1 << 27
 LARGEST_KEPT_BYTES = 1 << 25
 """glibc takes no larger one on 64-bit machines (mallopt(3))."""
@@ -127,8 +130,8 @@ def lives(process: int) -> bool:
 
     One that has ended but has not been waited for is dead (state Z in proc(5)).
     """
-    if os.name != "posix":
-        return True
+    if sys.platform == "win32":
+        return lives_on_windows(process, ctypes.WinDLL("kernel32", use_last_error=True))
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):
@@ -136,6 +139,26 @@ def lives(process: int) -> bool:
     except PermissionError:
         return True
     return _state(process) != "Z"
+
+
+def lives_on_windows(process: int, kernel: Any) -> bool:
+    """The same on Windows, where a signal 0 would end the process (OpenProcess and GetExitCodeProcess).
+
+    Args:
+        kernel: kernel32, with the last error kept.
+    """
+    if process >= 1 << 32:
+        return False
+    kernel.OpenProcess.restype = ctypes.c_void_p
+    kernel.GetExitCodeProcess.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
+    kernel.CloseHandle.argtypes = [ctypes.c_void_p]
+    handle = kernel.OpenProcess(PROCESS_QUERY_LIMITED_INFORMATION, False, process)
+    if not handle:
+        return bool(ctypes.get_last_error() != ERROR_INVALID_PARAMETER)  # type: ignore[attr-defined,unused-ignore]
+    code = ctypes.c_uint32()
+    known = kernel.GetExitCodeProcess(handle, ctypes.byref(code))
+    kernel.CloseHandle(handle)
+    return not known or code.value == STILL_ACTIVE
 
 
 def _state(process: int) -> str:

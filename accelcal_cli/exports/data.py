@@ -204,8 +204,9 @@ def bids(places: Sequence[Path], output: Path, portions: Iterator[Rows], written
     lines += [(f"acc_{axis}", axis, "ACCEL", "wrist", "m/s^2", rate) for axis in "xyz"]
     if written.about.has_temperature:
         lines.append(("temperature", "n/a", "MISC", "wrist", "oC", rate))
-    channels.write_text("".join("\t".join(line) + "\n" for line in lines), encoding="utf-8")
-    sidecar.write_text(json.dumps(_sidecar(output, written, len(lines) - 1), indent=2) + "\n", "utf-8")
+    channels.write_text("".join("\t".join(line) + "\n" for line in lines), "utf-8", newline="\n")
+    said = json.dumps(_sidecar(output, written, len(lines) - 1), indent=2)
+    sidecar.write_text(said + "\n", "utf-8", newline="\n")
 
 
 def _motion(rows: Rows, written: Written) -> dict[str, pa.Array]:

@@ -98,7 +98,8 @@ def open_plain(path: Path, mode: str) -> IO[Any]:
     if not stat.S_ISREG(os.fstat(handle).st_mode):
         os.close(handle)
         raise _not_plain(path)
-    return os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8")
+    coded, ends = (None, None) if "b" in mode else ("utf-8", "\n")
+    return os.fdopen(handle, mode, encoding=coded, newline=ends)
 
 
 def _not_plain(path: Path) -> OutputError:
@@ -159,8 +160,6 @@ def _create(path: Path) -> None:
 
 def sweep(path: Path) -> None:
     """Remove temporaries of this file whose process on this machine was killed; raises OSError."""
-    if os.name != "posix":
-        return
     start = _start(path, host())
     for name in _temporaries(path.parent):
         process = name.removeprefix(start).split(".")[0]
@@ -220,7 +219,7 @@ def write_text(path: Path, text: str) -> None:
         OutputError: the file cannot be written.
     """
     with replacing(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
 def parsed(text: str | bytes) -> Any:
@@ -264,10 +263,24 @@ def _parts(value: Any) -> Iterable[Any]:
 def csv_text(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """CSV with a header line for spreadsheets; None is an empty cell, and no text acts."""
     text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
+    _put_csv(text, head, rows)
+    return text.getvalue()
+
+
+def write_csv(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """The same as a file that appears complete or not at all, whose text is never in memory as a whole.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        _put_csv(file, head, rows)
+
+
+def _put_csv(file: IO[str], head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    table = csv.writer(file, lineterminator="\n")
     table.writerow(head)
     table.writerows(map(_cell, row) for row in rows)
-    return text.getvalue()
 
 
 def _cell(value: object) -> object:

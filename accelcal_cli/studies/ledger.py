@@ -10,9 +10,8 @@ import contextlib
 import json
 import os
 import re
-import sys
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import IO, Any
@@ -34,15 +33,22 @@ class Ledger:
     A process that is killed leaves at worst half a line, which is not read.
     """
 
-    def __init__(self, path: Path, others: Iterable[Path] = ()) -> None:
-        """Read the entries of `path` and of others; what cannot be read is as if it were not there."""
+    def __init__(
+        self, path: Path, others: Iterable[Path] = (), wanted: Callable[[str], bool] = lambda _name: True
+    ) -> None:
+        """Read the entries of `path` and of others; what cannot be read is as if it were not there.
+
+        Args:
+            wanted: whether entries of a name are looked for; others are not kept in memory.
+        """
         self.path = path
         self.out = path.parent
         self._entries: dict[tuple[str, str], list[Entry]] = {}
         self._file: IO[str] | None = None
         for one in (path, *others):
             for entry in _read(one):
-                self._entries.setdefault((entry.name, entry.round), []).append(entry)
+                if wanted(entry.name):
+                    self._entries.setdefault((entry.name, entry.round), []).append(entry)
 
     def known(self, item: Item, asked: str, name: str = OWN) -> Entry | None:
         """What came of a file in a round, with these settings and this version.
@@ -110,7 +116,7 @@ class Ledger:
         with (
             contextlib.suppress(OutputError),
             replacing(self.path) as temporary,
-            temporary.open("w", encoding="utf-8") as file,
+            temporary.open("w", encoding="utf-8", newline="\n") as file,
         ):
             file.writelines(_line(entry) for entry in sorted(entries, key=lambda one: (one.name, one.round)))
 
@@ -124,12 +130,22 @@ def _checksum(data: bytes) -> str:
     return f"{zlib.crc32(data):08x}"
 
 
-def _read(path: Path) -> list[Entry]:
-    try:
-        with open_plain(path, "rb") as lines:
-            return [entry for line in lines if (entry := _parsed(line.strip())) is not None]
-    except (OSError, OutputError):
-        return []
+def _read(path: Path) -> Iterator[Entry]:
+    """Entries of a file. Texts that are alike are one: of 100 000 rows they would be much of the memory."""
+    texts: dict[str, str] = {}
+    with contextlib.suppress(OSError, OutputError), open_plain(path, "rb") as lines:
+        for line in lines:
+            if (entry := _parsed(line.strip(), texts)) is not None:
+                yield entry
+
+
+def _shared(value: Any, texts: dict[str, str]) -> Any:
+    """The value with the same text wherever one was met before."""
+    if isinstance(value, str):
+        return texts.setdefault(value, value)
+    if isinstance(value, dict):
+        return {texts.setdefault(name, name): _shared(one, texts) for name, one in value.items()}
+    return [_shared(one, texts) for one in value] if isinstance(value, list) else value
 
 
 def is_ledger(path: Path) -> bool:
@@ -143,22 +159,19 @@ def is_ledger(path: Path) -> bool:
     return HALF_A_LINE.fullmatch(start) is not None or LINE.search(start) is not None
 
 
-def _shared(row: dict[str, Any]) -> dict[str, Any]:
-    """A row whose keys are those of all other rows; of 10 000 rows they would be half the memory."""
-    return {sys.intern(name): value for name, value in row.items()}
-
-
-def _parsed(line: bytes) -> Entry | None:
+def _parsed(line: bytes, texts: dict[str, str]) -> Entry | None:
     checksum, _, text = line.partition(b" ")
     if checksum != _checksum(text).encode():
         return None
     try:
-        held: dict[str, Any] = json.loads(text)
+        held: dict[str, Any] = _shared(json.loads(text), texts)
+        if not all(isinstance(held[name], str) for name in ("name", "asked", "round")):
+            return None
         return Entry(
             name=held["name"],
             stamps=tuple(None if one is None else (one[0], one[1]) for one in held["stamps"]),
             asked=held["asked"],
-            row=None if held["row"] is None else _shared(held["row"]),
+            row=held["row"],
             outputs=tuple((name, (found[0], found[1])) for name, found in held["outputs"]),
             again=held["again"],
             round=held["round"],

@@ -139,7 +139,7 @@ def take_over(path: Path, ended: Holder, me: dict[str, Any]) -> bool:
     """
     claim, temporary = _claim(path, ended.text), beside(path)
     try:
-        temporary.write_text(json.dumps(me), encoding="utf-8")
+        temporary.write_bytes(json.dumps(me).encode())
         if not _link(temporary, claim, me):
             return False
         if (now := holder(path)) is None or now.says != me:
@@ -163,7 +163,7 @@ def release(path: Path, me: dict[str, Any]) -> None:
         claims = [*path.parent.glob(f".{path.name}.*{CLAIM}")]
         own = _claim(path, found.text)
         with contextlib.suppress(OSError, OutputError):
-            if not _create(own, {**me, "leaving": True}):
+            if not _create(path, {**me, "leaving": True}, own):
                 return
         path.unlink(missing_ok=True)
         for claim in (*claims, own):
@@ -233,12 +233,15 @@ def _signs(paths: Iterable[Path]) -> dict[Path, object]:
     return seen
 
 
-def _create(path: Path, me: dict[str, Any]) -> bool:
-    """Make a lock, or a claim, with its content at once; False if there is one already."""
+def _create(path: Path, me: dict[str, Any], claim: Path | None = None) -> bool:
+    """Make a lock, or a claim on it, with its content at once; False if there is one already.
+
+    The temporary is the lock's in both cases, so that the next run finds what a killed one left.
+    """
     temporary = beside(path)
     try:
-        temporary.write_text(json.dumps(me), encoding="utf-8")
-        return _link(temporary, path, me)
+        temporary.write_bytes(json.dumps(me).encode())
+        return _link(temporary, claim or path, me)
     finally:
         discard(temporary)
 
@@ -260,8 +263,8 @@ def _link(temporary: Path, path: Path, me: dict[str, Any]) -> bool:
 def _create_exclusively(path: Path, me: dict[str, Any]) -> bool:
     """For disks without links."""
     try:
-        with path.open("x", encoding="utf-8") as file:
-            json.dump(me, file)
+        with path.open("xb") as file:
+            file.write(json.dumps(me).encode())
     except FileExistsError:
         return False
     return _says(path) == me

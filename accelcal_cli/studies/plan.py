@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
@@ -24,10 +25,15 @@ from accelcal_cli.studies.study import REPLACING, WHOLE, Study
 
 
 def ledger_of(study: Study) -> Ledger:
-    """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole."""
+    """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole.
+
+    A shard reads neither the ledgers of its siblings, which have nothing of its own, nor others' entries.
+    """
+    shard = study.shard
+    siblings = set() if shard.whole else set(study.out.glob(f"study.*-of-{shard.number}.ledger"))
     others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
-    own = study.out / f"{study.shard.basename}.ledger"
-    return Ledger(own, [path for path in others if path != own])
+    own = study.out / f"{shard.basename}.ledger"
+    return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns)
 
 
 @dataclass(slots=True)
@@ -75,16 +81,15 @@ def plan(study: Study, ledger: Ledger) -> Plan:
     listed, rules = files(study.where, planning.plan.notes), study.request.rules
     planning.plan.notes += unfit_patterns(rules, listed)
     wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
-    found = [as_stated(item, study.request) for item in wanted]
-    items = [planning.as_it_counts(item) for item in found]
+    concerned, others = _concerned(study, wanted)
+    items = [planning.looked_at(item) for item in concerned]
     recordings = without_collisions([item for item in items if not item.aside and planning.keeps(item)])
-    if not recordings:
-        raise UsageError(
-            "no recording was found",
-            path=study.where.folders[0],
-            hint="give --format, or name files with --include",
-        )
-    refuse_unused([item.source for item in recordings], study.request.options)
+    try:
+        _require_use(study, recordings)
+    except UsageError:  # which other shards' recordings may have
+        looked_at = map(planning.looked_at, others)
+        more = [item for item in looked_at if not item.aside and planning.keeps(item)]
+        _require_use(study, [*recordings, *more])
     for item in recordings:
         if study.shard.owns(item.name):
             planning.place(item)
@@ -92,6 +97,26 @@ def plan(study: Study, ledger: Ledger) -> Plan:
         if item.aside and study.shard.owns(item.name):
             planning.place_aside(item)
     return planning.plan
+
+
+def _concerned(study: Study, items: list[Item]) -> tuple[list[Item], list[Item]]:
+    """The items that a shard has to look at, its own and those with their outputs, and the others."""
+    if study.shard.whole:
+        return items, []
+    reports = {item.job.report for item in items if study.shard.owns(item.name)}
+    near = [item.job.report in reports for item in items]
+    return list(compress(items, near)), [item for item, one in zip(items, near, strict=True) if not one]
+
+
+def _require_use(study: Study, recordings: list[Item]) -> None:
+    """Raise UsageError if there are no recordings, or none for which an option means anything."""
+    if not recordings:
+        raise UsageError(
+            "no recording was found",
+            path=study.where.folders[0],
+            hint="give --format, or name files with --include",
+        )
+    refuse_unused([item.source for item in recordings], study.request.options)
 
 
 def as_stated(item: Item, request: Request) -> Item:
@@ -126,8 +151,11 @@ class _Planning:
     asked: str
     plan: Plan
 
-    def as_it_counts(self, now: Item) -> Item:
-        """A file as it is; one that is left for later as it was when it was worked on."""
+    def looked_at(self, item: Item) -> Item:
+        """A file as it counts: one that is left for later as it was when it was worked on."""
+        return self._as_it_counts(as_stated(item, self.study.request))
+
+    def _as_it_counts(self, now: Item) -> Item:
         if not (now.aside or _left_for_later(self.study, now)):
             return now
         item = self.ledger.as_it_was(now, self.asked)
@@ -145,7 +173,7 @@ class _Planning:
         else:
             options = request.options_of(item.source) if item.choices else request.options
             recording = item.refusal is not None or is_recording(item, options, asked_for=named)
-        if not recording:
+        if not recording and self.study.shard.owns(item.name):
             self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
         return recording
 

@@ -68,12 +68,13 @@ class Victim:
     share: float = 0.1
 
 
-STUDY = ("study", "in", "-d", "out", "-j", "2", "-q", "--all-failures")
+QUICK = ("-q", "--recalibrate", "never", "--prior", "none", "--model", "6")
+STUDY = ("study", "in", "-d", "out", "-j", "2", "--all-failures", *QUICK)
 VICTIMS = (
     Victim("study", STUDY, _folder, 1, share=1.0),
     Victim("study --html", (*STUDY, "--html"), _folder, 1),
-    Victim("calibrate --html", ("calibrate", "in/p0.raw", "-d", "out", "-q", "--html"), _folder, 0),
-    Victim("calibrate --parts", ("calibrate", "--parts", "in", "-d", "out", "-q"), _parts, 0),
+    Victim("calibrate --html", ("calibrate", "in/p0.raw", "-d", "out", "--html", *QUICK), _folder, 0),
+    Victim("calibrate --parts", ("calibrate", "--parts", "in", "-d", "out", *QUICK), _parts, 0),
 )
 
 

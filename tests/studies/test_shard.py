@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import pytest
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.studies.study import Shard, shard
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.studies import plan as planning
+from accelcal_cli.studies.discovery import Where
+from accelcal_cli.studies.plan import Plan, ledger_of, plan
+from accelcal_cli.studies.records import OWN, Item
+from accelcal_cli.studies.study import Shard, Study, shard
+from tests.cli.studies import run_in, study_folder
 
 NAMES = [f"site{number % 7}/p{number:03}.cwa" for number in range(400)]
 
@@ -53,3 +63,61 @@ def test_a_job_array_gives_the_part() -> None:
 def test_what_is_no_such_array_is_refused(environment: dict[str, str]) -> None:
     with pytest.raises(UsageError, match="--shard slurm"):
         shard("slurm", environment)
+
+
+def planned(folder: Path, part: str, **options: Any) -> Plan:
+    request = Request(options=ReadOptions(**options), several=True)
+    study = Study(Where((folder,), folder / "out"), request, shard=shard(part))
+    return plan(study, ledger_of(study))
+
+
+def test_a_shard_looks_at_its_own_files_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And at those that would have the same outputs: each look takes its time where the disk is far away."""
+    names = [f"{letter}.raw" for letter in "abcdefgh"]
+    folder, looked_at = study_folder(tmp_path / "in", tuple(names)), []
+    (folder / "a.bin").write_bytes(b"no recording")
+    real = planning.is_recording
+
+    def is_recording(item: Item, *more: Any, **named: Any) -> bool:
+        looked_at.append(item.name)
+        return real(item, *more, **named)
+
+    monkeypatch.setattr(planning, "is_recording", is_recording)
+    for index in (1, 2, 3):
+        looked_at.clear()
+        own = {name for name in (*names, "a.bin", "readme.txt") if Shard(index, 3).owns(name)}
+        both = {"a.raw", "a.bin"}
+        found = planned(folder, f"{index}/3")
+        assert set(looked_at) == own | (both if own & both else set())
+        recordings = [*found.todo, *(item for item, _ in found.done)]
+        assert {item.name for item in recordings} == own - {"readme.txt"}
+        assert [entry.name for entry in found.left_out] == [name for name in own if name == "readme.txt"]
+
+
+def test_an_option_may_mean_something_for_others_recordings(tmp_path: Path) -> None:
+    folder = study_folder(tmp_path / "in", ("a.raw", "b.raw"))
+    (folder / "c.csv").write_text("x,y,z\n" + "1,0,0\n" * 100)
+    for index in range(1, 10):
+        planned(folder, f"{index}/9", unit="g")
+    (folder / "c.csv").unlink()
+    with pytest.raises(UsageError, match="unit"):
+        planned(folder, "1/9", unit="g")
+
+
+def test_a_shard_may_have_nothing_to_do_but_the_study_not(tmp_path: Path) -> None:
+    folder = study_folder(tmp_path / "in", ("a.raw",))
+    parts = [planned(folder, f"{index}/5") for index in range(1, 6)]
+    assert sorted(len(part.todo) for part in parts) == [0, 0, 0, 0, 1]
+    (folder / "a.raw").unlink()
+    with pytest.raises(UsageError, match="no recording was found"):
+        planned(folder, "1/5")
+
+
+def test_a_shard_keeps_no_entries_of_others_in_memory(tmp_path: Path) -> None:
+    folder, out = study_folder(tmp_path / "in", ("a.raw", "b.raw")), tmp_path / "out"
+    assert run_in(tmp_path, "study", folder, "-d", out, "--report-only").code == 0
+    study = Study(Where((folder,), out), Request(report_only=True), shard=shard("1/2"))
+    whole, part = ledger_of(replace(study, shard=Shard())), ledger_of(study)
+    for name in ("a.raw", "b.raw"):
+        assert whole.held(name, study.asked(), [OWN])
+        assert bool(part.held(name, study.asked(), [OWN])) == study.shard.owns(name)
