@@ -46,7 +46,7 @@ nightly: $(READY)
 fuzz: $(READY)
 	ACCELCAL_FUZZ=$${ACCELCAL_FUZZ:-100000} $(BIN)/python -m tests.fuzz
 
-# the table of docs/reliability.md: FAULTS calls of each operation fail in turn (0: all, which takes an hour)
+# the table of docs/reliability.md: FAULTS calls of each operation fail in turn (3; 0: all, which takes hours)
 faults: $(READY)
 	$(BIN)/python -m tests.faults $(FAULTS)
 
@@ -67,6 +67,8 @@ $(OLDEST)/.ready: pyproject.toml
 
 # what is installed against published advisories; needs the network
 audit: $(READY)
+	@$(BIN)/python -c 'import urllib.request as web; web.urlopen("https://pypi.org/pypi/pip/json", timeout=20).read(1)' 2>/dev/null \
+	  || { echo "make audit: published advisories (pypi.org) cannot be reached; nothing was compared."; exit 1; }
 	$(PYTHON) -m venv bench_data/audit
 	bench_data/audit/bin/python -m pip install --quiet pip-audit
 	bench_data/audit/bin/pip-audit --path $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli import __version__
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.judge.errors import directions
@@ -297,7 +297,7 @@ def check_parquet(
                 "no calibrated Parquet file lies beside it", path=document.path, hint="omit --values"
             )
         return None
-    metadata = metadata_of(path)
+    metadata = metadata_of(path, UnreadableError)
     names = ("accelcal_version", "calibration", "recording", *({"gyroscope"} & {*metadata, *document.report}))
     if document.first is not None:
         metadata = metadata | {"calibration": with_new_names(metadata.get("calibration"))}

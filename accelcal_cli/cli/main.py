@@ -13,7 +13,7 @@ from click.shell_completion import CompletionItem
 from accelcal_cli import __version__
 from accelcal_cli.cli.exit_codes import run_safely
 from accelcal_cli.core.errors import near
-from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory
+from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory, take_over_process
 
 
 class LazyGroup(click.Group):
@@ -95,6 +95,7 @@ def cli() -> None:
 
 def main() -> NoReturn:
     """Console entry point: runs the command and exits with its code."""
+    take_over_process()
     hold_to_one_thread()
     keep_freed_memory()
     code = run_safely(lambda: cli.main(prog_name="accelcal", standalone_mode=False))

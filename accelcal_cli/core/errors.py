@@ -18,6 +18,16 @@ NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 FORMULA = re.compile(r"[=@\t\r\n]|[+-](?![0-9.eE+-]*$)")
 """How cells begin that spreadsheets calculate, or of which they pass over the beginning; no numbers."""
 
+MACHINE = frozenset(
+    getattr(errno, name)
+    for name in (
+        "EIO", "EMFILE", "ENFILE", "ENOMEM", "ENOSPC", "EDQUOT", "EAGAIN", "EACCES", "EPERM", "ENODEV",
+        "ESTALE", "ETIMEDOUT", "EHOSTDOWN", "ENETDOWN", "ENOTCONN", "EREMOTEIO",
+    )
+    if hasattr(errno, name)
+)  # fmt: skip
+"""What a system says of its disks, networks, limits and rights, whatever is in a file."""
+
 NO_THREAD = ("can't start new thread", "Failed to launch worker thread")
 """What Python (Modules/_threadmodule.c) and Arrow (util/thread_pool.cc) say where they are given none."""
 
@@ -70,6 +80,12 @@ def came_of(error: BaseException | None, *kinds: type[BaseException]) -> BaseExc
     while error is not None and not isinstance(error, kinds):
         error = error.__context__
     return error
+
+
+def of_the_machine(error: BaseException) -> bool:
+    """Whether an error came of the machine, and not of what a file holds: it may be gone the next time."""
+    cause = came_of(error, OSError)
+    return isinstance(cause, OSError) and cause.errno in MACHINE
 
 
 def lacking(error: BaseException | None) -> str | None:

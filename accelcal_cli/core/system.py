@@ -36,6 +36,8 @@ KEPT_BYTES = 1 << 27
 LARGEST_KEPT_BYTES = 1 << 25
 """glibc takes no larger one on 64-bit machines (mallopt(3))."""
 
+_OURS: list[bool] = []
+
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What OpenMP, OpenBLAS and MKL ask for, in this process and those it starts."""
 
@@ -195,6 +197,16 @@ def give_back_freed_memory() -> bool:
 def _of_glibc(name: str) -> Any:
     """A function that only glibc has, or None."""
     return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
+
+
+def take_over_process() -> None:
+    """Say that this process is accelcal's alone, and no program's that uses it: it handles signals itself."""
+    _OURS.append(True)
+
+
+def process_is_ours() -> bool:
+    """Whether `take_over_process` was called."""
+    return bool(_OURS)
 
 
 def hold_to_one_thread() -> None:

@@ -154,7 +154,7 @@ def calibrated_rows(
 def _about(path: Path) -> About:
     if not path.is_file():
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
-    said, schema = metadata_of(path), stored_schema(path)
+    said, schema = metadata_of(path, UnreadableError), stored_schema(path)
     recording = section(said, "recording")
     if said.get("outcome") == Outcome.REFUSED:
         text = f"holds raw values, since its recording was refused ({said.get('message')})"

@@ -19,7 +19,7 @@ from math import isfinite
 from pathlib import Path
 from typing import IO, Any, NoReturn
 
-from accelcal_cli.core.errors import OutputError, printable, spreadsheet_cell
+from accelcal_cli.core.errors import AccelcalError, OutputError, printable, spreadsheet_cell
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.system import host, lives
 
@@ -287,11 +287,30 @@ def _cell(value: object) -> object:
     return spreadsheet_cell(printable(value) if isinstance(value, str) else value)
 
 
-def metadata_of(path: Path) -> dict[str, Any]:
-    """What a Parquet file of ours says of itself; empty for any other file, or none."""
+@contextlib.contextmanager
+def looking_at(path: Path, failure: type[AccelcalError] = OutputError) -> Iterator[None]:
+    """Find out whose a file is: what the system does not let us read is not taken for somebody else's.
+
+    Raises:
+        AccelcalError: of the kind `failure`.
+    """
     try:
-        metadata = parsed(_our_metadata(path)) if path.is_file() else {}
-    except (OSError, ValueError):
+        yield
+    except OSError as error:
+        hint = "check its permissions and its disk"
+        raise failure(f"cannot be read ({error.strerror or error})", path=path, hint=hint) from error
+
+
+def metadata_of(path: Path, failure: type[AccelcalError] = OutputError) -> dict[str, Any]:
+    """What a Parquet file of ours says of itself; empty for any other file, or none.
+
+    Raises:
+        AccelcalError: of the kind `failure`, if it is there and cannot be read.
+    """
+    try:
+        with looking_at(path, failure):
+            metadata = parsed(_our_metadata(path)) if path.is_file() else {}
+    except ValueError:
         return {}
     return metadata if isinstance(metadata, dict) else {}
 
@@ -306,11 +325,15 @@ def _our_metadata(path: Path) -> bytes:
             text: bytes = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
     except pa.ArrowException:
         return b"{}"
+    except OSError as error:
+        if error.errno is None:  # Arrow's word for damage
+            return b"{}"
+        raise
     return text
 
 
 def written_by_us(path: Path) -> bool:
-    """Whether a Parquet file carries our metadata."""
+    """Whether a Parquet file carries our metadata; raises OutputError if it cannot be read."""
     return bool(metadata_of(path))
 
 
@@ -319,12 +342,12 @@ PAGE_MARK, PAGE_HEAD = b'<meta name="generator" content="accelcal ', 256
 
 
 def is_page(path: Path) -> bool:
-    """Whether a file is a page that accelcal made."""
-    try:
+    """Whether a file is a page that accelcal made; raises OutputError if it cannot be read."""
+    with looking_at(path):
+        if not path.is_file() or path.is_symlink():
+            return False
         with open_plain(path, "rb") as file:
             return PAGE_MARK in file.read(PAGE_HEAD)
-    except (OSError, OutputError):
-        return False
 
 
 def refuse_foreign(path: Path, *, known: bool) -> None:

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.errors import UnreadableError, lacking
 from accelcal_cli.core.parallel import BackgroundWriter, OrderedCalls
 from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
@@ -189,12 +189,14 @@ def _text(metadata: dict[bytes, bytes] | None, key: bytes) -> str | None:
 
 
 def stored_schema(path: Path) -> pa.Schema | None:
-    """The schema of a file; None if it is no Parquet file, or cannot be read."""
+    """The schema of a file; None if it is no Parquet file. Raises UnreadableError if it cannot be read."""
     try:
         with path.open("rb") as file:
             return pq.read_schema(file)
-    except (OSError, pa.ArrowException):
-        return None
+    except (OSError, pa.ArrowException) as error:
+        if getattr(error, "errno", None) is None:
+            return None
+        raise UnreadableError(f"cannot be read ({error.strerror})", path=path) from error
 
 
 def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArray[Any]]:
@@ -367,6 +369,8 @@ class ParquetSource:
         try:
             batch = next(self._batches, None)
         except (OSError, pa.ArrowException) as error:
+            if lacking(error) is not None:
+                raise
             raise self._unreadable(error) from error
         return None if batch is None else [_values(batch.column(name)) for name in self.names]
 

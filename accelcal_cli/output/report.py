@@ -37,7 +37,7 @@ from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.files import parsed
+from accelcal_cli.output.files import looking_at, parsed
 from accelcal_cli.output.report_schema import fault, report_schema
 
 DAY_S = 86_400
@@ -522,13 +522,15 @@ def _renamed(named: Any) -> Any:
 
 
 def load(path: Path) -> dict[str, Any] | None:
-    """A JSON file that accelcal wrote, or None if the file is anything else."""
-    try:
+    """A JSON file that accelcal wrote, or None if the file is anything else.
+
+    Raises:
+        OutputError: it is there and cannot be read.
+    """
+    with looking_at(path):
         if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
             return None
         return ours(path.read_bytes())
-    except OSError:
-        return None
 
 
 def ours(text: bytes) -> dict[str, Any] | None:

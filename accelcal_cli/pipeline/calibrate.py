@@ -361,7 +361,7 @@ class RecordingRun:
     def write(self, found: FirstPass, integers: dict[str, Any] | None = None) -> Result:
         """Parquet first, the report last: it is the commit mark.
 
-        The report of an earlier result is removed only when the new Parquet is complete.
+        The report of an earlier result is removed only when the new Parquet is complete, or none is due.
 
         Raises:
             UnreadableError: the recording changed between the passes or within one.
@@ -373,6 +373,7 @@ class RecordingRun:
         written = self.job.uncalibrated if kept else self.job.parquet if writes_parquet(data) else None
         if written is None:
             data = self.count_beyond(data)
+            outputs.remove(self.job.report)
         else:
             effect = self._effect(data)
             over = self._write_parquet(data, written, effect)

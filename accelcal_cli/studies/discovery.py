@@ -80,7 +80,7 @@ def _summary(path: Path) -> bool:
             with path.open("rb") as file:
                 return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
         return "recordings" in (load(path) or {})
-    except (OSError, ValueError, pa.ArrowException):
+    except (OSError, OutputError, ValueError, pa.ArrowException):
         return False
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zoneinfo
 
 import numpy as np
+import pyarrow as pa
 
 import accelcal_cli.output.parquet
 import accelcal_cli.pipeline.export
@@ -16,6 +17,7 @@ from accelcal_cli.output.report_schema import report_schema
 from accelcal_cli.pipeline.outputs import provenance
 
 load_all()
+pa.enable_signal_handlers(False)  # as in `formats/csv/table.py`
 READY = (
     np.random,
     zoneinfo,

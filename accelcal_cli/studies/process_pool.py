@@ -46,6 +46,9 @@ RETRY_S = 0.1
 """It takes a moment until a killed server is known to be gone."""
 
 TERMINATED = 143
+NO_THREAD = 144
+"""The exit code of a process that was given no thread to watch over it."""
+
 SERVER_GONE = 255
 """The exit code that multiprocessing gives a process whose server is gone."""
 
@@ -227,6 +230,8 @@ def _lost_worker(worker: _Worker) -> Finished:
         reason = ", perhaps for lack of memory" if name == "SIGKILL" else ""
         retry = name in ("SIGKILL", "SIGTERM", "SIGHUP")
         return Finished(worker.task, fault=f"its process was ended by {name}{reason}", retry=retry)
+    if code == NO_THREAD:
+        return Finished(worker.task, fault="no more threads could be started; use fewer --jobs", retry=True)
     return Finished(worker.task, fault=f"its process ended unexpectedly (code {code})")
 
 
@@ -284,7 +289,10 @@ def _serve(pipe: Connection, work: TaskFunction) -> None:
     """What a worker process does: one task after another until it receives None."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    try:
+        threading.Thread(target=_end_with_parent, daemon=True).start()
+    except RuntimeError:
+        raise SystemExit(NO_THREAD) from None
     with contextlib.suppress(EOFError, OSError):
         while (task := pipe.recv()) is not None:
             pipe.send(("result", work(task, lambda fraction: pipe.send(("progress", fraction)))))

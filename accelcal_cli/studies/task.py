@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, lacking, printable
+from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, lacking, of_the_machine, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -113,7 +113,7 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
 
 def _failed(task: Task, error: Exception) -> TaskResult:
     if isinstance(error, AccelcalError):
-        again = isinstance(error, OutputError)
+        again = isinstance(error, OutputError) or of_the_machine(error)
         return TaskResult(task.failure(error.exit_code, str(error), again=again))
     if (lack := lacking(error)) is not None:
         message = f"{printable(task.item.source)}: {lack}; use fewer --jobs"

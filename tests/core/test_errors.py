@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,27 @@ from accelcal_cli.core import errors
 )
 def test_an_error_names_its_place_and_remedy(place: dict[str, object], text: str) -> None:
     assert str(errors.AccelcalError("it broke", **place)) == text
+
+
+@pytest.mark.parametrize(
+    ("cause", "again"),
+    [
+        (OSError(errno.EIO, "the disk"), True),
+        (OSError(errno.EMFILE, "files"), True),
+        (PermissionError(errno.EACCES, "rights"), True),
+        (OSError("Not a gzipped file"), False),
+        (OSError(errno.EINVAL, "a seek that a file asks for"), False),
+        (ValueError("a number"), False),
+    ],
+)
+def test_what_came_of_the_machine_is_told_from_what_is_in_a_file(cause: Exception, again: bool) -> None:
+    try:
+        try:
+            raise cause
+        except Exception as error:
+            raise errors.UnreadableError("cannot be read") from error
+    except errors.UnreadableError as error:
+        assert errors.of_the_machine(error) is again
 
 
 def test_an_error_is_one_line() -> None:

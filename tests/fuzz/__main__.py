@@ -1,7 +1,9 @@
 """`make fuzz`: tries mutants of all targets, or of those named, on all cores.
 
 ACCELCAL_FUZZ is the number of mutants of all formats, ACCELCAL_FUZZ_SEED the seed, ACCELCAL_FUZZ_JOBS the
-number of processes. What fails is kept in `fuzz_failures`.
+number of processes; ACCELCAL_FUZZ_FROM leaves out as many of ACCELCAL_FUZZ as an earlier run has tried. A
+process tries PART mutants and ends, so that memory does not depend on their number. What fails is kept in
+`fuzz_failures`.
 """
 
 from __future__ import annotations
@@ -72,13 +74,14 @@ def start(part: Part, seed: int) -> Worker:
     return Worker(part, process, here, folder)
 
 
-def parts(names: list[str]) -> deque[Part]:
-    """All work, the targets in turn so that none comes last."""
+def parts(names: list[str], tried: int = 0) -> deque[Part]:
+    """All work but what was tried before, the targets in turn so that none comes last."""
     found = []
     for name in names:
         total = engine.number_of_mutants(name, engine.MUTANTS)
         size = PART if name in engine.FORMATS else PART // 40
-        found += [Part(name, range(at, min(total, at + size))) for at in range(0, total, size)]
+        first = engine.number_of_mutants(name, tried) if tried else 0
+        found += [Part(name, range(at, min(total, at + size))) for at in range(first, total, size)]
     return deque(sorted(found, key=lambda part: part.numbers.start / part.numbers.stop))
 
 
@@ -108,10 +111,10 @@ def lost(worker: Worker, queue: deque[Part], seed: int, what: str) -> Tally:
     return Tally(mutants=done, failures=[f"{kept}: {what} (exit code {worker.process.exitcode})"])
 
 
-def run(names: list[str], seed: int, jobs: int) -> dict[str, Tally]:
+def run(names: list[str], seed: int, jobs: int, tried: int = 0) -> dict[str, Tally]:
     """Try all mutants; failures are printed as they come."""
     tallies = {name: Tally() for name in names}
-    queue, workers = parts(names), list[Worker]()
+    queue, workers = parts(names, tried), list[Worker]()
     while queue or workers:
         while queue and len(workers) < jobs:
             workers.append(start(queue.popleft(), seed))
@@ -129,10 +132,12 @@ def run(names: list[str], seed: int, jobs: int) -> dict[str, Tally]:
 
 def main() -> int:
     """Print one line a target; gives the number of failures, 100 at most."""
-    seed, jobs = (int(os.environ.get(f"ACCELCAL_FUZZ_{name}", "0")) for name in ("SEED", "JOBS"))
+    seed, jobs, tried = (
+        int(os.environ.get(f"ACCELCAL_FUZZ_{name}", "0")) for name in ("SEED", "JOBS", "FROM")
+    )
     names = sys.argv[1:] or list(engine.NAMES)
     begun = time.monotonic()
-    tallies = run(names, seed or 1, jobs or os.cpu_count() or 1)
+    tallies = run(names, seed or 1, jobs or os.cpu_count() or 1, tried)
     print(engine.HEAD)
     total = Tally()
     for name, tally in tallies.items():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Sequence
 from random import Random
 
 
@@ -35,3 +37,14 @@ def damaged(data: bytes, random: Random) -> bytes:
         lambda: before + data[other : other + size] + data[at:],
     )
     return random.choice(kinds)()
+
+
+def replace_number(data: bytearray, at: int, numbers: Sequence[int], random: Random) -> None:
+    """One of these numbers in eight bytes or four, or one bit, in place."""
+    form = random.randrange(3)
+    if form == 0:
+        struct.pack_into("<Q", data, at, random.choice(numbers))
+    if form == 1:
+        struct.pack_into("<I", data, at, random.choice(numbers) & 0xFFFFFFFF)
+    if form == 2:
+        data[at] ^= 1 << random.randrange(8)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import io
-import struct
 from random import Random
 
 import pyarrow as pa
 import pyarrow.feather
 
-from tests.fuzz.blind import blind
+from tests.fuzz.blind import blind, replace_number
 from tests.fuzz.mutant import Mutant
 from tests.fuzz.mutate_parquet import OPTIONS, ROWS, absurd, sound
 
@@ -41,13 +40,7 @@ def messages(data: bytes, random: Random) -> bytes:
         start = random.choice([*places, max(0, len(data) - 600)])
         at = min(start + random.randrange(random.choice([8, 300])), len(new) - 8)
         words = [0, 1, (1 << 64) - 1, 1 << 62, len(new), random.getrandbits(64)]
-        form = random.randrange(3)
-        if form == 0:
-            struct.pack_into("<Q", new, at, random.choice(words))
-        if form == 1:
-            struct.pack_into("<I", new, at, random.choice(words) & 0xFFFFFFFF)
-        if form == 2:
-            new[at] ^= 1 << random.randrange(8)
+        replace_number(new, at, words, random)
     return bytes(new)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import struct
 from functools import cache
 from random import Random
 from typing import Any
@@ -13,7 +12,7 @@ import h5py
 import numpy as np
 
 from accelcal_cli.core.formats import ReadOptions
-from tests.fuzz.blind import blind
+from tests.fuzz.blind import blind, replace_number
 from tests.fuzz.mutant import Mutant, Truth
 
 SUFFIX = ".h5"
@@ -217,13 +216,7 @@ def damaged(data: bytes, random: Random) -> bytes:
     for _ in range(random.choice([1, 1, 3, 10])):
         at = random.randrange(min(len(new) - 8, random.choice([100, 2000, 6000, len(new)])))
         words = [0, 1, (1 << 64) - 1, 1 << 63, len(new), random.getrandbits(64)]
-        form = random.randrange(3)
-        if form == 0:
-            struct.pack_into("<Q", new, at, random.choice(words))
-        if form == 1:
-            struct.pack_into("<I", new, at, random.choice(words) & 0xFFFFFFFF)
-        if form == 2:
-            new[at] ^= 1 << random.randrange(8)
+        replace_number(new, at, words, random)
     return bytes(new)
 
 

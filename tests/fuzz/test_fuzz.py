@@ -150,6 +150,9 @@ def test_parts_cover_every_mutant_once(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(found) > 1
     wanted = engine.number_of_mutants("cwa", 40_000)
     assert sorted(number for part in found for number in part.numbers) == list(range(wanted))
+    later = [part for part in fuzz_main.parts(["cwa"], 10_000) if part.name == "cwa"]
+    rest = range(engine.number_of_mutants("cwa", 10_000), wanted)
+    assert sorted(number for part in later for number in part.numbers) == list(rest)
     formats = sum(len(part.numbers) for part in parts if part.name in engine.FORMATS)
     assert 40_000 - len(engine.FORMATS) <= formats <= 40_000
 

@@ -1,17 +1,21 @@
-"""A ledger that is damaged costs what it saved, no more."""
+"""A ledger that is damaged costs what it saved, no more; and what it says is to be tried again."""
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
 import zlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.studies.ledger import Ledger
+from accelcal_cli.studies.task import guarded
 from tests.cli.run import run
 from tests.cli.studies import results, run_in, study_folder
 
@@ -85,3 +89,21 @@ def test_a_line_is_its_checksum_and_its_json(base: Path) -> None:
         said = json.loads(line[9:])
         assert said["round"] == "own"
         assert len(ledger.held(said["name"], said["asked"], ["own"])) == 1
+
+
+@pytest.mark.parametrize(
+    ("cause", "again"), [(OSError(errno.EIO, "the disk"), True), (OSError("damaged"), False)]
+)
+def test_a_recording_that_the_disk_did_not_give_is_tried_again(cause: OSError, again: bool) -> None:
+    class Told:
+        def failure(self, code: int, _message: str, *, again: bool) -> tuple[int, bool]:
+            return code, again
+
+    @guarded
+    def work(_task: Any, _report: Any) -> Any:
+        try:
+            raise cause
+        except OSError as error:
+            raise UnreadableError("cannot be read") from error
+
+    assert work(Told(), None).entry == (3, again)

@@ -142,6 +142,10 @@ def _too_much(path: Path, what: str) -> UnreadableError:
     )
 
 
+def _too_many(path: Path) -> UnreadableError:
+    return _too_much(path, f"has more than {MOST_MEMBERS} members")
+
+
 def _leave_room(folder: Path) -> None:
     """Raise OSError where the disk of a folder is all but full."""
     disk = shutil.disk_usage(folder)
@@ -152,6 +156,7 @@ def _leave_room(folder: Path) -> None:
 def _copy(stream: Stream, target: Path, allowance: _Allowance) -> None:
     with _unpacked_into(target.parent.parent):
         target.parent.mkdir()
+        target.touch()
     while piece := stream.read(COPIED_BYTES):
         allowance.take(len(piece))
         with _unpacked_into(target.parent.parent), target.open("ab") as file:
@@ -186,7 +191,7 @@ def _members(path: Path) -> Iterator[tuple[str, Stream]]:
     members = _zip_members(path) if zipped else _tar_members(path)
     for number, (name, stream) in enumerate(members):
         if number == MOST_MEMBERS:
-            raise _too_much(path, f"has more than {MOST_MEMBERS} members")
+            raise _too_many(path)
         yield _plain(name), stream
 
 
@@ -267,6 +272,8 @@ def _zip_members(path: Path) -> Iterator[tuple[str, Stream]]:
         except zipfile.BadZipFile:
             yield from _zip_stream(path)
             return
+        if len(archive.infolist()) > MOST_MEMBERS:
+            raise _too_many(path)
         for member in archive.infolist():
             if not member.is_dir():
                 with archive.open(member) as stream:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Channels, Closing
+from accelcal_cli.core.system import process_is_ours
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._stamps import IMPOSSIBLE
 from accelcal_cli.formats.csv.cells import MISSING, Kind, cell_kind
@@ -30,6 +31,9 @@ PIECE_BYTES = 1 << 18
 
 PARSER_BYTES = 1 << 20
 """What is parsed at a time."""
+
+if process_is_ours():  # else Arrow starts a thread for signals, and ends the process where it is given none
+    pa.enable_signal_handlers(False)
 
 CACHED_BYTES = 1 << 18
 LONGEST_LINE = 1 << 20

@@ -86,6 +86,19 @@ def test_an_archive_of_too_many_members_is_refused(tmp_path: Path, monkeypatch: 
         unpack(path, tmp_path, lambda _name: True)
 
 
+@pytest.mark.parametrize("suffix", [".tar", ".zip"])
+def test_a_member_without_bytes_is_a_file_without_bytes(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".tar":
+        with tarfile.open(path, "w") as made:
+            made.addfile(tarfile.TarInfo("empty.csv"))
+    else:
+        with zipfile.ZipFile(path, "w") as packed:
+            packed.writestr("empty.csv", "")
+    (found,) = unpack(path, tmp_path, lambda _name: True).files
+    assert (found.name, found.read_bytes()) == ("empty.csv", b"")
+
+
 def test_a_zip_directory_that_is_too_long_is_not_read(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
