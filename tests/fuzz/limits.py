@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
-SECONDS = 5.0
+SECONDS = 20.0
 FIT_SECONDS = 60.0
 """What a command may take that fits points: those that do not determine a model take all iterations."""
 
