@@ -15,7 +15,7 @@ from tests.faults.shim import running
 
 @pytest.mark.parametrize("name", ["study"])
 def test_killed_some_times(tmp_path: Path, name: str) -> None:
-    strike(next(one for one in VICTIMS if one.name == name), tmp_path, 6)
+    strike(next(one for one in VICTIMS if one.name == name), tmp_path, 3)
 
 
 @pytest.mark.nightly
