@@ -12,13 +12,13 @@ import hashlib
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO, Any
 
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.errors import AccelcalError, UnreadableError
+from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
 from accelcal_cli.core.freeze import frozen, thawed
 from accelcal_cli.core.points import Calibration, Windows
@@ -29,6 +29,7 @@ from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
 from accelcal_cli.judge.change import told
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
+from accelcal_cli.output.files import output_error
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed
 from accelcal_cli.pipeline.facts import FactsObserver
@@ -266,11 +267,17 @@ class Watch:
         if head.startswith(GZIP_MAGIC):
             hint = "unpack it on the way: gunzip -c FILE | accelcal watch -"
             raise UnreadableError("is compressed, and cannot be gone on with", path=self._source, hint=hint)
-        with tempfile.TemporaryDirectory(prefix="accelcal-") as folder:
-            path = Path(folder) / (self._source.name.strip("-") or "stdin")
-            path.write_bytes(head)
-            for beside in filter(is_file, (named_layout(self._source), folder_layout(self._source))):
-                shutil.copy(beside, folder)
+        with ExitStack() as stack:
+            try:
+                folder = stack.enter_context(
+                    tempfile.TemporaryDirectory(prefix="accelcal-", ignore_cleanup_errors=True)
+                )
+                path = Path(folder) / (self._source.name.strip("-") or "stdin")
+                path.write_bytes(head)
+                for beside in filter(is_file, (named_layout(self._source), folder_layout(self._source))):
+                    shutil.copy(beside, folder)
+            except OSError as error:
+                raise output_error(error, Path(tempfile.gettempdir())) from error
             try:
                 with survey.open_marked(path, self._options) as reader:
                     yield reader
@@ -299,7 +306,9 @@ class Watch:
             return
         try:
             stage, _ = self._whole(self._head)
-        except AccelcalError:  # what is missing may still come
+        except AccelcalError as error:  # what is missing may still come
+            if isinstance(error, OutputError):
+                raise
             return
         self._look(stage, len(self._head), happened, ended=True)
 

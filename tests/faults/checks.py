@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from tests.faults.scenarios import Scenario
 from tests.faults.shim import OPERATIONS, SHORT, Fault, Runner, Struck
 
-ABORTED = -6
 CODES = (1, 2, 3, 5, 71)
 """Exit codes that a fault may have (docs/outputs.md): 2 where what an option names cannot be read."""
 
@@ -20,6 +25,9 @@ LOCK = "study.lock"
 
 NOT_REMOVED = ("unlink", "list", "open", "close")
 """What fails where a temporary folder cannot be removed."""
+
+Cells = dict[tuple[str, str, str], set[int]]
+"""Exit codes by operation, error and command."""
 
 PLACES = ("out/", "in/", "tmp", "threads")
 REPORT, TABLE = "good.calibration.json", "good.calibrated.parquet"
@@ -58,6 +66,45 @@ def faults(operation: str, calls: int, most: int | None) -> Iterator[tuple[str, 
         yield from ((name, Fault(operation, error, nth, bool(lasting))) for nth in numbers)
 
 
+@dataclass
+class Tried:
+    """What came of making the calls of a command fail in turn.
+
+    Attributes:
+        runs: how many there were; struck: in how many of them a call failed.
+        wrong: what was not as it must be.
+    """
+
+    cells: Cells = field(default_factory=dict)
+    runs: int = 0
+    struck: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+    def each(self, stage: Stage, most: int | None) -> None:
+        """Let calls of each operation of a command fail, at most so many of each; note what comes of it."""
+        scenario = stage.scenario
+        most = min((one for one in (most, scenario.most) if one is not None), default=None)
+        for operation, errors in ERRORS.items():
+            for error, fault in faults(operation, stage.calls[operation], most):
+                self.runs += 1
+                try:
+                    struck = stage.strike(fault)
+                except AssertionError as failure:
+                    self.wrong.append(str(failure))
+                else:
+                    self._note((operation, error, scenario.command), struck)
+            self.wrong += [
+                f"{scenario.name}: {operation} was called {stage.calls[operation]} times, and never failed"
+                for error in errors
+                if stage.calls[operation] and (operation, error, scenario.command) not in self.cells
+            ]
+
+    def _note(self, place: tuple[str, str, str], struck: Struck) -> None:
+        if struck.failed:
+            self.struck += 1
+            self.cells.setdefault(place, set()).add(struck.ran.code)
+
+
 def contents(folder: Path) -> Contents:
     """All files below a folder by name, reports without provenance; without the ledger, which knows times."""
     found: Contents = {}
@@ -82,6 +129,7 @@ class Stage:
     undisturbed: Contents = field(default_factory=dict)
     inputs: Contents = field(default_factory=dict)
     before: Contents = field(default_factory=dict)
+    said: str = ""
     calls: dict[str, int] = field(default_factory=dict)
     _mended: list[Contents] = field(default_factory=list)
 
@@ -92,11 +140,15 @@ class Stage:
         self.scenario.make(self.folder)
         self.inputs, self.before = contents(self.folder / "in"), contents(self.folder / "out")
         shutil.copytree(self.folder / "out", self.folder / "before")
-        self.calls = self._finish()
+        whole = self._finish()
+        self.calls, self.said = whole.calls, whole.ran.out
         self.undisturbed = contents(self.folder / "out")
 
     def strike(self, fault: Fault) -> Struck:
-        """Run with a fault, and again without; raises AssertionError if anything is not as it must be."""
+        """Run with a fault, and again without; raises AssertionError if anything is not as it must be.
+
+        Where the call did not come (`failed` is 0), as may be with threads, nothing was tried.
+        """
         self._reset()
         struck = self._run(fault)
         if struck.failed:
@@ -115,11 +167,11 @@ class Stage:
     def _run(self, fault: Fault, *more: str) -> Struck:
         return self.runner.run((*self.scenario.words, *more), self.folder, fault)
 
-    def _finish(self) -> dict[str, int]:
-        """Run without a fault; how often each operation was called."""
+    def _finish(self) -> Struck:
+        """Run without a fault."""
         struck = self._run(Fault(OPERATIONS[0]), *self.scenario.again)
-        assert struck.ran.code == 0, struck
-        return struck.calls
+        assert struck.ran.code == self.scenario.code, struck
+        return struck
 
     def _rerun(self, fault: Fault, struck: Struck) -> None:
         """Run again over what is left, if that was not done before over the same."""
@@ -134,7 +186,9 @@ class Stage:
     def _wrong_ending(self, struck: Struck) -> Iterator[str]:
         """What is wrong with the exit code and with what is said."""
         ran = struck.ran
-        if ran.code in (0, ABORTED):
+        if ran.code == self.scenario.code and ran.out != self.said:
+            yield "ended well, but said something else"
+        if ran.code == self.scenario.code:
             return
         if ran.code not in CODES:
             yield f"exit code {ran.code}"
@@ -148,11 +202,10 @@ class Stage:
     def _wrong_files(self, fault: Fault, struck: Struck) -> Iterator[str]:
         """What is wrong with the files that are there."""
         found, code = contents(self.folder / "out"), struck.ran.code
-        if code == ABORTED:
-            assert fault.operation == "thread"
-            return
         left = {name for name in found if name == LOCK or self._not_removed(name, fault)}
-        if code == 0 and (wrong := differences(found, self.undisturbed) - left):
+        if self.scenario.parts and lost_a_part(found):
+            return
+        if code == self.scenario.code and (wrong := differences(found, self.undisturbed) - left):
             yield f"ended well, but {sorted(wrong)} differ"
         for name in sorted(found.keys() - {LOCK}):
             if not self._whole(name, found[name], fault):
@@ -163,9 +216,9 @@ class Stage:
             yield "the report is not that of the Parquet file"
 
     def _whole(self, name: str, held: object, fault: Fault) -> bool:
-        """Whether a file is as it was or as it shall be; tables of a study may hold a part of the rows."""
+        """Whether a file is as it was or as it shall be; tables of a study may hold other rows."""
         if self.scenario.forks and name.startswith("study."):
-            return True
+            return whole_table(name, held)
         known = (self.undisturbed.get(name), self.before.get(name))
         return held in known or self._not_removed(name, fault)
 
@@ -175,7 +228,7 @@ class Stage:
 
     def _paired(self, found: Contents) -> bool:
         """Whether a report lies beside the Parquet file that it speaks of."""
-        if REPORT not in found or TABLE not in self.undisturbed:
+        if REPORT not in found:
             return True
         own = self.undisturbed if found[REPORT] == self.undisturbed[REPORT] else self.before
         return found.get(TABLE) == own.get(TABLE)
@@ -184,3 +237,23 @@ class Stage:
 def differences(found: Contents, wanted: Contents) -> set[str]:
     """Names of files that are not the same, or only on one side."""
     return {name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name)}
+
+
+def lost_a_part(found: Contents) -> bool:
+    """Whether a report says that a part of the recording could not be read, beside the rows of the others."""
+    report: Any = found.get("parts.calibration.json")
+    if report is None or all(one["code"] != "unreadable_part" for one in report["file_health"]["problems"]):
+        return False
+    table: Any = found["parts.calibrated.parquet"]
+    assert pq.read_metadata(pa.BufferReader(table)).num_rows == report["recording"]["samples"]
+    return True
+
+
+def whole_table(name: str, held: Any) -> bool:
+    """Whether a table of a study is complete, whatever rows it has; JSON was read before."""
+    if name.endswith(".parquet"):
+        return bool(pq.read_table(pa.BufferReader(held)).num_columns)
+    if name.endswith(".csv"):
+        head, *rows = csv.reader(io.StringIO(held.decode()))
+        return bool(held.endswith(b"\n")) and {len(row) for row in rows} <= {len(head)}
+    return True

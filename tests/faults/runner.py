@@ -9,23 +9,32 @@ import importlib
 import json
 import multiprocessing
 import os
+import resource
 import signal
 import sys
 import tempfile
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
-from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory
+import pyarrow as pa
+
+from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory, take_over_process
 from accelcal_cli.pipeline import outputs
 from tests.faults.shim import LONGEST_S, arm
 from tests.studies.processes import session, soon
 
-COMMANDS = ("calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose")
+COMMANDS = (
+    "calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose", "effect",
+    "quality", "inspect", "verify",
+)  # fmt: skip
 LOADED = (
     "accelcal_cli.studies.preload", "accelcal_cli.exports.data", "accelcal_cli.pages.recording",
     "accelcal_cli.pipeline.simulate", "h5py", "pyarrow.csv", "pandas",
     *(f"accelcal_cli.cli.{name}" for name in COMMANDS),
 )  # fmt: skip
+
+MORE_BYTES, OPEN_FILES, CPU_S = 1 << 30, 64, 60
+"""What a limited command is given: memory besides what it needs to begin, files, seconds of a processor."""
 
 START = "2024-03-04T00:00:00+00:00"
 """When all runs are said to have been made, on pages too."""
@@ -33,20 +42,22 @@ START = "2024-03-04T00:00:00+00:00"
 
 def main() -> None:
     """Fork a command for each line."""
+    take_over_process()
     hold_to_one_thread()
     keep_freed_memory()
     for name in LOADED:
         importlib.import_module(name)
+    pa.array([0]).cast(pa.int8())  # Arrow's allocator sets a gigabyte of addresses aside
     made = outputs.provenance(["accelcal"]) | {"time": START}
     outputs.provenance = lambda _command: made
     if "ACCELCAL_FORKED" in os.environ:
         _fork_workers()
     folder = Path(sys.argv[1])
     for line in sys.stdin.buffer:
-        words, here = json.loads(line)
+        words, here, limited = json.loads(line)
         process = os.fork()
         if process == 0:
-            _command(words, Path(here), folder)
+            _command(words, Path(here), folder, limited)
         code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
         soon(lambda ended=process: not session(ended))
         arm(folder / "plan", False)
@@ -62,9 +73,14 @@ def _fork_workers() -> None:
         module.ensure_running = lambda: None
 
 
-def _command(words: list[str], here: Path, folder: Path) -> None:
+def _command(words: list[str], here: Path, folder: Path, limited: bool) -> None:
     """What the console command does, to its end."""
     os.setsid()
+    if limited:
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (used + MORE_BYTES, used + MORE_BYTES))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, OPEN_FILES))
+        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
     signal.alarm(LONGEST_S)
     for number, name in enumerate(("out", "err"), 1):
         file = os.open(folder / name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)

@@ -1,5 +1,5 @@
 /* Fails the Nth call of one kind of operation of libc on files below a folder; preloaded by tests/faults/shim.py.
-Or kills all processes of the command before the Nth call of any kind.
+Or kills all processes of the command before the Nth call of any kind. Writes down which files are opened.
 
 What is to fail stands in a file that all processes of a command map, and the calls are counted there. A call
 that is to be short takes half of what it is given. As on Linux, a close that fails has closed the file. */
@@ -18,6 +18,7 @@ that is to be short takes half of what it is given. As on Linux, a close that fa
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/sendfile.h>
 #include <sys/stat.h>
 #include <sys/types.h>
 #include <sys/uio.h>
@@ -35,6 +36,7 @@ struct plan {
 };
 
 static struct plan *plan;
+static int opened = -1;
 
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 
@@ -47,6 +49,8 @@ __attribute__((constructor)) static void begin(void)
     void *place = mmap(NULL, sizeof(struct plan), PROT_READ | PROT_WRITE, MAP_SHARED, file, 0);
     NEXT(close)(file);
     plan = place == MAP_FAILED ? NULL : place;
+    name = getenv("ACCELCAL_OPENED");
+    opened = name ? NEXT(open)(name, O_WRONLY | O_APPEND) : -1;
 }
 
 /* The place of a name that may be relative to a folder. */
@@ -76,6 +80,11 @@ static int struck_at(int operation, int folder, const char *name)
     char text[PATH_MAX] = "";
     if (operation < FORK) {
         whole(text, folder, name);
+        if (operation <= CREATE && opened >= 0) {
+            struct iovec line[] = { { text, strlen(text) }, { "\n", 1 } };
+            if (NEXT(writev)(opened, line, 2) < 0)
+                abort();
+        }
         errno = before;
         if (strncmp(text, plan->under, strlen(plan->under)))
             return 0;
@@ -153,6 +162,14 @@ MOVES_AT(pwrite64, WRITE, const void *)
     }
 VECTOR(readv, READ)
 VECTOR(writev, WRITE)
+
+ssize_t sendfile(int to, int from, off_t *at, size_t count)
+{
+    int error = struck(WRITE, to);
+    if (error == SHORT) count = (count + 1) / 2;
+    else if (error) FAIL(-1, error);
+    return NEXT(sendfile)(to, from, at, count);
+}
 
 int fsync(int file) { FAILS(-1, FSYNC, file, NULL); return NEXT(fsync)(file); }
 int fdatasync(int file) { FAILS(-1, FSYNC, file, NULL); return NEXT(fdatasync)(file); }

@@ -16,7 +16,7 @@ import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from accelcal_cli.core.system import THREAD_VARIABLES
@@ -61,14 +61,18 @@ class Fault:
         return -1 if self.error == SHORT else int(getattr(errno, self.error))
 
 
+NONE = Fault(OPERATIONS[0])
+
+
 @dataclass(frozen=True)
 class Struck:
-    """What came of a run: the calls of each operation, how many failed, and where the first did."""
+    """What came of a run: calls of each operation, how many failed, where the first did, what was opened."""
 
     ran: Ran
     calls: dict[str, int]
     failed: int
     place: str
+    opened: tuple[str, ...] = field(repr=False)
 
 
 def compiled(folder: Path) -> Path | None:
@@ -96,28 +100,36 @@ class Runner:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "plan").write_bytes(bytes(LAYOUT.size))
-        environment = os.environ | {"LD_PRELOAD": str(shim), "ACCELCAL_FAULTS": str(folder / "plan")}
+        (folder / "opened").touch()
+        names = {"ACCELCAL_FAULTS": str(folder / "plan"), "ACCELCAL_OPENED": str(folder / "opened")}
+        environment = os.environ | {"LD_PRELOAD": str(shim)} | names
         environment |= dict.fromkeys(THREAD_VARIABLES, "1") | ({"ACCELCAL_FORKED": "1"} if forked else {})
         words = [sys.executable, "-m", "tests.faults.runner", str(folder)]
         self.process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, cwd=HERE.parent.parent
         )
 
-    def run(self, words: Sequence[str], here: Path, fault: Fault) -> Struck:
-        """Run a command in a folder, below which an operation fails."""
+    def run(self, words: Sequence[str], here: Path, fault: Fault = NONE, *, limited: bool = False) -> Struck:
+        """Run a command in a folder, below which an operation fails.
+
+        Args:
+            limited: with the memory, open files and time of `runner.py` only.
+        """
+        (self.folder / "opened").write_bytes(b"")
         mode = 2 if fault.kills else int(fault.on)
         plan = (0, OPERATIONS.index(fault.operation), mode, fault.number, fault.nth, 0)
         with (self.folder / "plan").open("r+b") as file:
             file.write(LAYOUT.pack(*plan, b"", os.fsencode(here), b""))
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.process.stdin.write(json.dumps([list(words), str(here)]).encode() + b"\n")
+        self.process.stdin.write(json.dumps([list(words), str(here), limited]).encode() + b"\n")
         self.process.stdin.flush()
         code = int(self.process.stdout.readline())
         *_, failed, counts, _, place = LAYOUT.unpack((self.folder / "plan").read_bytes())
         calls = dict(zip(OPERATIONS, struct.unpack(f"={len(OPERATIONS)}q", counts), strict=True))
         texts = [(self.folder / name).read_text("utf-8", "replace") for name in ("out", "err")]
-        return Struck(Ran(code, *texts), calls, failed, place.split(b"\0")[0].decode())
+        opened = tuple((self.folder / "opened").read_text("utf-8", "surrogateescape").splitlines())
+        return Struck(Ran(code, *texts), calls, failed, place.split(b"\0")[0].decode(), opened)
 
     def close(self) -> None:
         """End it."""

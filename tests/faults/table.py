@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from tests.faults.checks import ABORTED, ERRORS
+from tests.faults.checks import ERRORS, Cells
 
 PAGE = Path(__file__).resolve().parent.parent.parent / "docs" / "reliability.md"
 HEAD = "| operation | error |"
-NEVER = "–"
-COLUMNS = ("calibrate", "apply", "fit", "six-pose", "report", "export", "simulate", "study")
-
-Cells = dict[tuple[str, str, str], set[int]]
-"""Exit codes by operation, error and command."""
+NEVER = "never"
+COLUMNS = (
+    "calibrate", "apply", "fit", "six-pose", "report", "export", "simulate", "effect", "quality",
+    "inspect", "verify", "study",
+)  # fmt: skip
 
 
 def rows(cells: Cells) -> list[str]:
@@ -27,8 +27,7 @@ def rows(cells: Cells) -> list[str]:
 
 
 def _cell(codes: Iterable[int]) -> str:
-    names = ("aborted" if code == ABORTED else str(code) for code in sorted(codes))
-    return " ".join(names) or NEVER
+    return " ".join(map(str, sorted(codes))) or NEVER
 
 
 def written(path: Path = PAGE) -> list[str]:
@@ -54,9 +53,11 @@ def _place(lines: list[str]) -> tuple[int, int]:
 def read(path: Path = PAGE) -> Cells:
     """The cells of a page's table."""
     found: Cells = {}
-    for line in written(path)[2:]:
-        operation, error, *shown = (cell.strip() for cell in line.strip("|").split("|"))
-        for column, text in zip(COLUMNS, shown, strict=True):
+    (_, _, *columns), _, *lines = (
+        [cell.strip() for cell in line.strip("|").split("|")] for line in written(path)
+    )
+    for operation, error, *shown in lines:
+        for column, text in zip(columns, shown, strict=True):
             words = [] if text == NEVER else text.split()
-            found[operation, error, column] = {ABORTED if word == "aborted" else int(word) for word in words}
+            found[operation, error, column] = set(map(int, words))
     return found

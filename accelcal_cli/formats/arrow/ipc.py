@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
@@ -54,18 +55,30 @@ class IpcReader(TableReader):
             yield table
 
 
+@contextmanager
+def _given_by_disk(path: Path) -> Iterator[None]:
+    """Raise UnreadableError for what the system says; what Arrow says of a damaged file has no number."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise UnreadableError(f"cannot be read ({os.strerror(error.errno)})", path=path) from error
+
+
 class _Batches:
     """The batches of a file, for one column: by their numbers, or one after the other in a stream."""
 
-    def __init__(self, path: str, messages: Messages, columns: list[int] | None) -> None:
-        self._path, self._first = path, messages.first
+    def __init__(self, name: str, path: Path, messages: Messages, columns: list[int] | None) -> None:
+        self._name, self._path, self._first = name, path, messages.first
         self._options = pa.ipc.IpcReadOptions(use_threads=False, included_fields=columns)
         self._whole = messages.first > 0 and not messages.missing
         self._next = 0
-        self._open()
+        with _given_by_disk(path):
+            self._open()
 
     def _open(self) -> None:
-        self._source = pa.memory_map(self._path)
+        self._source = pa.OSFile(self._name)
         if self._whole:
             self._reader = pa.ipc.open_file(self._source, options=self._options)
         else:
@@ -79,7 +92,11 @@ class _Batches:
         return self._reader.schema
 
     def batch(self, number: int) -> Any:
-        """A record batch; raises as pyarrow does."""
+        """A record batch; raises as pyarrow does, and UnreadableError where the disk does not give it."""
+        with _given_by_disk(self._path):
+            return self._read(number)
+
+    def _read(self, number: int) -> Any:
         if self._whole:
             return self._reader.get_batch(number)
         if number < self._next:
@@ -182,7 +199,7 @@ def opened(path: Path, pool: Executor | None = None) -> Iterator[IpcTable]:
             messages = scan(path)
 
             def open_batches(columns: list[int] | None) -> _Batches:
-                batches = _Batches(name, messages, columns)
+                batches = _Batches(name, path, messages, columns)
                 stack.callback(batches.close)
                 return batches
 
