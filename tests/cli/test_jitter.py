@@ -109,6 +109,7 @@ def test_no_window_spans_two_pieces_of_a_look(
     tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(inspect, "PREVIEW_SAMPLES", 1150)
+    monkeypatch.setattr(inspect, "SMALL_BYTES", 0)
     border = looked_at(recording(tmp_path, lambda times_us: times_us))[1].first_sample
 
     def late_there(times_us: Numbers) -> Numbers:

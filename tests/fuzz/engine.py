@@ -128,7 +128,7 @@ def tried(
         found = traceback.format_exc()
     seconds, peak = time.process_time() - begun, limits.peak_bytes()
     tally.slowest_s, tally.peak_bytes = max(tally.slowest_s, seconds), max(tally.peak_bytes, peak)
-    if found is None and peak > limits.MEMORY_BYTES and peak > before:
+    if found is None and peak - before > limits.MEMORY_BYTES:
         found = f"MEMORY: takes {peak >> 20} MB"
     allowed = limits.allowed_seconds(len(data), tally.rows - rows)
     if found is None and name in FORMATS and seconds > allowed:

@@ -14,7 +14,9 @@ SECONDS = 20.0
 FIT_SECONDS = 60.0
 """What a command may take that fits points: those that do not determine a model take all iterations."""
 
-MEMORY_BYTES = 600 << 20
+MEMORY_BYTES = 450 << 20
+"""More than the process had."""
+
 CPU_SECONDS = 1.5
 """What a mutant of few bytes may take of a processor."""
 

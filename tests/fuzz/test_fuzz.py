@@ -110,7 +110,7 @@ def test_hangs_memory_and_errors_of_the_reader_are_found(
     for odd, kind in ((endless, "HANGS"), (lambda *_, **__: 1 / 0, "ZeroDivisionError")):
         monkeypatch.setattr(engine, "read", odd)
         assert kind in engine.fuzz("flash", 1, range(1, 2), tmp_path).failures[0]
-    monkeypatch.setattr(limits, "MEMORY_BYTES", 1)
+    monkeypatch.setattr(limits, "MEMORY_BYTES", -1)
     monkeypatch.setattr(engine, "read", lambda *_, **__: bytearray(1 << 26) and Rows(np.empty((0, 3)), True))
     failure = engine.fuzz("flash", 1, range(1, 2), tmp_path).failures[0]
     assert "MEMORY" in failure or "HANGS" in failure
