@@ -65,7 +65,12 @@ def packed(path: Path, block: bytes, times: int, head: bytes = b"") -> Path:
 
 def size(small: int, large: int) -> list[object]:
     """Blocks: few in `make test`, many in `make nightly`."""
-    return [small, pytest.param(large, marks=pytest.mark.nightly)]
+    return [small, nightly(large)]
+
+
+def nightly(*values: object) -> object:
+    """A variant for `make nightly`."""
+    return pytest.param(*values, marks=pytest.mark.nightly)
 
 
 @pytest.mark.parametrize("blocks", size(8, 640))
@@ -150,7 +155,11 @@ def endless(file: h5py.File, _pipe: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "make", [external_link, external_values, virtual, claims_much, one_chunk, very_wide, endless]
+    "make",
+    [
+        *(external_link, one_chunk, endless),
+        *map(nightly, (external_values, virtual, claims_much, very_wide)),
+    ],
 )
 def test_hdf5_opens_no_other_file_and_takes_no_memory_for_claims(
     tmp_path: Path, pipe: Path, make: Callable[[h5py.File, Path], None]
@@ -166,8 +175,12 @@ def test_hdf5_opens_no_other_file_and_takes_no_memory_for_claims(
 
 @pytest.mark.parametrize(
     "words",
-    [("report", "{}"), ("export", "{}", "--to", "ggir"), ("apply", "x.csv", "--coefficients", "{}")],
-    ids=lambda words: words[0],
+    [
+        ("report", "{}"),
+        nightly(("export", "{}", "--to", "ggir")),
+        nightly(("apply", "x.csv", "--coefficients", "{}")),
+    ],
+    ids=["report", "export", "apply"],
 )
 @pytest.mark.parametrize("text", ['{"a":' * 200_000, '{"a":[' + "1," * 40_000_000], ids=["deep", "long"])
 def test_json_that_is_deep_or_long(tmp_path: Path, words: tuple[str, ...], text: str) -> None:
@@ -180,7 +193,13 @@ def test_json_that_is_deep_or_long(tmp_path: Path, words: tuple[str, ...], text:
 
 
 @pytest.mark.parametrize(
-    "text", ["a = " + "[\n" * 10_000, "a = " + "{ b = " * 150, "[" + "a." * 400 + "a]\n", "a = 1\n" * 20_000]
+    "text",
+    [
+        "a = " + "[\n" * 10_000,
+        nightly("a = " + "{ b = " * 150),
+        nightly("[" + "a." * 400 + "a]\n"),
+        "a = 1\n" * 20_000,
+    ],
 )
 def test_toml_that_is_deep_or_long(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.raw").write_bytes(bytes(6000))

@@ -223,6 +223,7 @@ def hours_of_rest(path: Path, number: int, jump: int) -> bytes:
     return np.concatenate([counts.reshape(-1, 3)[::4] for counts in parts]).astype("<i2").tobytes()
 
 
+@pytest.mark.nightly
 def test_profile_paper_looks_back_a_day_in_a_state_that_does_not_grow(tmp_path: Path) -> None:
     path, state, sizes = tmp_path / "a.raw", tmp_path / "state", []
     data = hours_of_rest(path, 56, 44)
@@ -290,7 +291,7 @@ def test_a_state_is_refused_where_it_is_damaged_or_of_others(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     "text",
     [
-        b"[" + b"0," * (1 << 26) + b"0]",
+        b"[" + b" " * (1 << 27) + b"0]",
         b"[" * 100_000,
         b'["object","studies.lock:Lock"]',
         b'["object","pipeline.watch:Standing"]',
