@@ -11,18 +11,17 @@ from __future__ import annotations
 import hashlib
 import shutil
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
-from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
 from accelcal_cli.core.freeze import frozen, thawed
-from accelcal_cli.core.points import Calibration, Windows
-from accelcal_cli.core.recording import Chunk, Intake, Reader, Recording
+from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
@@ -31,10 +30,8 @@ from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.files import output_error
 from accelcal_cli.pipeline import survey
-from accelcal_cli.pipeline.calibrate import OwnCalibration, surveyed
-from accelcal_cli.pipeline.facts import FactsObserver
-from accelcal_cli.pipeline.last_day import LastDay
 from accelcal_cli.pipeline.quality import held_against
+from accelcal_cli.pipeline.stage import Event, Stage
 
 STEP_BYTES = 1 << 13
 HEAD_BYTES = 1 << 20
@@ -52,76 +49,6 @@ GROWTH = 10
 
 BETTER = 0.9
 """Coefficients replace others whose largest error over the sphere is at least so many times theirs."""
-
-Event = dict[str, Any]
-Timed = survey.TimedCellProcedure
-
-
-class Stage:
-    """One pass over a recording that grows."""
-
-    def __init__(self, recording: Recording, intake: Intake, settings: Settings) -> None:
-        self.recording, self._intake = recording, intake
-        self.method = survey.make_method(recording, settings)
-        self._facts = FactsObserver(recording, self.method.rest_lsb, self.method.segmenter.gaps)
-        own = self.method.procedure
-        self.along_time = own if isinstance(own, Timed) else LastDay(recording, settings)
-        """What coefficients are held against."""
-        self._observers: tuple[survey.Observer, ...] = (
-            (self._facts, own) if own is self.along_time else (self._facts, own, self.along_time)
-        )
-
-    @property
-    def samples(self) -> int:
-        """How many rows have come."""
-        return self._facts.samples
-
-    @property
-    def hours(self) -> float:
-        """How long these took."""
-        return self.samples / self.recording.rate_hz / 3600
-
-    def take(self, data: bytes, *, last: bool = False) -> list[Chunk]:
-        """Take the next bytes in; gives the rows that they settle.
-
-        Raises:
-            UnreadableError: they cannot be read on.
-        """
-        chunks = list(self._intake.take(data, last=last))
-        for chunk in chunks:
-            for observer in self._observers:
-                observer.see(chunk)
-            self._see_still(self.method.segmenter.feed(chunk))
-        if last:
-            self._see_still(self.method.segmenter.finish())
-        return chunks
-
-    def _see_still(self, found: Iterable[Windows]) -> None:
-        for windows in found:
-            for observer in self._observers:
-                observer.see_still(windows)
-
-    def judged(self, settings: Settings) -> Judgement:
-        """The judgement of `calibrate`; call after the last bytes."""
-        facts = self.method.completed(self._facts.result())
-        found, _ = surveyed(self.recording, facts, self.method, settings)
-        return OwnCalibration(settings).judged(found).judgement
-
-    def place(self) -> Event:
-        """Where the pass is, for an event."""
-        facts = self._facts.result()
-        dated = all(problem.code != "no_start_time" for problem in facts.problems)
-        return {
-            "samples": self.samples,
-            "hours": round(self.hours, 6),
-            "time": iso_time(facts.last_us, facts.utc_offset_s) if dated else None,
-        }
-
-    def subsets(self) -> list[list[int]]:
-        """Points of F's nine subsets, rows n, 0, p and columns x, y, z."""
-        own = self.method.procedure
-        held = own.collector if isinstance(own, survey.PaperProcedure) else self.along_time.subsets
-        return held.fit.filled()
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.faults.checks import ERRORS, Stage, Tried
 from tests.faults.scenarios import SCENARIOS, Scenario
-from tests.faults.shim import SHORT, Fault, Runner, running
+from tests.faults.shim import SHORT, Fault, Runner
 from tests.faults.table import COLUMNS, read, rows, written
 
 SOME = {
@@ -26,14 +25,6 @@ SOME = {
     "simulate hdf5": (Fault("write", "ENOSPC", 3), Fault("close", "EIO", 3)),
 }  # fmt: skip
 """Those of `make test`."""
-
-
-@pytest.fixture(scope="module")
-def runner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runner]:
-    with running(tmp_path_factory.mktemp("shim")) as made:
-        if made is None:
-            pytest.skip("needs Linux and a C compiler (cc)")
-        yield made
 
 
 @pytest.mark.parametrize("name", SOME)

@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tests.faults.shim import Runner
-from tests.faults.test_hostile_formats import assert_harmless, runner
+from tests.faults.test_hostile_formats import assert_harmless
 from tests.formats import (
     make_edf,
     make_embraceplus,
@@ -28,7 +28,6 @@ from tests.formats import (
     make_wav,
 )
 
-__all__ = ["runner"]
 COUNTS = np.random.RandomState(3).randint(-500, 500, (3000, 3)).astype(np.int16)
 MEGABYTE = 1 << 20
 ENTITIES = '<!DOCTYPE u [<!ENTITY a0 "ha">' + "".join(

@@ -18,7 +18,7 @@ import pytest
 
 from accelcal_cli.core.formats import Format
 from accelcal_cli.formats import all_formats
-from tests.faults.shim import Runner, Struck, running
+from tests.faults.shim import Runner, Struck
 
 HEAD_BYTES, TAIL_BYTES = 2048, 512
 LARGEST = (b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff", b"\xff\xff\xff\xff\xff\xff\xff\x7f", b"\x7f\xff\xff\xff")
@@ -28,14 +28,6 @@ HOSTILE = b"\x1b[7m\x07\r\n\x9b2J=1+1<b>\xe2\x80\xae</script>\x08\x7f"
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
 PLACES = (*filter(None, sys.path), sys.base_prefix, "/proc/", "/sys/", "/dev/", "/etc/", "/usr/", "/lib")
 """Below them lies what Python and its libraries open for themselves."""
-
-
-@pytest.fixture(scope="module")
-def runner(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Runner]:
-    with running(tmp_path_factory.mktemp("shim")) as made:
-        if made is None:
-            pytest.skip("needs Linux and a C compiler (cc)")
-        yield made
 
 
 def sizes(data: bytes) -> Iterator[bytes]:

@@ -7,7 +7,7 @@ here for its bytes.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 
 @dataclass(slots=True)
@@ -72,6 +72,40 @@ class Part(Generic[AnyFound]):
         """Bytes of so many places of this part."""
         first = position - self.first_position
         return sum(self.found.length[first : first + pages])
+
+
+Found_co = TypeVar("Found_co", bound=Found, covariant=True)
+
+
+class Scanner(Protocol[Found_co]):
+    """Finds the places in consecutive bytes of a file."""
+
+    def feed(self, data: bytes, *, last: bool) -> Found_co:
+        """Those that can be seen whole with the next bytes; there may be none."""
+        ...
+
+
+class PlaceCutter(Generic[AnyFound]):
+    """Finds the places in the bytes of a growing file.
+
+    Args:
+        scanner: of the bytes from `start` on.
+        start: bytes of the header before them.
+    """
+
+    def __init__(self, scanner: Scanner[AnyFound], start: int) -> None:
+        self._scanner, self._skip = scanner, start
+        self._position = self._taken = 0
+
+    def cut(self, data: bytes, *, last: bool) -> Part[AnyFound]:
+        """The places that can be seen whole with the next bytes; there may be none."""
+        self._taken += len(data)
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        found = self._scanner.feed(data[skipped:], last=last)
+        part = Part(self._position, found, self._taken, self._taken, last)
+        self._position = part.next_position
+        return part
 
 
 class PartPlaces:

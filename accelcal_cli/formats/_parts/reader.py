@@ -114,7 +114,37 @@ class Found:
     problems: list[Problem] = field(default_factory=list)
 
 
-class PartsReader(Reader):
+class FilesReader(Reader):
+    """Reads a recording of several files, one at a time.
+
+    Args:
+        found: the files.
+        open_part: opens one.
+    """
+
+    _sizes: Sequence[int]
+    """Bytes of the files that are read, in their order."""
+
+    def __init__(self, found: Found, open_part: Open) -> None:
+        self._found, self._open_part = found, open_part
+
+    def close(self) -> None:
+        """See `Closing`; what was unpacked is removed."""
+        if self._found.folder is not None:
+            archive.removed(self._found.folder)
+
+    def _open(self, path: Path) -> Reader:
+        reader = self._open_part(path)
+        reader.threads = self.threads
+        return reader
+
+    def _share(self, number: int, end_byte: int) -> int:
+        """How far into the recording a place within a file is, for progress."""
+        before = sum(self._sizes[:number]) + end_byte
+        return self.recording.total_bytes * before // max(sum(self._sizes), 1)
+
+
+class PartsReader(FilesReader):
     """Reads parts in the order of their times.
 
     Attributes:
@@ -122,8 +152,9 @@ class PartsReader(Reader):
     """
 
     def __init__(self, path: Path, found: Found, open_part: Open) -> None:
-        self._found, self._open_part = found, open_part
+        super().__init__(found, open_part)
         self.parts = self._alike(path, self._described(path))
+        self._sizes = [part.size for part in self.parts]
         if found.damage is not None:
             lost = Problem("damaged_archive", found.damage, None, 0, lost_bytes=found.lost_bytes)
             found.problems.append(lost)
@@ -150,16 +181,6 @@ class PartsReader(Reader):
             with self._open(part.path) as reader:
                 for chunk in reader.preview(chunk_samples, 1):
                     yield replace(_stripped(chunk, self.recording), end_byte=self._share(number * step, 0))
-
-    def close(self) -> None:
-        """See `Closing`; what was unpacked is removed."""
-        if self._found.folder is not None:
-            archive.removed(self._found.folder)
-
-    def _open(self, path: Path) -> Reader:
-        reader = self._open_part(path)
-        reader.threads = self.threads
-        return reader
 
     def _described(self, path: Path) -> list[Part]:
         """The parts that can be read, by time."""
@@ -202,11 +223,6 @@ class PartsReader(Reader):
                 )
                 self._found.problems.append(Problem("other_part", text, None, 0, 1, part.size))
         return kept
-
-    def _share(self, number: int, end_byte: int) -> int:
-        """How far into the recording a place within a part is, for progress."""
-        before, whole = sum(part.size for part in self.parts[:number]), sum(part.size for part in self.parts)
-        return self.recording.total_bytes * (before + end_byte) // max(whole, 1)
 
 
 def unlike(first: Recording, other: Recording) -> str | None:

@@ -17,15 +17,14 @@ import numpy as np
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import NoFormatError, UnreadableError, UsageError, counted, printable
 from accelcal_cli.core.parts import size_of
-from accelcal_cli.core.recording import Chunk, PlacedFile, Reader, Recording
+from accelcal_cli.core.recording import Chunk, PlacedFile, Recording
 from accelcal_cli.core.retime import NO_START
-from accelcal_cli.formats._parts import archive
-from accelcal_cli.formats._parts.reader import Found, Open, unlike
+from accelcal_cli.formats._parts.reader import FilesReader, Found, Open, unlike
 
 SHOWN = 3
 
 
-class SessionReader(Reader):
+class SessionReader(FilesReader):
     """Reads the files of a session.
 
     Unlike the parts of a recording, all of them are needed: one that cannot be read, or is not like the
@@ -37,12 +36,13 @@ class SessionReader(Reader):
     """
 
     def __init__(self, path: Path, found: Found, open_part: Open) -> None:
-        self._found, self._open_part = found, open_part
+        super().__init__(found, open_part)
         if found.damage is not None:
             raise UnreadableError(found.damage, path=path)
         if not found.files:
             raise UnreadableError("holds no recordings", path=path)
         self._names, self._files = _named(path, found)
+        self._sizes = [file.stat().st_size for file in self._files]
         described = [(file, self._described(file)) for file in self._files]
         _refuse_unlike(described)
         self.recording = _as_one(path, described[0][1], self._names)
@@ -60,16 +60,6 @@ class SessionReader(Reader):
             next_us = one.last_us + round(MICROSECONDS / self.recording.rate_hz)
         self.files = tuple(placed)
 
-    def close(self) -> None:
-        """See `Closing`; what was unpacked is removed."""
-        if self._found.folder is not None:
-            archive.removed(self._found.folder)
-
-    def _open(self, path: Path) -> Reader:
-        reader = self._open_part(path)
-        reader.threads = self.threads
-        return reader
-
     def _described(self, file: Path) -> Recording:
         try:
             with self._open(file) as reader:
@@ -77,12 +67,6 @@ class SessionReader(Reader):
         except NoFormatError as error:
             error.hint = "every file of the session must be a recording; a list of poses is called poses.csv"
             raise
-
-    def _share(self, number: int, end_byte: int) -> int:
-        """How far into the session a place within a file is, for progress."""
-        sizes = [file.stat().st_size for file in self._files]
-        before = sum(sizes[:number]) + min(end_byte, sizes[number])
-        return self.recording.total_bytes * before // max(sum(sizes), 1)
 
 
 class _Placing:

@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, clipped_at
 from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
-from accelcal_cli.formats._pages.places import Part, PartPlaces
+from accelcal_cli.formats._pages.places import Part, PartPlaces, PlaceCutter
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
@@ -228,18 +228,12 @@ class GeneactivIntake(Intake):
 
     def __init__(self, scheme: Scheme) -> None:
         self._assembler = Assembler(scheme, 0, scheme.problems, PAGES_OF_A_STREAM)
-        self._scanner = scan.Scanner(scheme.file.start)
-        self._skip, self._position, self._taken = scheme.file.start, 0, 0
+        start = scheme.file.start
+        self._cutter = PlaceCutter(scan.Scanner(start), start)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
-        self._taken += len(data)
-        skipped = min(self._skip, len(data))
-        self._skip -= skipped
-        found = self._scanner.feed(data[skipped:], last=last)
-        part = Part(self._position, found, self._taken, self._taken, last)
-        self._position = part.next_position
-        yield self._assembler.chunk(part)
+        yield self._assembler.chunk(self._cutter.cut(data, last=last))
 
 
 class GeneactivReader(Reader):

@@ -216,21 +216,3 @@ class PacketFile:
             data = source.read_exact(length)
         found = Scanner(offset, inside=True).feed(data, last=False)
         return Part(0, found, offset + len(data), offset + len(data), True)
-
-
-class PacketCutter:
-    """Finds the packets in the bytes of a growing file."""
-
-    def __init__(self, file: PacketFile) -> None:
-        self._scanner, self._skip = Scanner(file.start), file.start
-        self._position = self._taken = 0
-
-    def cut(self, data: bytes, *, last: bool) -> Part[Found]:
-        """The places that can be seen whole with the next bytes; there may be none."""
-        self._taken += len(data)
-        skipped = min(self._skip, len(data))
-        self._skip -= skipped
-        found = self._scanner.feed(data[skipped:], last=last)
-        part = Part(self._position, found, self._taken, self._taken, last)
-        self._position = part.next_position
-        return part

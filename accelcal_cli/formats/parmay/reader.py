@@ -22,12 +22,12 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Channels, Chunk, Device, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._pages.pages import GOOD, Decoded, PageBlock, bad_runs
-from accelcal_cli.formats._pages.places import Part, PartPlaces
+from accelcal_cli.formats._pages.places import Part, PartPlaces, PlaceCutter
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
 from accelcal_cli.formats._stamps import nice_rate
 from accelcal_cli.formats.parmay import HEADER_BYTES, HEADER_MAGIC, PACKET_MAGIC, REMARKS_BYTES
-from accelcal_cli.formats.parmay.packets import USUAL_BYTES, Found, Packet, PacketCutter, PacketFile
+from accelcal_cli.formats.parmay.packets import USUAL_BYTES, Found, Packet, PacketFile, Scanner
 
 RATES_HZ = (12.5, 25.0, 50.0, 100.0)
 """To which devices are set; their sensors run up to 3 % off."""
@@ -325,7 +325,9 @@ class ParmayIntake(Intake):
     """Takes a recording as it grows."""
 
     def __init__(self, scheme: Scheme) -> None:
-        self._cutter, self._assembler = PacketCutter(scheme.file), Assembler(scheme, 0, scheme.problems)
+        start = scheme.file.start
+        self._cutter = PlaceCutter(Scanner(start), start)
+        self._assembler = Assembler(scheme, 0, scheme.problems)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
