@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,6 +29,12 @@ LONGEST = {
     "test_real_recordings.py": 2,
 }
 """What begins first, so that no worker is left with it at the end."""
+
+
+def pytest_configure() -> None:
+    """Let processes of tests end by SIGINT, which a shell ignores for what it starts in the background."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
