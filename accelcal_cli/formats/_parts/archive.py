@@ -11,6 +11,7 @@ import bz2
 import errno
 import gzip
 import lzma
+import os
 import shutil
 import struct
 import tarfile
@@ -38,7 +39,9 @@ BROKEN = (tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, l
 """What reading a damaged archive raises."""
 
 COPIED_BYTES = 1 << 20
+
 LONGEST_NAME = 200
+"""Bytes of a file's name; file systems take 255."""
 
 MOST_BYTES, MOST_TIMES = 1 << 30, 250
 """An archive may unpack to so many bytes, and so many more for each of its own."""
@@ -198,7 +201,7 @@ def _members(path: Path) -> Iterator[tuple[str, Stream]]:
 def _plain(name: str) -> str:
     """The last part of a member's name, as a file may have it."""
     last = name.replace("\\", "/").rstrip("/").rpartition("/")[2].replace("\0", "")
-    return last[-LONGEST_NAME:] if last not in ("", ".", "..") else "member"
+    return os.fsdecode(os.fsencode(last)[-LONGEST_NAME:]) if last not in ("", ".", "..") else "member"
 
 
 def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:

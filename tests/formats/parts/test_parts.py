@@ -228,6 +228,15 @@ def test_an_archive_cut_short_keeps_the_parts_before(made: Path, tmp_path: Path,
     assert same(result.report, accelcal.calibrate(alone, report_only=True).report)
 
 
+def test_names_longer_than_a_file_system_takes_are_shortened(made: Path, tmp_path: Path) -> None:
+    path = tmp_path / "S01.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        for file in sensor_files(made):
+            archive.write(file, "\N{EURO SIGN}" * 120 + file.name)
+    result = accelcal.calibrate(path, report_only=True)
+    assert result.report["recording"]["samples"] == 25 * PART_S * PARTS
+
+
 def test_parts_of_two_devices_are_no_recording(parts: Path) -> None:
     other = sensor_files(parts)[-1]
     other.rename(parts / other.name.replace("NEO1D26171071", "NEO1D26171072"))
