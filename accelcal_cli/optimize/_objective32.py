@@ -23,6 +23,10 @@ MAX_POINTS = 8192
 _LOW_HALF = (1 << FRACTION_BITS) - 1
 WEIGHT_BITS = WEIGHT_ONE.bit_length() - 1
 _HEAD_ROOM_BITS = 10
+PARAMETERS = 12
+ENTRIES = 6
+"""Of K, the first parameters; three offsets and three slopes follow."""
+
 ROWS = [0, 1, 2, 1, 2, 2]
 COLUMNS = [0, 1, 2, 0, 0, 1]
 """Of the entries of K, in the order of the parameters."""
@@ -105,12 +109,13 @@ def evaluate(stack: Stack, parameters: Fixed) -> State:
     """
     p = checked(parameters, "a parameter", VALUE_LIMIT).T[..., np.newaxis]
     shifted = stack.xyz + p[6:9]
-    if stack.tau is not None:
+    if stack.tau is not None and p[9:].any():
         shifted += narrow(p[9:] * stack.tau)
     checked(shifted, "a shifted point", VALUE_LIMIT)
     products = p[:3] * shifted
-    products[1] += p[3] * shifted[0]
-    products[2] += p[4] * shifted[0] + p[5] * shifted[1]
+    if p[3:6].any():
+        products[1] += p[3] * shifted[0]
+        products[2] += p[4] * shifted[0] + p[5] * shifted[1]
     calibrated = checked(narrow(products), "a calibrated point", VALUE_LIMIT)
     squared = calibrated[0] ** 2 + calibrated[1] ** 2 + calibrated[2] ** 2
     residual = checked(narrow(squared - (ONE << FRACTION_BITS)), "a residual", RESIDUAL_LIMIT)
@@ -129,18 +134,38 @@ def cost(stack: Stack, state: State) -> list[int]:
     return [(top << FRACTION_BITS) + rest for top, rest in zip(high.tolist(), low.tolist(), strict=True)]
 
 
-def gradients(stack: Stack, state: State, parameters: list[list[int]]) -> list[list[int]]:
+def gradients(
+    stack: Stack, state: State, parameters: list[list[int]], free: Sequence[int] = range(PARAMETERS)
+) -> list[list[int]]:
     """Gradient of the weighted mean of r^2 of each set, twelve fixed-point integers (29 fraction bits).
 
     Chain rule on F eq. 7-9: d/dk_ij = 4 mean(r a_i u_j); d/do = 4 K^T mean(r a); d/ds the same
     with r a tau. It takes 9 additions and 10 multiplications a point.
+
+    Args:
+        free: indices of the parameters for which it is wanted, in order; 0 for those of K and slopes
+            that are not.
     """
     weighted = narrow(state.residual * stack.weights, WEIGHT_BITS)
     force = narrow(weighted * state.calibrated)
-    scale = _sums_of_products(force.take(ROWS, 0), state.shifted.take(COLUMNS, 0))
+    scale = _of_entries(force, state.shifted, [index for index in free if index < ENTRIES])
     plain = force.sum(axis=2).T.tolist()
-    heated = [[0, 0, 0]] * len(plain) if stack.tau is None else _sums_of_products(force, stack.tau)
+    heated = [[0, 0, 0]] * len(plain)
+    if stack.tau is not None and free[-1] >= PARAMETERS - 3:
+        heated = _sums(force * stack.tau)
     return list(map(_gradient, scale, plain, heated, parameters, stack.weight))
+
+
+def _of_entries(force: Fixed, shifted: Fixed, wanted: list[int]) -> list[list[int]]:
+    """Sums of r a_i u_j of each set, for the entries of K that are wanted; 0 for the others."""
+    found = np.zeros((force.shape[1], ENTRIES), force.dtype)
+    if wanted:
+        products = np.empty((len(wanted), *force.shape[1:]), force.dtype)
+        for product, entry in zip(products, wanted, strict=True):
+            np.multiply(force[ROWS[entry]], shifted[COLUMNS[entry]], out=product)
+        found[:, wanted] = _sums(products)
+    sums: list[list[int]] = found.tolist()
+    return sums
 
 
 def _gradient(scale: list[int], plain: list[int], heated: list[int], k: list[int], weight: int) -> list[int]:
@@ -148,9 +173,9 @@ def _gradient(scale: list[int], plain: list[int], heated: list[int], k: list[int
     return [rounded_quotient(4 * total * WEIGHT_ONE, weight) for total in sums]
 
 
-def _sums_of_products(left: Fixed, right: Fixed) -> list[list[int]]:
-    """Sums over the points of left * right in units of 2**-29, with head room for MAX_POINTS, by set."""
-    totals = narrow(left * right, _HEAD_ROOM_BITS).sum(axis=2)
+def _sums(products: Fixed) -> list[list[int]]:
+    """Sums over the points of products in units of 2**-29, with head room for MAX_POINTS, by set."""
+    totals = narrow(products, _HEAD_ROOM_BITS).sum(axis=2)
     found: list[list[int]] = (totals.T >> (FRACTION_BITS - _HEAD_ROOM_BITS)).tolist()
     return found
 

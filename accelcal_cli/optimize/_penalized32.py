@@ -138,7 +138,7 @@ def _lower(stack: Stack, here: _Place, step: list[int], penalty: Penalty) -> _Pl
 def _newton_step(stack: Stack, here: _Place, model: Model, penalty: Penalty) -> list[int]:
     """What a Gauss-Newton step takes off the parameters; zeros if the gradient's last bits make as much."""
     parameters, weight = here.parameters, stack.weight[0]
-    (slope,) = gradients(stack, here.state, [list(parameters)])
+    (slope,) = gradients(stack, here.state, [list(parameters)], model.free)
     away = zip(parameters, penalty.centre, penalty.strength, strict=True)
     pull = [2 * strength * (value - centre) for value, centre, strength in away]
     around = curvature(stack, here.state, parameters, model)

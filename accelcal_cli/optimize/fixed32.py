@@ -239,7 +239,8 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> 
     for iteration in range(1, last + 1):
         aheads = [descents[row].ahead() for row in left]
         state = evaluate(stack, np.array(aheads, np.int64))
-        of_each = zip(left, aheads, cost(stack, state), gradients(stack, state, aheads), strict=True)
+        slopes = gradients(stack, state, aheads, model.free)
+        of_each = zip(left, aheads, cost(stack, state), slopes, strict=True)
         places = {row: descents[row].advance(ahead, c, slope) for row, ahead, c, slope in of_each}
         ended = {row: place for row, place in places.items() if place is not None}
         for row, place in ended.items():
