@@ -14,7 +14,7 @@ All sums are integers: adding windows in batches of any size, or merging collect
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import pairwise
@@ -170,6 +170,15 @@ class Histogram:
         return None
 
 
+def _summed(keys: NDArray[np.int64], values: NDArray[np.int64]) -> Iterator[tuple[Key, Value]]:
+    """Sums of the values (m, c) that have the same key (m, k), in the order of the keys."""
+    order = np.lexsort(keys.T[::-1])
+    keys = keys[order]
+    first = np.flatnonzero(np.append(True, (keys[1:] != keys[:-1]).any(axis=1)))
+    sums = np.add.reduceat(values[order], first, axis=0)
+    return zip(map(tuple, keys[first].tolist()), sums.tolist(), strict=True)
+
+
 class CellCollector:
     """Collects windows of one recording; see the module for how.
 
@@ -202,17 +211,12 @@ class CellCollector:
         widest = windows.spread.max(axis=1)
         self.spreads.add(widest)
         keys = self._keys(windows, widest == 0)
-        unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-        inverse = inverse.reshape(-1)  # numpy 2.0.0 makes it a column
-        values = np.zeros((len(unique), 8), np.int64)
-        np.add.at(values[:, 0], inverse, windows.samples)
-        np.add.at(values[:, 1:4], inverse, windows.sums)
-        if windows.temperature_sums is not None:
-            np.add.at(values[:, 4], inverse, windows.temperature_sums)
-        before = self._previous.of(windows, keys[:, :3] >> 1)
-        np.add.at(values[:, 5:], inverse, before * windows.samples[:, np.newaxis])
-        for key, count, row in zip(unique.tolist(), number.tolist(), values.tolist(), strict=True):
-            add_sums(self._cells, tuple(key), [count, *row])
+        samples, heat = windows.samples, windows.temperature_sums
+        before = self._previous.of(windows, keys[:, :3] >> 1) * samples[:, np.newaxis]
+        heat = np.zeros_like(samples) if heat is None else heat
+        values = np.column_stack([np.ones_like(samples), samples, windows.sums, heat, before])
+        for key, value in _summed(keys, values):
+            add_sums(self._cells, key, value)
         while self.block_samples and self._too_many(int(windows.first_sample[-1])):
             self._cells = self._cells.with_blocks(lambda block: block >> 1)
             self.block_samples *= 2

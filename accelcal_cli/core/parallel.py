@@ -15,7 +15,10 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
 from threading import Lock
-from typing import Any, BinaryIO, TypeVar, cast
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, cast
+
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer as Buffer
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -208,16 +211,17 @@ class BackgroundWriter:
         """Bytes that were taken so far."""
         return self._taken
 
-    def write(self, data: bytes) -> int:
-        """Take bytes, to be written later.
+    def write(self, data: Buffer) -> int:
+        """Take bytes, to be written later; they stay as they are until then.
 
         Raises:
             OSError: some that were taken before could not be written.
         """
+        size = memoryview(data).nbytes
         self._calls.wait(DEPTH - 1)
-        self._calls.submit(self._file.write, bytes(data))
-        self._taken += len(data)
-        return len(data)
+        self._calls.submit(self._file.write, data)
+        self._taken += size
+        return size
 
     def flush(self) -> None:
         """Wait until the system has all bytes; raises OSError if some could not be written."""

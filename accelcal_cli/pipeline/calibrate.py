@@ -324,8 +324,8 @@ class RecordingRun:
         timeline = timeline_of(method, recording)
         turns = turning(recording)
         others = [one for one in (log, timeline, turns) if one is not None]
-        with background_call("sha256", jobs.sha256, self.bytes_at) as digest:
-            facts = self.survey(method, *others)
+        facts = self.survey(method, *others)
+        with background_call("sha256", jobs.sha256, self.bytes_at) as digest:  # judging takes one thread
             found, posture = surveyed(recording, facts, method, self.request.settings)
             raw, verdict = found.points, judge.verdict(self, found)
             points = method.procedure.result()  # of a sensor that changed they are put right

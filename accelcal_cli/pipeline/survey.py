@@ -258,6 +258,7 @@ class TimedCellProcedure(CellProcedure):
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
         self._begun_us: list[int] = []
         self._means: TimedMeans | None = None
+        self._found: tuple[Course | None, PointSet] | None = None
 
     def see(self, chunk: Chunk) -> None:
         """Note when hours begin; of one that a preview leaves out, when the next row comes."""
@@ -269,7 +270,7 @@ class TimedCellProcedure(CellProcedure):
         super().see_still(windows)
         if self.subsets.full_after is None:
             self.subsets.add(windows)
-        self._means = None
+        self._means = self._found = None
 
     def subsets_full_after(self) -> int | None:
         """By points as far apart as those of profile `paper`."""
@@ -300,7 +301,9 @@ class TimedCellProcedure(CellProcedure):
 
     def result(self) -> PointSet:
         """One point a cell, put right where the sensor changed."""
-        return self.collector.points(self._course)
+        if self._found is None or self._found[0] is not self._course:
+            self._found = self._course, self.collector.points(self._course)
+        return self._found[1]
 
     def _followed(self, verdict: Judgement, how: Fitting, search: ChangeSearch) -> Judgement:
         """The verdict on the points of a sensor that is put right, if that gives a calibration."""

@@ -183,17 +183,6 @@ def test_whoever_writes_does_not_wait_for_the_disk() -> None:
     assert threading.current_thread().name not in slow.threads
 
 
-def test_what_was_given_may_change_at_once() -> None:
-    slow = Slow()
-    file = BackgroundWriter(slow)
-    data = bytearray(b"abc")
-    file.write(data)
-    data[:] = b"xyz"
-    slow.go.set()
-    file.flush()
-    assert slow.getvalue() == b"abc"
-
-
 class Full(io.BytesIO):
     def write(self, data: bytes) -> int:  # type: ignore[override]
         raise OSError(28, "No space left on device")
