@@ -10,7 +10,7 @@ DEMO   := demo
 # otherwise each process that a test starts compiles the package again, and each worker all tests
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test nightly fuzz faults oldest audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure clean
+.PHONY: setup demo test nightly fuzz faults oldest oldest-ready audit lint docs firmware browser browser-ready bench bench-scale bench-peers snakemake sample-data figure clean
 
 setup: $(READY)
 
@@ -52,10 +52,12 @@ faults: $(READY)
 
 # the oldest versions of the dependencies that pyproject.toml allows, from wheels, in an environment of their own
 OLDEST := bench_data/oldest
-oldest: $(OLDEST)/.ready
+oldest: oldest-ready
 	$(OLDEST)/bin/python -m pytest -n auto -m 'not nightly' tests/optimize/test_contract.py \
 	  tests/formats/test_contract.py tests/cli/test_calibrate.py tests/cli/test_simulate.py tests/pages/test_recording_page.py \
 	  tests/output tests/exports tests/collect --deselect tests/output/test_row_groups.py
+
+oldest-ready: $(OLDEST)/.ready
 
 $(OLDEST)/.ready: pyproject.toml
 	rm -rf $(OLDEST)

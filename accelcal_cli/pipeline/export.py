@@ -192,7 +192,8 @@ def write_calibrated(
     from accelcal_cli.output.parquet import values_of
 
     total, recording = 0, data.recording
-    for chunk, xyz in prefetch(calibrated(chunks, transform_of(data), progress), threads):
+    read = prefetch(iter(chunks), threads - 1)  # of two threads one reads and calibrates
+    for chunk, xyz in prefetch(calibrated(read, transform_of(data), progress), threads):
         total += beyond(xyz, recording.range_g)
         sink.write(values_of(sink.columns, chunk, xyz))
     return total
