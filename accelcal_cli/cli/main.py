@@ -78,9 +78,6 @@ COMMANDS = {
 }
 """Each lives in the module of its name (`_` for `-`) and binds `command`."""
 
-ALLOCATIONS = 50_000
-"""After so many the interpreter looks for cycles of objects; by itself after 700, and it finds none."""
-
 
 @click.group(
     cls=LazyGroup,
@@ -101,7 +98,6 @@ def main() -> NoReturn:
     take_over_process()
     hold_to_one_thread()
     keep_freed_memory()
-    gc.set_threshold(ALLOCATIONS)
     code = run_safely(lambda: cli.main(prog_name="accelcal", standalone_mode=False))
     gc.freeze()  # else the interpreter looks through all that is loaded once more before it ends
     sys.exit(code)
