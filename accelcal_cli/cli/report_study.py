@@ -98,9 +98,9 @@ def _rows(path: Path) -> list[dict[str, Any]]:
     import pyarrow.parquet as pq
 
     try:
-        with path.open("rb") as source, pq.ParquetFile(source) as file:
+        with path.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
             there = [name for name in study.WANTED if name in file.schema_arrow.names]
-            found: list[dict[str, Any]] = file.read(columns=there).to_pylist()
+            found: list[dict[str, Any]] = file.read(columns=there, use_threads=False).to_pylist()
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = " ".join(str(error).split())
         raise UnreadableError(f"cannot be read ({reason})", path=path, hint="run the study again") from error

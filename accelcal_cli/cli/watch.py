@@ -26,7 +26,7 @@ from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.watch import Calibrated, Happened, Watch
 
 if TYPE_CHECKING:
-    from accelcal_cli.output.row_stream import RowStream
+    from accelcal_cli.output.row_stream import RowFile, RowStream
 
 PIECE_BYTES = 1 << 16
 SAVE_S = 1800
@@ -178,14 +178,21 @@ def _input(recording: Path, watch: Watch) -> Iterator[BinaryIO]:
             raise UsageError("standard input is closed", hint="give the name of a file")
         yield sys.stdin.buffer
         return
-    try:
-        file = recording.open("rb", buffering=0)
-    except OSError as error:
-        raise _unreadable(error, recording) from error
-    with file:
-        if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
-            watch.go_on_in(file)
+    with contextlib.ExitStack() as stack:
+        try:
+            file = recording.open("rb", buffering=0)
+            stack.callback(_leave, file)
+            if stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+                watch.go_on_in(file)
+        except OSError as error:
+            raise _unreadable(error, recording) from error
         yield file
+
+
+def _leave(file: BinaryIO) -> None:
+    """Close a file that was read: what could go wrong would change nothing."""
+    with contextlib.suppress(OSError):
+        file.close()
 
 
 def _unreadable(error: OSError, recording: Path) -> UnreadableError:
@@ -223,9 +230,11 @@ class _Rows:
         self._kind = values["kind"]
         self._stack = contextlib.ExitStack()
         self._stream: RowStream | None = None
-        self._file: BinaryIO | None = None
+        self._file: RowFile | None = None
         if self._path is not None and self._kind is None:
             self._kind = "csv" if self._path == STDIN or self._path.suffix.lower() == ".csv" else "arrow"
+        if self._path == STDIN and not hasattr(sys.stdout, "buffer"):
+            raise UsageError("standard output is closed", hint="give the name of a file to --output")
         if self._path is not None and self._path != STDIN and exists(self._path) and self._path.is_file():
             same = recording != STDIN and self._path.samefile(recording)
             what = "is the recording itself" if same else "exists already"
@@ -247,20 +256,24 @@ class _Rows:
         self._stream.write(rows.chunk, right.apply(rows.chunk))
 
     def _begun(self, recording: Recording) -> RowStream:
-        from accelcal_cli.output.row_stream import RowStream  # few runs write rows
+        from accelcal_cli.output.row_stream import RowFile, RowStream  # few runs write rows
 
         if self._path == STDIN:
-            return RowStream(sys.stdout.buffer, self._path, self._kind, recording)
-        try:
-            self._file = self._stack.enter_context(self._path.open("wb"))
-        except OSError as error:
-            raise output_error(error, self._path) from error
-        return RowStream(self._file, self._path, self._kind, recording)
+            return RowStream(_to_standard_output, self._kind, recording)
+        self._file = self._stack.enter_context(RowFile(self._path))
+        return RowStream(self._file.put, self._kind, recording)
 
     def settle(self) -> None:
         """Bring the rows of a file to the disk; raises OutputError where that fails."""
-        if self._file is not None and stat.S_ISREG(os.fstat(self._file.fileno()).st_mode):
-            try:
-                os.fsync(self._file.fileno())
-            except OSError as error:
-                raise output_error(error, self._path) from error
+        if self._file is not None:
+            self._file.settle()
+
+
+def _to_standard_output(piece: bytes) -> None:
+    try:
+        sys.stdout.buffer.write(piece)
+        sys.stdout.buffer.flush()
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise output_error(error, STDIN) from error

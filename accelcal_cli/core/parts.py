@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.errors import UnreadableError, UsageError
 
 ANY = "*"
 ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tbz", ".tar.xz", ".txz", ".zip")
@@ -46,15 +46,33 @@ def may_be_archive(path: Path) -> bool:
 
 
 def files_of(path: Path) -> tuple[Path, ...] | None:
-    """The files that a folder or a pattern stands for, by name; None for any other path."""
-    found: Iterable[Path]
-    if path.is_dir():
-        found = path.rglob(ANY)
-    elif is_pattern(path):
-        found = _matching(path)
-    else:
-        return None
-    return tuple(sorted(one for one in found if one.is_file() and not is_never(one)))
+    """The files that a folder or a pattern stands for, by name; None for any other path.
+
+    Raises:
+        UnreadableError: a folder cannot be looked into. What is in it may be parts.
+    """
+    try:
+        if path.is_dir():
+            found = _below(path)
+        elif is_pattern(path):
+            found = _matching(path)
+        else:
+            return None
+        return tuple(sorted(one for one in found if one.is_file() and not is_never(one)))
+    except OSError as error:
+        place = error.filename or path
+        hint = "check its permissions and its disk"
+        raise UnreadableError(f"cannot be read ({error.strerror or error})", path=place, hint=hint) from error
+
+
+def _below(folder: Path) -> Iterable[Path]:
+    """All that is in a folder and in those in it; raises OSError where one cannot be looked into."""
+
+    def refuse(error: OSError) -> None:
+        raise error
+
+    for place, _, names in os.walk(folder, onerror=refuse):
+        yield from (Path(place, name) for name in names)
 
 
 def is_pattern(path: Path) -> bool:
@@ -106,6 +124,10 @@ def pattern_of(paths: Sequence[Path]) -> Path:
 
 
 def size_of(path: Path) -> int:
-    """Bytes of a recording's file, or of all its parts; raises OSError where one cannot be looked at."""
+    """Bytes of a recording's file, or of all its parts.
+
+    Raises:
+        OSError, UnreadableError: one cannot be looked at.
+    """
     files = files_of(path)
     return path.stat().st_size if files is None else sum(one.stat().st_size for one in files)

@@ -176,7 +176,7 @@ def columns(path: Path) -> dict[str, Any]:
     """The requested columns: lists of text, arrays of numbers (NaN for none)."""
     _check_there(path)
     try:
-        with path.open("rb") as source, pq.ParquetFile(source) as file:
+        with path.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:
             names = file.schema_arrow.names
             missing = [name for name in WANTED if name not in names]
             if missing:
@@ -184,7 +184,7 @@ def columns(path: Path) -> dict[str, Any]:
             twice = [name for name in WANTED if names.count(name) > 1]
             if twice:
                 raise ValueError(f"it has more than one column {twice[0]}")
-            table = file.read(columns=list(WANTED))
+            table = file.read(columns=list(WANTED), use_threads=False)
         text = {name: _texts(table[name]) for name in TEXT}
         numbers = {name: _floats(table[name]) for name in (*NUMBERS, *COLUMNS, *ERRORS)}
     except (pa.ArrowException, OSError, ValueError, TypeError) as error:

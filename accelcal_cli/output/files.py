@@ -70,6 +70,9 @@ def replacing(path: Path) -> Iterator[Path]:
         _flush_folder(path.parent)
     except OSError as error:
         raise output_error(error, path) from error
+    except OutputError as error:
+        error.path = path if error.path == temporary else error.path
+        raise
     finally:
         discard(temporary)
 

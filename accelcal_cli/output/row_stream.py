@@ -5,9 +5,13 @@ Columns and units are those of the Parquet file (docs/outputs.md).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import io
+import os
+import stat
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.csv as pa_csv
@@ -15,7 +19,7 @@ import pyarrow.csv as pa_csv
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.recording import Chunk, Closing, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
-from accelcal_cli.output.files import output_error
+from accelcal_cli.output.files import discard, output_error
 from accelcal_cli.output.parquet import Axes, Column, columns_of, schema_of, values_of
 
 ARROW, CSV = "arrow", "csv"
@@ -23,46 +27,91 @@ KINDS = (ARROW, CSV)
 
 
 class RowStream(Closing):
-    """Writes rows as they come.
+    """Turns rows into the bytes of a stream as they come.
 
     Args:
-        target: an open file; it is not closed.
-        shown: what errors call it.
+        put: takes each piece, which holds whole rows.
         kind: one of KINDS.
     """
 
-    def __init__(self, target: BinaryIO, shown: Path, kind: str, recording: Recording) -> None:
-        self._target, self._shown = target, shown
+    def __init__(self, put: Callable[[bytes], None], kind: str, recording: Recording) -> None:
+        self._put, self._made = put, io.BytesIO()
         self._columns = _columns(recording)
-        schema = schema_of(self._columns, {})
-        self._writer: Any = (pa.ipc.new_stream if kind == ARROW else pa_csv.CSVWriter)(target, schema)
-        self._schema = schema
+        self._schema = schema_of(self._columns, {})
+        begin = pa.ipc.new_stream if kind == ARROW else pa_csv.CSVWriter
+        self._writer: Any = begin(self._made, self._schema)
 
     def write(self, chunk: Chunk, xyz: Axes) -> None:
-        """Write rows, and let the reader have them.
-
-        Raises:
-            OutputError: they cannot be written.
-        """
+        """Write rows, and let the reader have them."""
         values = values_of(self._columns, chunk, xyz)
         arrays = [pa.array(each, column.type) for each, column in zip(values, self._columns, strict=True)]
-        try:
-            self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
-            self._target.flush()
-        except BrokenPipeError:
-            raise
-        except OSError as error:
-            raise output_error(error, self._shown) from error
+        self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
+        self._pass_on()
 
     def close(self) -> None:
         """Write what ends the stream."""
+        self._writer.close()
+        self._pass_on()
+
+    def _pass_on(self) -> None:
+        piece = self._made.getvalue()
+        self._made.seek(0)
+        self._made.truncate()
+        self._put(piece)
+
+
+class RowFile(Closing):
+    """A new file, pipe or device; each piece comes to lie in a file as a whole or not at all.
+
+    Raises:
+        OutputError: it cannot be made.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._bytes = path, 0
         try:
-            self._writer.close()
-            self._target.flush()
+            self._file = path.open("wb", buffering=0)
+        except OSError as error:
+            raise output_error(error, path) from error
+        self._plain = stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
+
+    def put(self, piece: bytes) -> None:
+        """Write a piece; raises OutputError if that fails, and BrokenPipeError if the reader is gone."""
+        left = memoryview(piece)
+        try:
+            while left:
+                left = left[self._file.write(left) :]
         except BrokenPipeError:
             raise
         except OSError as error:
-            raise output_error(error, self._shown) from error
+            self._cut_off()
+            raise output_error(error, self._path) from error
+        self._bytes += len(piece)
+
+    def _cut_off(self) -> None:
+        """Leave no part of a piece, nor an empty file, as far as the disk allows."""
+        if not self._plain:
+            return
+        with contextlib.suppress(OSError):
+            self._file.truncate(self._bytes)
+            self._file.seek(self._bytes)
+        if not self._bytes:
+            discard(self._path)
+
+    def settle(self) -> None:
+        """Bring what was written to the disk; raises OutputError where that fails."""
+        if self._plain:
+            try:
+                os.fsync(self._file.fileno())
+            except OSError as error:
+                raise output_error(error, self._path) from error
+
+    def close(self) -> None:
+        """Close it; raises OutputError where that fails, as a network's disk may only then tell."""
+        try:
+            self._file.close()
+        except OSError as error:
+            raise output_error(error, self._path) from error
 
 
 def _columns(recording: Recording) -> Sequence[Column]:

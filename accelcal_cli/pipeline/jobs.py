@@ -240,7 +240,7 @@ def file_stamp(path: Path) -> FileStamp | None:
             return None
     try:
         found = [one.stat() for one in files_of(path) or ()]
-    except OSError:
+    except (OSError, UnreadableError):
         return None
     return sum(one.st_size for one in found), max((one.st_mtime_ns for one in found), default=0)
 

@@ -9,7 +9,6 @@ the state is (`core/freeze.py`); what is forgotten there would show at once.
 from __future__ import annotations
 
 import hashlib
-import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -17,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError
+from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError, of_the_machine
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
 from accelcal_cli.core.freeze import frozen, thawed
 from accelcal_cli.core.points import Calibration
@@ -28,7 +27,7 @@ from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
 from accelcal_cli.judge.change import told
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
-from accelcal_cli.output.files import output_error
+from accelcal_cli.output.files import looking_at, output_error
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.quality import held_against
 from accelcal_cli.pipeline.stage import Event, Stage
@@ -130,12 +129,15 @@ class Watch:
 
         Raises:
             UnreadableError: it is not the recording that was watched.
+            OSError: it cannot be read.
         """
         standing = self.standing
         if not standing.taken:
             return
-        known = hashlib.sha256(file.read(HEAD_BYTES)).hexdigest()
-        if known != standing.head_sha256 or file.seek(0, 2) < standing.taken:
+        head = b""
+        while len(head) < HEAD_BYTES and (more := file.read(HEAD_BYTES - len(head))):
+            head += more
+        if hashlib.sha256(head).hexdigest() != standing.head_sha256 or file.seek(0, 2) < standing.taken:
             what, hint = "is not the recording of the state", "give another file to --state, or remove it"
             raise UnreadableError(what, path=self._source, hint=hint)
         file.seek(standing.taken)
@@ -194,23 +196,31 @@ class Watch:
         if head.startswith(GZIP_MAGIC):
             hint = "unpack it on the way: gunzip -c FILE | accelcal watch -"
             raise UnreadableError("is compressed, and cannot be gone on with", path=self._source, hint=hint)
+        layouts = {}
+        for beside in self._layouts():
+            with looking_at(beside, UnreadableError):
+                layouts[beside.name] = beside.read_bytes()
         with ExitStack() as stack:
             try:
-                folder = stack.enter_context(
-                    tempfile.TemporaryDirectory(prefix="accelcal-", ignore_cleanup_errors=True)
-                )
-                path = Path(folder) / (self._source.name.strip("-") or "stdin")
+                made = tempfile.TemporaryDirectory(prefix="accelcal-", ignore_cleanup_errors=True)
+                folder = Path(stack.enter_context(made))
+                path = folder / (self._source.name.strip("-") or "stdin")
                 path.write_bytes(head)
-                for beside in filter(is_file, (named_layout(self._source), folder_layout(self._source))):
-                    shutil.copy(beside, folder)
+                for name, held in layouts.items():
+                    (folder / name).write_bytes(held)
             except OSError as error:
                 raise output_error(error, Path(tempfile.gettempdir())) from error
             try:
                 with survey.open_marked(path, self._options) as reader:
                     yield reader
             except AccelcalError as error:
-                error.path = self._source if error.path == path else error.path
+                theirs = {path: self._source} | {folder / one.name: one for one in self._layouts()}
+                error.path = error.path if error.path is None else theirs.get(Path(error.path), error.path)
                 raise
+
+    def _layouts(self) -> list[Path]:
+        """Files beside the recording that may say how it is read."""
+        return [*filter(is_file, (named_layout(self._source), folder_layout(self._source)))]
 
     def _step(self, data: bytes, happened: Happened) -> None:
         standing = self.standing
@@ -234,7 +244,7 @@ class Watch:
         try:
             stage, _ = self._whole(self._head)
         except AccelcalError as error:  # what is missing may still come
-            if isinstance(error, OutputError):
+            if isinstance(error, OutputError) or of_the_machine(error):
                 raise
             return
         self._look(stage, len(self._head), happened, ended=True)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.formats import refuse_unused
+from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.stated import Rules, stamp_of, with_choices
 from accelcal_cli.studies import summary
@@ -28,10 +29,14 @@ def ledger_of(study: Study) -> Ledger:
     """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole.
 
     A shard reads neither the ledgers of its siblings, which have nothing of its own, nor others' entries.
+
+    Raises:
+        OutputError: OUT cannot be listed.
     """
     shard = study.shard
-    siblings = set() if shard.whole else set(study.out.glob(f"study.*-of-{shard.number}.ledger"))
-    others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
+    with looking_at(study.out):
+        siblings = set() if shard.whole else set(study.out.glob(f"study.*-of-{shard.number}.ledger"))
+        others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
     own = study.out / f"{shard.basename}.ledger"
     return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import printable
+from accelcal_cli.output.files import looking_at
 from accelcal_cli.output.report import load_report
 from accelcal_cli.output.report_kinds import FORMAT, Member
 from accelcal_cli.output.report_reading import read_document
@@ -140,9 +141,11 @@ def remove_pools(out: Path, keep: Collection[str]) -> None:
     """Remove the reports of pools that there are no longer.
 
     Raises:
-        OutputError: one cannot be removed.
+        OutputError: one cannot be removed, or OUT cannot be listed.
     """
-    for path in sorted(out.glob(f"{PREFIX}*{REPORT_SUFFIX}")):
+    with looking_at(out):
+        found = sorted(out.glob(f"{PREFIX}*{REPORT_SUFFIX}"))
+    for path in found:
         if path.name.removesuffix(REPORT_SUFFIX) not in keep and _of_a_pool(path):
             remove(path)
 

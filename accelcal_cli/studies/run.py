@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
-from accelcal_cli.output.files import sweep_host
+from accelcal_cli.output.files import looking_at, sweep_host
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
@@ -102,7 +102,8 @@ def _of_waiting(study: Study, planned: Plan, ledger: Ledger) -> list[Entry]:
 def _other_locks(study: Study) -> tuple[Path, ...]:
     """A shard keeps others of the whole study away; shards do not hinder each other."""
     if study.shard.whole:
-        return tuple(sorted(study.out.glob("study.*-of-*.lock")))
+        with looking_at(study.out):
+            return tuple(sorted(study.out.glob("study.*-of-*.lock")))
     return (study.out / "study.lock",)
 
 
@@ -170,7 +171,7 @@ class StudyRun:
     def _run(self, planned: Plan) -> None:
         self._planner.untouched |= planned.changing
         for item, entry in planned.done:
-            self._own(item, TaskResult(entry, up_to_date=True))
+            self._own(item, TaskResult(entry, up_to_date=self._was_told(item, entry)))
         self.lease.confirm()
         for item in planned.todo:
             if item.job != (alone := as_if_alone(item)):
@@ -189,6 +190,11 @@ class StudyRun:
             self._restore(frozenset())
             for name in sorted(self._pending):
                 self._report(self.known.standing[name].item, self._pending[name])
+
+    def _was_told(self, item: Item, entry: Entry) -> bool:
+        """Whether an earlier run said the same of a file; what is refused by its place or name may be new."""
+        known = self._ledger.known(item, entry.asked)
+        return item.refusal is None or (known is not None and known.row == entry.row)
 
     def entries(self) -> list[Entry]:
         """What is to be remembered."""

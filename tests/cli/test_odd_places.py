@@ -73,6 +73,12 @@ def closed(*words: object) -> Ran:
     return Ran(done.returncode, "", done.stderr)
 
 
+def test_rows_do_not_go_to_a_closed_standard_output(tmp_path: Path) -> None:
+    ran = closed("watch", good_csv(tmp_path), "-o", "-")
+    assert (ran.code, ran.err.count("\n")) == (2, 1)
+    assert ran.err.startswith("accelcal: standard output is closed; ")
+
+
 def test_a_closed_standard_output_is_told_and_the_outputs_stay(tmp_path: Path) -> None:
     good = good_csv(tmp_path)
     ran = closed("calibrate", good)

@@ -113,10 +113,13 @@ def test_two_recordings_of_one_stem_are_refused_and_the_rest_is_done(tmp_path: P
     folder, out = study_folder(tmp_path / "in"), tmp_path / "out"
     (folder / "north/a.cwa").write_bytes(bytes(4096))
     (folder / "north/b.txt").write_text("a note, no recording\n")
-    ran = study(capsys, folder)
+    ran = study(capsys, folder, "-q")
+    assert ran.code == 1
     assert "would share its outputs with a.cwa" in ran.err
     assert [row["exit_code"] for row in rows(out)] == ["2", "2", "0", "0"]
     assert not (out / "north/a.calibration.json").exists()
+    again = study(capsys, folder, "-q")
+    assert (again.code, again.err) == (0, ""), "it is no news"
     assert study(capsys, folder, "--exclude", "*.CWA").code == 0
 
 

@@ -11,7 +11,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.faults.checks import Stage, Tried
+from tests.faults.checks import Tried
+from tests.faults.growing import staged
 from tests.faults.scenarios import SCENARIOS, Scenario
 from tests.faults.shim import Runner, running
 from tests.faults.table import COLUMNS, put, read
@@ -22,11 +23,14 @@ def main() -> None:
     most = int(sys.argv[1]) if len(sys.argv) > 1 else 3
     wanted = sys.argv[2:] or COLUMNS
     tried = Tried({place: codes for place, codes in read().items() if place[2] not in wanted})
-    with tempfile.TemporaryDirectory() as folder, running(Path(folder)) as runner:
-        assert runner is not None, "needs Linux and a C compiler"
-        for number, scenario in enumerate(SCENARIOS):
-            if scenario.command in wanted:
-                _try(tried, scenario, Path(folder) / str(number), runner, most or None)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for quick in (False, True):
+            with running(folder / str(quick), forked=quick) as runner:
+                assert runner is not None, "needs Linux and a C compiler"
+                for scenario in SCENARIOS:
+                    if scenario.command in wanted and scenario.quick == quick:
+                        _try(tried, scenario, folder / scenario.name, runner, most or None)
     put(tried.cells)
     sys.exit(len(tried.wrong) > 0)
 
@@ -34,7 +38,7 @@ def main() -> None:
 def _try(tried: Tried, scenario: Scenario, folder: Path, runner: Runner, most: int | None) -> None:
     """Try the faults of one command, and say how many there were."""
     start, runs, struck, wrong = time.monotonic(), tried.runs, tried.struck, len(tried.wrong)
-    tried.each(Stage(scenario, folder, runner), most)
+    tried.each(staged(scenario, folder, runner), most)
     found = tried.wrong[wrong:]
     sys.stdout.write("".join(f"{line}\n" for line in found))
     sys.stdout.write(

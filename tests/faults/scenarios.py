@@ -11,8 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from tests.cli.run import exit_code
 from tests.recordings import directions, good_raw, still_counts, write_csv, write_raw
+from tests.six_pose import made
+from tests.six_pose.made import UP
 
 MANY = 5
 SAMPLES = Path(__file__).resolve().parent.parent.parent / "sample_data"
@@ -27,9 +31,11 @@ class Scenario:
         make: makes the inputs, in `in` and, of earlier results, in `out`.
         code: how it ends undisturbed.
         forks: whether it starts processes, which takes longer.
+        quick: whether these are forked from the command itself, and not from a server.
         again: what a rerun is told besides, over outputs of which some are there.
         parts: whether a part of the recording that the disk does not give costs itself alone.
         most: how many calls of each operation are made to fail at most, where a run takes seconds.
+        rows: where a watch writes its rows; a rerun goes on with another file (`growing.py`).
     """
 
     name: str
@@ -37,9 +43,11 @@ class Scenario:
     make: Callable[[Path], object]
     code: int = 0
     forks: bool = False
+    quick: bool = False
     again: tuple[str, ...] = ()
     parts: bool = False
     most: int | None = None
+    rows: str = ""
 
     @property
     def command(self) -> str:
@@ -113,6 +121,66 @@ def _six_faces(folder: Path) -> None:
     shutil.copy(SAMPLES / "six_faces.csv.gz", folder / "in" / "six.csv.gz")
 
 
+def _grown(folder: Path) -> None:
+    """A recording whose first MiB rests in one posture: a watch of it saves its state thrice."""
+    first, more = directions(200)[:1], directions(200)[:90]
+    write_raw(folder / "in" / "good.raw", still_counts(np.concatenate([np.repeat(first, 225, 0), more])))
+
+
+def _growing(folder: Path) -> None:
+    """The same, and a watch of its first part."""
+    _grown(folder)
+    path, state = folder / "in" / "good.raw", ("--state", "out/state", "-o", "out/first.csv")
+    whole = path.read_bytes()
+    path.write_bytes(whole[:1_340_000])
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
+        assert exit_code("watch", "in/good.raw", "--profile", "paper", *state) == 0
+    path.write_bytes(whole)
+
+
+def _faces(folder: Path) -> None:
+    """A session of a file for each face, and the list of what they show."""
+    (folder / "in" / "faces").mkdir()
+    for number, face in enumerate(UP):
+        made.write_csv(folder / "in" / "faces" / f"{number}.csv", made.session([face], 6, seed=number + 1))
+    lines = [f"{number}.csv,{','.join(map(str, up))}" for number, up in enumerate(UP.values())]
+    made.write_list(folder / "in" / "faces" / "poses.csv", lines, "file,ax,ay,az")
+
+
+def _nights(folder: Path) -> None:
+    """A recording of two files, one after the other."""
+    (folder / "in" / "parts").mkdir()
+    counts = still_counts(directions(60))
+    for number, part in enumerate((counts[:22500], counts[22500:])):
+        write_raw(folder / "in" / "parts" / f"{number}.raw", part)
+    later = folder / "in" / "parts" / "1.layout.toml"
+    later.write_text(later.read_text().replace("00:00:00", "00:15:00"))
+
+
+def _study(folder: Path, *words: str, out: str = "out") -> None:
+    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
+        assert exit_code("study", "in", "-d", out, "-j", "1", "-q", *words) == 0
+
+
+def _studied(folder: Path) -> None:
+    """A study of three recordings."""
+    _folder(folder)
+    _study(folder)
+
+
+def _elsewhere(folder: Path) -> None:
+    """The same, among the inputs."""
+    _folder(folder)
+    _study(folder, out="in/results")
+
+
+def _sharded(folder: Path) -> None:
+    """Both parts of a study of three recordings."""
+    _folder(folder)
+    for part in (1, 2):
+        _study(folder, "--shard", f"{part}/2")
+
+
 def _nothing(_folder: Path) -> None:
     """No inputs."""
 
@@ -127,6 +195,13 @@ def _export(form: str, output: str, result: str = "in/good.calibrated.parquet") 
     return Scenario(f"export {form}", words, _results, again=("--force",))
 
 
+def _watch(
+    name: str, make: Callable[[Path], object], rows: str, *more: str, most: int | None = None
+) -> Scenario:
+    words = ("watch", "in/good.raw", "--profile", "paper", *more, "-o", f"out/{rows}")
+    return Scenario(name, words, make, again=("-o", f"out/more{Path(rows).suffix}"), rows=rows, most=most)
+
+
 CALIBRATE = (
     "calibrate",
     "in/good.raw",
@@ -139,6 +214,11 @@ CALIBRATE = (
     "-q",
 )
 REPORT = "in/good.calibration.json"
+SESSION = (
+    "six-pose", *(f"in/faces/{number}.csv" for number in range(6)),
+    "--poses", "in/faces/poses.csv", "-d", "out", "-q",
+)  # fmt: skip
+STUDY = ("study", "in", "-d", "out", "-j", "2", "-q")
 SEVERAL = tuple(f"in/p{number}.calibration.json" for number in range(3))
 SCENARIOS = (
     Scenario("calibrate", CALIBRATE, _recording),
@@ -155,10 +235,20 @@ SCENARIOS = (
         _no_longer_good,
         4,
     ),
+    Scenario(
+        "calibrate folder",
+        ("calibrate", "--parts", "in/parts", "-d", "out", "--effect", "--windows", "out/w.csv", "-q"),
+        _nights,
+        parts=True,
+        most=MANY,
+    ),
     Scenario("apply", ("apply", "in/good.raw", "--coefficients", REPORT, "-d", "out", "-q"), _results),
     Scenario("fit", ("fit", "in/windows.parquet", "-o", "out/fit.json"), _results),
     Scenario("six-pose", ("six-pose", "in/six.csv.gz", "-d", "out", "-q"), _six_faces),
+    Scenario("six-pose folder", ("six-pose", "in/faces", "-d", "out", "-q"), _faces, most=MANY),
+    Scenario("six-pose list", SESSION, _faces, most=MANY),
     Scenario("report", ("report", REPORT, "-d", "out", "-q"), _results),
+    Scenario("report study", ("report", "out", "-q"), _studied, most=MANY),
     _export("ggir", "out/ggir.csv", REPORT),
     Scenario(
         "export several",
@@ -168,11 +258,27 @@ SCENARIOS = (
     ),
     _export("csv", "out/good.csv"),
     _export("npz", "out/good.npz"),
+    _export("parquet", "out/good.parquet"),
+    _export("mhealth", "out/good.csv"),
     _export("bids", "out/sub-1_task-rest_tracksys-imu_motion.tsv"),
     *(_simulation(form) for form in ("flash", "csv", "hdf5", "gt3x")),
     Scenario("effect", ("effect", "in/good.raw", "--epochs", "out/epochs.csv", "--csv", "-q"), _recording),
     Scenario("quality", ("quality", "in/good.raw", "-q"), _recording),
     Scenario("inspect", ("inspect", "in/good.raw", "--full"), _recording),
+    Scenario("devices", ("devices", "in/results", "-q"), _elsewhere),
     Scenario("verify", ("verify", REPORT, "in/good.raw", "--values", "-q"), _results),
-    Scenario("study", ("study", "in", "-d", "out", "-j", "2", "-q"), _folder, forks=True, most=MANY),
+    _watch("watch", _grown, "rows.csv", "--state", "out/state", most=MANY),
+    _watch("watch, the beginning", _recording, "rows.csv", "--state", "out/state", most=12),
+    _watch("watch, no state", _recording, "rows.arrows", most=12),
+    _watch("watch, going on", _growing, "rows.csv", "--state", "out/state"),
+    _watch("watch, going on, arrow", _growing, "rows.arrows", "--state", "out/state"),
+    Scenario("study", STUDY, _folder, forks=True, most=MANY),
+    *(
+        Scenario(f"study {word[2:]}", (*STUDY, word, *more), make, forks=True, quick=True, most=MANY)
+        for make, word, *more in (
+            (_folder, "--html", "--integers"),
+            (_folder, "--shard", "1/2"),
+            (_sharded, "--collect"),
+        )
+    ),
 )

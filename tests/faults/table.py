@@ -12,7 +12,7 @@ HEAD = "| operation | error |"
 NEVER = "never"
 COLUMNS = (
     "calibrate", "apply", "fit", "six-pose", "report", "export", "simulate", "effect", "quality",
-    "inspect", "verify", "study",
+    "inspect", "verify", "devices", "watch", "study",
 )  # fmt: skip
 
 

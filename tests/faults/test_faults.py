@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.checks import ERRORS, Stage, Tried
+from tests.faults.checks import ERRORS, Tried
+from tests.faults.growing import staged
 from tests.faults.scenarios import SCENARIOS, Scenario
 from tests.faults.shim import SHORT, Fault, Runner
 from tests.faults.table import COLUMNS, read, rows, written
@@ -22,7 +23,15 @@ SOME = {
     "calibrate, now refused": (Fault("open", "EIO", 19), Fault("create", "ENOSPC", 4)),
     "verify": (Fault("open", "EIO", 15), Fault("open", "EIO", 16), Fault("thread", "EAGAIN", 3)),
     "six-pose": (Fault("thread", "EAGAIN", 4),),
-    "simulate hdf5": (Fault("write", "ENOSPC", 3), Fault("close", "EIO", 3)),
+    "six-pose folder": (Fault("list", "EIO", 5),),
+    "simulate hdf5": (
+        Fault("write", "ENOSPC", 3), Fault("write", "ENOSPC", 9, on=True), Fault("close", "EIO", 3),
+    ),
+    "watch, going on": (Fault("create", "ENOSPC", 2), Fault("fsync", "EIO", 4)),
+    "watch, going on, arrow": (
+        Fault("write", "ENOSPC", 1), Fault("write", "ENOSPC", 3), Fault("write", "ENOSPC", 5, on=True),
+        Fault("close", "EIO", 10), Fault("close", "EIO", 11), Fault("read", SHORT, 4),
+    ),
 }  # fmt: skip
 """Those of `make test`."""
 
@@ -30,7 +39,7 @@ SOME = {
 @pytest.mark.parametrize("name", SOME)
 def test_what_fails_costs_nothing_but_the_run(runner: Runner, tmp_path: Path, name: str) -> None:
     scenario = next(one for one in SCENARIOS if one.name == name)
-    stage, cells = Stage(scenario, tmp_path / "stage", runner), read()
+    stage, cells = staged(scenario, tmp_path / "stage", runner), read()
     for fault in SOME[name]:
         struck = stage.strike(fault)
         assert struck.failed, fault
@@ -38,12 +47,21 @@ def test_what_fails_costs_nothing_but_the_run(runner: Runner, tmp_path: Path, na
         assert struck.ran.code in cells[fault.operation, error, scenario.command], struck
 
 
+def test_reading_the_table_of_a_study_starts_no_thread(runner: Runner, tmp_path: Path) -> None:
+    """A thread of Arrow that is still starting when a short command ends aborts it."""
+    scenario = next(one for one in SCENARIOS if one.name == "devices")
+    assert not staged(scenario, tmp_path / "stage", runner).calls["thread"]
+
+
 @pytest.mark.nightly
 @pytest.mark.parametrize("scenario", SCENARIOS, ids=lambda one: one.name)
-def test_each_call_of_each_operation(runner: Runner, tmp_path: Path, scenario: Scenario) -> None:
+def test_each_call_of_each_operation(
+    request: pytest.FixtureRequest, tmp_path: Path, scenario: Scenario
+) -> None:
     """What the table says to be never called is not."""
+    runner = request.getfixturevalue("quick_runner" if scenario.quick else "runner")
     tried = Tried()
-    tried.each(Stage(scenario, tmp_path / "stage", runner), None)
+    tried.each(staged(scenario, tmp_path / "stage", runner), None)
     assert not tried.wrong, "\n".join(tried.wrong)
     known = read()
     assert all(known[place] for place in tried.cells)
@@ -58,11 +76,14 @@ def test_the_table_has_no_empty_cell_and_lacks_nothing() -> None:
 
 
 def test_by_the_table_no_failure_passes_for_success_or_a_bug() -> None:
-    """What was written must be on the disk. Of the recordings of `calibrate` some are refused."""
+    """What was written must be on the disk; temporary files of some commands may lie elsewhere.
+
+    Of the recordings of `calibrate` some are refused.
+    """
     for (operation, error, column), codes in read().items():
         well = {0, 4} if column == "calibrate" else {0}
         assert codes <= {1, 2, 3, 5, 71} | well
         if error in (SHORT, "EINTR"):
             assert codes <= well, (operation, error, column)
-        elif operation in ("write", "rename") and column not in ("calibrate", "study"):
+        elif operation in ("write", "rename") and column not in ("calibrate", "study", "watch"):
             assert 0 not in codes, (operation, error, column)

@@ -29,10 +29,11 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
     same recording gives the same bytes.
 
     Raises:
-        OutputError: the file cannot be written.
+        OSError: the system does not let it be written.
+        OutputError: HDF5 does not.
     """
     try:
-        with path.open("wb+") as plain:
+        with path.open("wb+", buffering=0) as plain:
             target = _Target(plain)
             with h5py.File(target, "w", libver=FILE_VERSIONS) as file:
                 writer = _Writer(file, recording)
@@ -41,6 +42,8 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
                     target.raise_failure()
             target.raise_failure()
     except (OSError, RuntimeError) as error:
+        if isinstance(error, OSError) and error.strerror:
+            raise
         raise OutputError(
             f"cannot be written ({' '.join(str(error).split())[:200]})",
             path=path,
@@ -49,7 +52,11 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 class _Target(io.RawIOBase):
-    """A file whose failed writes are kept until they are asked for: HDF5 would not survive them."""
+    """A file whose failed writes are kept until they are asked for: HDF5 would not survive them.
+
+    Args:
+        file: without a buffer, which would try to write again what failed, wherever HDF5 goes next.
+    """
 
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
@@ -61,15 +68,18 @@ class _Target(io.RawIOBase):
             raise self._failure
 
     def readinto(self, buffer: Any) -> int:
-        data = self._file.read(len(buffer))
-        buffer[: len(data)] = data
-        return len(data)
+        done = 0
+        while done < len(buffer) and (data := self._file.read(len(buffer) - done)):
+            buffer[done : done + len(data)] = data
+            done += len(data)
+        return done
 
     def write(self, data: Any) -> int:
         """Write, or keep the failure."""
+        left = memoryview(data)
         try:
-            self._file.write(data)
-            self._file.flush()
+            while left:
+                left = left[self._file.write(left) :]
         except OSError as error:
             self._failure = self._failure or error
         return len(data)
