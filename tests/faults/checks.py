@@ -20,8 +20,9 @@ from tests.faults.shim import OPERATIONS, SHORT, Fault, Runner, Struck
 CODES = (1, 2, 3, 5, 71)
 """Exit codes that a fault may have (docs/outputs.md): 2 where what an option names cannot be read."""
 
-LOCK = "study.lock"
-"""May stay where a fault keeps it from being removed: the next run sees that its process is gone."""
+LOCK = ".lock"
+"""Of a study or a part of one; may stay where a fault keeps it from being removed: the next run sees that its
+process is gone."""
 
 NOT_REMOVED = ("unlink", "list", "open", "close")
 """What fails where a temporary folder cannot be removed."""
@@ -203,13 +204,13 @@ class Stage:
     def _wrong_files(self, fault: Fault, struck: Struck) -> Iterator[str]:
         """What is wrong with the files that are there."""
         found, code = contents(self.folder / "out"), struck.ran.code
-        left = {name for name in found if name == LOCK or self._not_removed(name, fault)}
+        left = {name for name in found if name.endswith(LOCK) or self._not_removed(name, fault)}
         if self.scenario.parts and lost_a_part(found):
             return
         if code == self.scenario.code and (wrong := differences(found, self.undisturbed) - left):
             yield f"ended well, but {sorted(wrong)} differ"
-        for name in sorted(found.keys() - {LOCK}):
-            if not self._whole(name, found[name], fault):
+        for name in sorted(found):
+            if not name.endswith(LOCK) and not self._whole(name, found[name], fault):
                 yield f"{name} is torn, or was left"
         if fault.operation not in NOT_REMOVED and any((self.folder / "tmp").iterdir()):
             yield "temporary files were left"
