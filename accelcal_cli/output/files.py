@@ -12,6 +12,7 @@ import hashlib
 import io
 import json
 import os
+import re
 import stat
 import time
 from collections.abc import Iterable, Iterator, Sequence
@@ -31,6 +32,9 @@ DEEPEST = 32
 
 WIDEST = 64
 """Bits of a whole number, and its sign."""
+
+OBEYED = re.compile("[\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
+"""Control characters and marks of direction that JSON texts may hold as they are."""
 
 _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
@@ -223,6 +227,16 @@ def write_text(path: Path, text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def json_text(value: Any, **form: Any) -> str:
+    """Our JSON, for people too: a character that a terminal or an editor would obey stands as its escape.
+
+    Args:
+        form: `indent` and `separators` of `json.dumps`.
+    """
+    text = json.dumps(value, allow_nan=False, ensure_ascii=False, **form)
+    return OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
 def parsed(text: str | bytes) -> Any:

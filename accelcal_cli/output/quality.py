@@ -19,6 +19,7 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout, TimeRows
+from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report import ReportInput
 
 SCHEMA_VERSION = 1
@@ -195,4 +196,4 @@ def dumps_quality(document: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    return json.dumps(value, separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+    return json_text(value, separators=(",", ":"))

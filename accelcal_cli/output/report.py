@@ -7,7 +7,6 @@ check bit by bit.
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass, field
 from math import floor, log10
 from pathlib import Path
@@ -37,7 +36,7 @@ from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.files import looking_at, parsed
+from accelcal_cli.output.files import json_text, looking_at, parsed
 from accelcal_cli.output.report_schema import fault, report_schema
 
 DAY_S = 86_400
@@ -490,7 +489,7 @@ def _health(data: ReportInput) -> FileHealth:
 
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:
     """The report as JSON text."""
-    return json.dumps(report, indent=2 if pretty else None, allow_nan=False, ensure_ascii=False)
+    return json_text(report, indent=2 if pretty else None)
 
 
 def upgraded(report: dict[str, Any]) -> dict[str, Any]:

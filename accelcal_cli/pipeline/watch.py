@@ -198,8 +198,8 @@ class Watch:
             raise UnreadableError("is compressed, and cannot be gone on with", path=self._source, hint=hint)
         layouts = {}
         for beside in self._layouts():
-            with looking_at(beside, UnreadableError):
-                layouts[beside.name] = beside.read_bytes()
+            with looking_at(beside, UnreadableError), beside.open("rb") as file:
+                layouts[beside.name] = file.read(HEAD_BYTES)  # one as long is refused
         with ExitStack() as stack:
             try:
                 made = tempfile.TemporaryDirectory(prefix="accelcal-", ignore_cleanup_errors=True)

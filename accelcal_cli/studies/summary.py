@@ -22,7 +22,7 @@ from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
 from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output import files
-from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report import SPHERE_COLUMNS, sphere_columns
 from accelcal_cli.studies.records import FAILED, Item
 
@@ -267,7 +267,7 @@ def write(summary: Summary, out: Path, name: str) -> None:
     with replacing(out / f"{name}.parquet") as temporary, temporary.open("wb") as file:
         _write_parquet(summary.rows, file)
     write_csv(summary.rows, out, name)
-    write_text(out / f"{name}.json", json.dumps(summary.counts(), indent=2, ensure_ascii=False) + "\n")
+    write_text(out / f"{name}.json", json_text(summary.counts(), indent=2) + "\n")
 
 
 def write_csv(rows: Sequence[dict[str, Any]], out: Path, name: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import stat
 import subprocess
@@ -15,7 +16,7 @@ import pytest
 
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.system import host
-from accelcal_cli.output.files import replacing, write_text
+from accelcal_cli.output.files import json_text, parsed, replacing, write_text
 
 
 def names(folder: Path) -> list[str]:
@@ -124,3 +125,18 @@ def test_a_large_folder_is_not_listed_for_each_file(tmp_path: Path, monkeypatch:
     for number in range(20):
         write_text(tmp_path / f"{number}.txt", "x")
     assert listed == [tmp_path]
+
+
+def test_no_character_of_our_json_acts_on_a_terminal_and_all_are_there() -> None:
+    said = {"model": "a\x7f\x1b\x85\x9b\u202e\u2066\u200fzé"}
+    text = json_text(said, indent=2)
+    assert text == '{\n  "model": "a\\u007f\\u001b\\u0085\\u009b\\u202e\\u2066\\u200fzé"\n}'
+    assert json.loads(text) == parsed(text) == said
+
+
+def test_an_error_names_the_output_and_not_its_temporary_file(tmp_path: Path) -> None:
+    path = tmp_path / "out.h5"
+    with pytest.raises(OutputError) as caught, replacing(path) as temporary:
+        raise OutputError("cannot be written", path=temporary)
+    assert caught.value.path == path
+    assert not list(tmp_path.iterdir())
