@@ -192,7 +192,7 @@ class Stage:
             yield "ended well, but said something else"
         if ran.code == self.scenario.code:
             return
-        if ran.code not in CODES:
+        if ran.code not in CODES and not lost:
             yield f"exit code {ran.code}"
         if "Traceback" in ran.err or "bug in accelcal" in ran.err:
             yield "told as a bug"
@@ -246,7 +246,9 @@ def lost_a_part(found: Contents) -> bool:
     report: Any = found.get("parts.calibration.json")
     if report is None or all(one["code"] != "unreadable_part" for one in report["file_health"]["problems"]):
         return False
-    table: Any = found["parts.calibrated.parquet"]
+    table: Any = found.get("parts.calibrated.parquet")
+    if table is None:
+        return bool(report["outcome"] == "refused")
     assert pq.read_metadata(pa.BufferReader(table)).num_rows == report["recording"]["samples"]
     return True
 
