@@ -10,7 +10,7 @@ Results come in the order of the items, whatever the number of threads.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
@@ -40,7 +40,7 @@ def thread_pool(threads: int, name: str) -> AbstractContextManager[Executor | No
     return nullcontext() if threads < 2 else ThreadPoolExecutor(threads, thread_name_prefix=name)
 
 
-def prefetch(items: Iterator[T], threads: int, depth: int = DEPTH) -> Iterator[T]:
+def prefetch(items: Iterator[T], threads: int, depth: int = DEPTH) -> Generator[T]:
     """The items of an iterator, in order, up to `depth` of them taken ahead on another thread.
 
     What the iterator raises is raised here, in its place. Closing this closes the iterator.

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import gzip
 import os
 import zlib
+from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
+from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing
-
-GZIP_STEP = 1 << 13
-TRAILING_WORDS = "Not a gzipped file"
-"""What gzip says of bytes after its data; the data before them were checked and are right."""
+from accelcal_cli.formats._inflate import GzipFault, Piece, gunzipped
 
 CRC16_POLYNOMIAL = 0x1021
 CRC16_START = 0xFFFF
@@ -28,25 +26,28 @@ CRC16_START = 0xFFFF
 class ByteSource(Closing):
     """The (uncompressed) bytes of a file, from its beginning.
 
-    A gzip file is taken in equal steps, so that a damaged one ends at the same byte however much
-    is asked for at a time.
+    A damaged gzip file ends at the same byte however much is asked for at a time, and whatever unpacks it.
 
     Attributes:
         compressed: whether the file is gzip.
         file_bytes: length of the file itself.
         broken: whether its bytes broke off (a truncated or damaged gzip) rather than ended.
+        untrue: whether they did so because the gzip data are damaged within, not only cut short.
+
+    Args:
+        threads: how many may work at a time; a gzip file is unpacked ahead by one of its own.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, threads: int = 1) -> None:
         """Open a file.
 
         Raises:
             UnreadableError: it cannot be opened.
         """
         self.path = path
-        self.broken = False
-        self._untrue = False
+        self._fault: GzipFault | None = None
         self._ahead = b""
+        self._unpacked_to = 0
         try:
             self._file = path.open("rb")
             self.file_bytes = os.fstat(self._file.fileno()).st_size
@@ -54,7 +55,17 @@ class ByteSource(Closing):
             self._file.seek(0)
         except OSError as error:
             raise self._unreadable(error) from error
-        self._gzip = gzip.GzipFile(fileobj=self._file) if self.compressed else None
+        self._pieces = prefetch(gunzipped(self._file), threads) if self.compressed else None
+
+    @property
+    def broken(self) -> bool:
+        """See the class."""
+        return self._fault is not None
+
+    @property
+    def untrue(self) -> bool:
+        """See the class."""
+        return self._fault is GzipFault.DAMAGED
 
     def read(self, count: int) -> bytes:
         """Up to `count` bytes; none only at the end.
@@ -63,11 +74,7 @@ class ByteSource(Closing):
             UnreadableError: the disk fails.
         """
         try:
-            return self._file.read1(count) if self._gzip is None else self._step(self._gzip, count)
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            self.broken = True
-            self._untrue = not isinstance(error, EOFError) and TRAILING_WORDS not in str(error)
-            return b""
+            return self._file.read1(count) if self._pieces is None else self._unpacked(self._pieces, count)
         except OSError as error:
             raise self._unreadable(error) from error
 
@@ -89,7 +96,7 @@ class ByteSource(Closing):
         Raises:
             UnreadableError: the gzip data are damaged within, not only cut short.
         """
-        if self._untrue:
+        if self.untrue:
             raise UnreadableError(
                 "the gzip data is damaged: some values are not what was compressed",
                 path=self.path,
@@ -117,22 +124,22 @@ class ByteSource(Closing):
 
     def disk_position(self) -> int:
         """How far the file on the disk has been read."""
-        return self._file.tell()
+        return self._unpacked_to if self.compressed else self._file.tell()
 
     def undecoded(self) -> int:
         """Bytes on the disk behind the place where a damaged gzip could not be unpacked any more."""
-        return max(0, os.fstat(self._file.fileno()).st_size - self._file.tell()) if self.broken else 0
+        return max(0, os.fstat(self._file.fileno()).st_size - self._unpacked_to) if self.broken else 0
 
     def close(self) -> None:
         """Release the file; that this fails costs nothing that was read."""
         with suppress(OSError):
-            if self._gzip is not None:
-                self._gzip.close()
+            if self._pieces is not None:
+                self._pieces.close()
             self._file.close()
 
-    def _step(self, stream: gzip.GzipFile, count: int) -> bytes:
-        if not self._ahead and not self.broken:
-            self._ahead = stream.read1(GZIP_STEP)
+    def _unpacked(self, pieces: Iterator[Piece], count: int) -> bytes:
+        if not self._ahead and (piece := next(pieces, None)) is not None:
+            self._ahead, self._unpacked_to, self._fault = piece.data, piece.end_byte, piece.fault
         part, self._ahead = self._ahead[:count], self._ahead[count:]
         return part
 

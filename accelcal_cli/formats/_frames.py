@@ -128,7 +128,7 @@ class FrameReader(Reader):
     ) -> Generator[Chunk]:
         """Frames first..stop-1, `size` at a time; the last chunk may be empty."""
         file, rows = self._file, _Rows(self._file, self.recording, first, problems)
-        with ByteSource(file.path) as source:
+        with ByteSource(file.path, self.threads) as source:
             file.enter(source, first)
             last = False
             while not last:

@@ -151,13 +151,16 @@ class PagedFile:
         """How many of so many pages may be read at once."""
         return max(1, min(pages, BLOCK_BYTES // self.page_bytes))
 
-    def blocks(self, pages: int, first_position: int = 0) -> Generator[RawBlock]:
+    def blocks(self, pages: int, first_position: int = 0, threads: int = 1) -> Generator[RawBlock]:
         """Yield all pages from `first_position` on, `pages` at a time; the last block may be empty.
+
+        Args:
+            threads: how many may work at a time on a gzip file.
 
         Raises:
             UnreadableError: the disk fails, or the file is shorter than its header.
         """
-        with ByteSource(self.path) as stream:
+        with ByteSource(self.path, threads) as stream:
             self._enter(stream, first_position)
             last = False
             while not last:

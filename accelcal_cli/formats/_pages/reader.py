@@ -387,7 +387,7 @@ class PagedReader(Reader):
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole pages, at least one."""
         joiner = self._joiner(0, self._problems)
-        for raw in self._scheme.file.blocks(self._pages(chunk_samples)):
+        for raw in self._scheme.file.blocks(self._pages(chunk_samples), threads=self.threads):
             chunk = joiner.feed(raw, self._scheme.decode(raw))
             if len(chunk) or chunk.problems:
                 yield chunk

@@ -102,7 +102,7 @@ class CsvReader(Reader):
         row_parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
         stages = [*changes, *_stages(detected)]
         size = block_bytes(chunk_samples, detected.line_bytes)
-        with LineFile(self._path, dialect.bare_returns) as file:
+        with LineFile(self._path, dialect.bare_returns, self.threads) as file:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
             for parsed, block in row_parser.rows(map(heads.without, blocks), self.threads):
                 rows = parsed

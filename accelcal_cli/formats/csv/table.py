@@ -27,7 +27,7 @@ from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, Dialect, decode, s
 from accelcal_cli.formats.csv.times import DateColumn, TimeFormat, floats
 
 PIECE_BYTES = 1 << 18
-"""Taken from the file at a time. Fixed, so that a damaged gzip breaks at the same byte in every run."""
+"""Taken from the file at a time."""
 
 PARSER_BYTES = 1 << 20
 """What is parsed at a time."""
@@ -85,8 +85,8 @@ def lone_block(data: bytes, line: int, offset: int) -> Block:
 class LineFile(Closing):
     """A text file, plain or gzip, read once from its beginning."""
 
-    def __init__(self, path: Path, bare_returns: bool = False) -> None:
-        self._source = ByteSource(path)
+    def __init__(self, path: Path, bare_returns: bool = False, threads: int = 1) -> None:
+        self._source = ByteSource(path, threads)
         self._bare_returns = bare_returns
 
     def close(self) -> None:
@@ -94,28 +94,34 @@ class LineFile(Closing):
         self._source.close()
 
     def read(self, count: int) -> bytes:
-        """At least `count` bytes, fewer only at the end of the data."""
-        return b"".join(self._pieces(count))
+        """`count` bytes, fewer only at the end of the data.
+
+        Raises:
+            UnreadableError: the disk fails, or a gzip file is damaged there.
+        """
+        data = b"".join(self._pieces(count))
+        self._source.refuse_untrue()
+        return data
 
     def _pieces(self, count: int) -> list[bytes]:
         parts: list[bytes] = []
-        while count > 0 and (part := self._piece()):
+        while count > 0 and (part := self._piece(count)):
             parts.append(part)
             count -= len(part)
         return parts
 
-    def _piece(self) -> bytes:
-        piece = self._source.read(PIECE_BYTES)
-        self._source.refuse_untrue()
+    def _piece(self, most: int) -> bytes:
+        piece = self._source.read(min(most, PIECE_BYTES))
         return piece.replace(b"\r", b"\n") if self._bare_returns else piece
 
     def blocks(self, start: int, line: int, block_bytes: int) -> Iterator[Block]:
         """All lines from byte `start`, which begins line number `line`, about `block_bytes` at a time.
 
         Raises:
-            UnreadableError: a line does not end within 1 MiB, or the disk fails.
+            UnreadableError: a line does not end within 1 MiB, the disk fails, or, after the lines before that
+                place, a gzip file is damaged.
         """
-        fresh = [self.read(start + block_bytes)[start:]]
+        fresh = [b"".join(self._pieces(start + block_bytes))[start:]]
         tail, offset, last, zeros = b"", start, False, 0
         while not last:
             endless = zeros > 0 and any(piece.strip(b"\0") for piece in fresh)
@@ -133,9 +139,11 @@ class LineFile(Closing):
             if data or last:
                 rest, lines = tail if last else b"", count_lines(data)
                 disk, broken = self._source.disk_position(), self._source.broken
-                yield Block(data, rest, line, lines, offset, offset + len(data), disk, last, broken, zeros)
+                ends = last and not self._source.untrue
+                yield Block(data, rest, line, lines, offset, offset + len(data), disk, ends, broken, zeros)
                 line += lines
                 offset += len(data)
+        self._source.refuse_untrue()
 
 
 class LineCutter:

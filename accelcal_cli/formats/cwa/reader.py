@@ -102,16 +102,21 @@ class SectorEvents(EventMaker):
         yield replace(event, lost_bytes=len(raw.tail) + raw.undecoded)
 
 
-def sector_blocks(file: PagedFile, sectors: int, first_position: int = 0) -> Generator[RawBlock, None, None]:
+def sector_blocks(
+    file: PagedFile, sectors: int, first_position: int = 0, threads: int = 1
+) -> Generator[RawBlock, None, None]:
     """All sectors from `first_position` on, about `sectors` at a time; the last block may be empty.
 
     The next block overwrites the memory of the one before.
+
+    Args:
+        threads: how many may work at a time on a gzip file.
 
     Raises:
         UnreadableError: the disk fails.
     """
     if file.compressed:
-        yield from file.blocks(sectors, first_position)
+        yield from file.blocks(sectors, first_position, threads)
     else:
         yield from _read_over(file, sectors, first_position)
 
@@ -151,10 +156,10 @@ class Scheme:
         """Sectors that make a chunk."""
         return max(1, chunk_samples // self.settings.rows)
 
-    def stream(self, chunk_samples: int) -> Generator[Chunk, None, None]:
-        """All chunks of the file."""
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
+        """All chunks of the file; so many threads may work on a gzip file."""
         assembler = Assembler(self, 0, self.problems)
-        with closing(sector_blocks(self.file, self.sectors(chunk_samples))) as blocks:
+        with closing(sector_blocks(self.file, self.sectors(chunk_samples), threads=threads)) as blocks:
             for raw in blocks:
                 yield from assembler.feed(raw)
 
@@ -269,7 +274,7 @@ class CwaReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole sectors, at least one."""
-        return self._scheme.stream(chunk_samples)
+        return self._scheme.stream(chunk_samples, self.threads)
 
     def intake(self) -> Intake:
         """See `Reader`."""

@@ -159,10 +159,14 @@ class Scheme:
     start_us: int
     problems: tuple[Problem, ...] = ()
 
-    def stream(self, chunk_samples: int) -> Generator[Chunk]:
-        """All rows of the file, from one time to another, about so many at once."""
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
+        """All rows of the file, from one time to another, about so many at once.
+
+        Args:
+            threads: how many may work at a time on a gzip file.
+        """
         assembler = Assembler(self, 0, self.problems)
-        for raw in self.file.blocks(self.file.fitting(chunk_samples // SLOTS)):
+        for raw in self.file.blocks(self.file.fitting(chunk_samples // SLOTS), threads=threads):
             chunk = assembler.feed_file(raw)
             if len(chunk) or chunk.problems:
                 yield chunk
@@ -234,7 +238,7 @@ class GeneaReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, about `chunk_samples` at a time."""
-        return self._scheme.stream(chunk_samples)
+        return self._scheme.stream(chunk_samples, self.threads)
 
     def intake(self) -> Intake:
         """See `Reader`."""

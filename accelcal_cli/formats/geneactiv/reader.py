@@ -151,10 +151,10 @@ class Scheme:
     announced: int | None = None
     problems: tuple[Problem, ...] = ()
 
-    def stream(self, chunk_samples: int) -> Generator[Chunk]:
-        """All rows of the file, whole pages, at least one."""
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
+        """All rows of the file, whole pages, at least one; so many threads may work on a gzip file."""
         assembler = Assembler(self, 0, self.problems)
-        with closing(self.file.parts(max(1, chunk_samples // scan.SAMPLES))) as parts:
+        with closing(self.file.parts(max(1, chunk_samples // scan.SAMPLES), threads)) as parts:
             for part in parts:
                 chunk = assembler.chunk(part)
                 if len(chunk) or chunk.problems:
@@ -245,7 +245,7 @@ class GeneactivReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole pages, at least one."""
-        return self._scheme.stream(chunk_samples)
+        return self._scheme.stream(chunk_samples, self.threads)
 
     def intake(self) -> Intake:
         """See `Reader`."""

@@ -235,13 +235,16 @@ class TextFile:
     size: int
     compressed: bool
 
-    def parts(self, pages: int) -> Generator[Part[Found]]:
+    def parts(self, pages: int, threads: int = 1) -> Generator[Part[Found]]:
         """All places of the file, those of about `pages` pages at a time; a part may be empty.
+
+        Args:
+            threads: how many may work at a time on a gzip file.
 
         Raises:
             UnreadableError: the disk fails, or a gzip file is damaged within.
         """
-        with ByteSource(self.path) as source:
+        with ByteSource(self.path, threads) as source:
             source.read_exact(self.start)
             scanner = Scanner(self.start)
             position, end, last = 0, self.start, False

@@ -7,6 +7,7 @@ Source: github.com/actigraph/NHANES-GT3X-File-Format, README.md and fileformats/
 from __future__ import annotations
 
 from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +46,11 @@ class ActivityFile:
         size = None if self.archive.problems else self.member.unpacked_bytes
         return None if size is None else int(packed_samples(np.array(size)))
 
-    def stream(self, chunk_samples: int) -> Generator[Chunk, None, None]:
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
         """All chunks.
+
+        Args:
+            threads: how many may work at a time.
 
         Raises:
             UnreadableError: the disk fails, or what was packed is not what comes out: without
@@ -54,24 +58,23 @@ class ActivityFile:
         """
         from accelcal_cli.formats._idle import RepeatedSamples  # log.bin marks idle sleep itself
 
-        repeats, rows, problems, last = RepeatedSamples(self.rate), 0, self.problems, False
+        repeats, rows, problems = RepeatedSamples(self.rate), 0, self.problems
         waiting = np.empty((0, 3), np.int16)
         asleep: list[int] = []
-        with MemberStream(self.archive, self.member) as source:
-            while not last:
-                data = source.read(PIECE_BYTES)
-                last = len(data) < PIECE_BYTES
-                waiting = np.concatenate((waiting, samples_of(data)))
-                filled = repeats.mark(waiting, last=last)
+        with (
+            MemberStream(self.archive, self.member) as source,
+            closing(source.pieces(PIECE_BYTES, threads)) as pieces,
+        ):
+            for piece in pieces:
+                waiting = np.concatenate((waiting, samples_of(piece.data)))
+                filled = repeats.mark(waiting, last=piece.last)
                 counts, waiting = waiting[: len(filled)], waiting[len(filled) :]
                 asleep += [rows + int(np.argmax(filled)), int(filled.sum())] if filled.any() else []
-                if last:
+                if piece.last:
                     problems += slept(asleep) + self._ending(source, rows + len(counts))
                 for start in range(0, len(counts) or bool(problems), chunk_samples):
                     part = slice(start, start + chunk_samples)
-                    yield self._chunk(
-                        counts[part], filled[part], rows + start, source.disk_position, problems
-                    )
+                    yield self._chunk(counts[part], filled[part], rows + start, piece.end_byte, problems)
                     problems = ()
                 rows += len(counts)
 

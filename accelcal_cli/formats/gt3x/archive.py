@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import struct
 import zipfile
-import zlib
 from collections import Counter
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
 from accelcal_cli.formats._bytes import ShortReads
+from accelcal_cli.formats._inflate import MOST_BYTES, STEP_BYTES, Inflater, crc32
 from accelcal_cli.formats.gt3x import (
     ACTIVITY,
     CALIBRATION,
@@ -56,10 +58,6 @@ _BROKEN = (
 """What zipfile raises over a damaged directory; OSError where it seeks to impossible places."""
 
 LOST_DIRECTORY = "the zip file's directory is damaged or missing: its parts were found by their own headers"
-
-STEP_BYTES = 1 << 14
-MOST_BYTES = 1 << 19
-"""Of uncompressed bytes at once: damaged or empty stretches unpack to a thousand times their size."""
 
 UNKNOWN_SIZE = 1 << 62
 SMALL_BYTES = 1 << 20
@@ -217,11 +215,22 @@ class Fault(Enum):
     WRONG_CHECKSUM = "its checksum does not fit"
 
 
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Bytes of a part.
+
+    Attributes:
+        last: nothing follows.
+        end_byte: how far the file on the disk has been read.
+    """
+
+    data: bytes
+    last: bool
+    end_byte: int
+
+
 class MemberStream(Closing):
     """Reads a part from its beginning.
-
-    The file is taken in equal steps, so that what is salvaged from a damaged one does not depend
-    on how much is asked for at a time.
 
     Attributes:
         size: uncompressed bytes so far.
@@ -240,10 +249,9 @@ class MemberStream(Closing):
         self._path, self._ends = archive.path, archive.ends
         self._refuse_unknown()
         self._left = UNKNOWN_SIZE if member.packed_bytes is None else member.packed_bytes
-        self._inflate: Any = zlib.decompressobj(-zlib.MAX_WBITS) if member.method == DEFLATED else None
-        self._ended = self._more = False
+        self._inflater = Inflater() if member.method == DEFLATED else None
+        self._ended = False
         self._crc = 0
-        self._ahead = b""
         try:
             self._file = archive.path.open("rb")
             self._file.seek(min(member.start_byte, archive.size))
@@ -256,60 +264,76 @@ class MemberStream(Closing):
         Raises:
             UnreadableError: the disk fails.
         """
-        parts, have = [self._ahead], len(self._ahead)
-        while have < count and not self._ended:
-            parts.append(self._step())
-            have += len(parts[-1])
-        data = b"".join(parts)
-        self._ahead = data[count:]
-        return data[:count]
+        parts: list[bytes] = []
+        while count > 0 and not self._ended:
+            parts.append(self._step(count))
+            count -= len(parts[-1])
+        return b"".join(parts)
 
-    @property
-    def disk_position(self) -> int:
-        """How far the file on the disk has been read."""
-        return self._file.tell()
+    def pieces(self, count: int, threads: int) -> Generator[Piece]:
+        """All of it, `count` bytes at a time; the last piece is shorter, and may be empty.
+
+        Args:
+            threads: how many may work at a time; one of its own unpacks the pieces that follow.
+
+        Raises:
+            UnreadableError: the disk fails.
+        """
+        return prefetch(self._all_pieces(count), threads)
+
+    def _all_pieces(self, count: int) -> Iterator[Piece]:
+        last = False
+        while not last:
+            data = self.read(count)
+            last = len(data) < count
+            yield Piece(data, last, self._file.tell())
 
     def close(self) -> None:
         """Release the file."""
         self._file.close()
 
-    def _step(self) -> bytes:
-        fresh = not self._more
-        packed = self._taken() if fresh else self._inflate.unconsumed_tail
-        data = packed if self._inflate is None else self._inflated(packed)
-        self._more = self._inflate is not None and len(data) == MOST_BYTES
-        self._crc = zlib.crc32(data, self._crc)
+    def _step(self, most: int) -> bytes:
+        if self._inflater is None:
+            data = self._taken(most)
+            over = not data or self._left == 0
+        else:
+            data, over = self._inflated(self._inflater, most)
+        self._crc = crc32(data, self._crc)
         self.size += len(data)
-        if self.fault or self._complete() or (fresh and not packed):
+        if over:
             self._end()
         return data
 
-    def _taken(self) -> bytes:
+    def _inflated(self, inflater: Inflater, most: int) -> tuple[bytes, bool]:
+        """The next bytes, at most so many, and whether they are the last."""
+        if inflater.hungry:
+            packed = self._taken(STEP_BYTES)
+            if not packed:
+                return b"", True
+            inflater.put(packed)
+        data = inflater.take(min(most, MOST_BYTES))
+        return data, inflater.damaged or inflater.complete
+
+    def _taken(self, most: int) -> bytes:
         try:
-            packed = self._file.read(min(STEP_BYTES, self._left))
+            packed = self._file.read(min(most, STEP_BYTES, self._left))
         except OSError as error:
             raise self._unreadable(error) from error
         self._left -= len(packed)
         return packed
 
-    def _inflated(self, packed: bytes) -> bytes:
-        before = self._inflate.copy()
-        try:
-            return bytes(self._inflate.decompress(packed, MOST_BYTES))
-        except zlib.error:
-            self.fault = Fault.DAMAGED
-            return salvaged(before, packed)
-
     def _complete(self) -> bool:
-        return self._left == 0 if self._inflate is None else bool(self._inflate.eof)
+        return self._left == 0 if self._inflater is None else self._inflater.complete
 
     def _end(self) -> None:
         self._ended = True
-        if self.fault is None and not self._complete():
-            self.fault = Fault.DAMAGED if self._ends else Fault.CUT_OFF
-        elif self.fault is None and self.member.unpacked_bytes not in (None, self.size):
+        if self._inflater is not None and self._inflater.damaged:
             self.fault = Fault.DAMAGED
-        elif self.fault is None and self.member.crc not in (None, self._crc):
+        elif not self._complete():
+            self.fault = Fault.DAMAGED if self._ends else Fault.CUT_OFF
+        elif self.member.unpacked_bytes not in (None, self.size):
+            self.fault = Fault.DAMAGED
+        elif self.member.crc not in (None, self._crc):
             self.fault = Fault.WRONG_CHECKSUM
 
     def _refuse_unknown(self) -> None:
@@ -338,14 +362,3 @@ def small_part(archive: Archive, name: str) -> bytes | None:
             return None if stream.fault else data
     except UnreadableError:
         return None
-
-
-def salvaged(inflate: Any, packed: bytes) -> bytes:
-    """What a decompressor still gives of bytes that are damaged somewhere."""
-    parts: list[bytes] = []
-    try:
-        for index in range(len(packed)):
-            parts.append(inflate.decompress(packed[index : index + 1]))
-    except zlib.error:
-        pass
-    return b"".join(parts)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass, field
 from math import isfinite
 from pathlib import Path
@@ -184,8 +185,11 @@ def look_inside(archive: Archive, *, imu: bool, thermometer: FactoryTemperature 
         UnreadableError: the disk fails, or log.bin is packed in an unusual way.
     """
     beginning = Beginning(thermometer=thermometer)
-    with MemberStream(archive, archive.members[LOG]) as stream:
-        for number, batch in enumerate(log.batches(stream, log.ANY_TIME)):
+    with (
+        MemberStream(archive, archive.members[LOG]) as stream,
+        closing(log.batches(stream, log.ANY_TIME)) as batches,
+    ):
+        for number, batch in enumerate(batches):
             beginning.take(batch)
             waiting = thermometer is not None and beginning.first_mc is None and number < LISTENED
             if (beginning.imu and beginning.schema if imu else beginning.rate) and not waiting:

@@ -54,7 +54,7 @@ class Gt3xReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order."""
-        return self._file.stream(chunk_samples)
+        return self._file.stream(chunk_samples, self.threads)
 
 
 def open_recording(path: Path, options: ReadOptions) -> Reader:
@@ -202,8 +202,11 @@ class LogFile:
     problems: tuple[Problem, ...] = ()
     applied: Applied = NOTHING
 
-    def stream(self, chunk_samples: int) -> Generator[Chunk, None, None]:
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
         """All chunks, of at least a second.
+
+        Args:
+            threads: how many may work at a time.
 
         Raises:
             UnreadableError: the disk fails.
@@ -212,15 +215,18 @@ class LogFile:
         timeline = Timeline(self.sensor, self.span, self.applied.thermometer())
         log = ProblemLog(self.problems)
         rows = 0
-        with MemberStream(self.archive, self.member) as source:
-            for batch in batches(source, self.span):
+        with (
+            MemberStream(self.archive, self.member) as source,
+            closing(batches(source, self.span, threads)) as parts,
+        ):
+            for batch in parts:
                 spans, samples, events = timeline.feed(batch)
                 for event in events:
                     log.add(event)
                 problems = log.take(None if batch.page.last else timeline.position)
                 if batch.page.last and (fault := fault_problem(source, timeline.rows)) is not None:
                     problems += (fault,)
-                place = ChunkPlace(rows, source.disk_position, batch.records.framed_bytes())
+                place = ChunkPlace(rows, batch.page.end_byte, batch.records.framed_bytes())
                 for chunk in chunks_of(spans, samples, place, problems):
                     rows += len(chunk)
                     yield from cut(self.applied.to(chunk), most)

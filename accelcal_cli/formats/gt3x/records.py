@@ -12,7 +12,8 @@ floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Init
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -149,12 +150,14 @@ class Page:
     Attributes:
         base: where it begins.
         last: nothing follows.
+        end_byte: how far the file on the disk has been read with it.
     """
 
     data: bytes
     base: int
     last: bool
     span: Span
+    end_byte: int = 0
 
     @cached_property
     def buffer(self) -> NDArray[np.uint8]:
@@ -289,9 +292,9 @@ class Framer:
         self._lost: int | None = None
         self._most = FIRST_WALK
 
-    def feed(self, data: bytes, *, last: bool) -> Batch:
+    def feed(self, data: bytes, *, last: bool, end_byte: int = 0) -> Batch:
         """Records of which it is clear what follows them."""
-        page = Page(self._rest + data, self._base, last, self._span)
+        page = Page(self._rest + data, self._base, last, self._span, end_byte)
         framed, index = _Framed(), 0
         while index < len(page.data) and (more := self._step(page, index, framed)) is not None:
             index = more
@@ -354,18 +357,19 @@ class Framer:
         return framed.starts.pop() if framed.starts else index
 
 
-def batches(stream: MemberStream, span: Span) -> Iterator[Batch]:
+def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[Batch]:
     """All records of log.bin, piece by piece.
+
+    Args:
+        threads: how many may work at a time; one of its own unpacks the pieces that follow.
 
     Raises:
         UnreadableError: the disk fails.
     """
     framer = Framer(span)
-    last = False
-    while not last:
-        data = stream.read(PIECE_BYTES)
-        last = len(data) < PIECE_BYTES
-        yield framer.feed(data, last=last)
+    with closing(stream.pieces(PIECE_BYTES, threads)) as pieces:
+        for piece in pieces:
+            yield framer.feed(piece.data, last=piece.last, end_byte=piece.end_byte)
 
 
 def payload(batch: Batch, number: int) -> bytes:

@@ -13,7 +13,6 @@ plane; then all planes advance together.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from math import prod
@@ -25,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.formats._inflate import unpacked
 from accelcal_cli.formats._packed import PackedStream
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, REFUSE_ABOVE_BYTES
 from accelcal_cli.formats._tables.tracks import Track
@@ -138,8 +138,8 @@ class StoredChunks:
         place[self._axis] = row
         try:
             filters_left_out, packed = self._id.read_direct_chunk(tuple(place))
-            return None if filters_left_out else zlib.decompress(packed, bufsize=self._bytes)
-        except (zlib.error, *H5PY_ERRORS):
+            return None if filters_left_out else unpacked(packed, self._bytes)
+        except H5PY_ERRORS:
             return None
 
 

@@ -192,14 +192,17 @@ class PacketFile:
     size: int
     compressed: bool
 
-    def parts(self, length: int) -> Generator[Part[Found]]:
+    def parts(self, length: int, threads: int = 1) -> Generator[Part[Found]]:
         """All places of the file, of about `length` bytes at a time; a part may be empty.
+
+        Args:
+            threads: how many may work at a time on a gzip file.
 
         Raises:
             UnreadableError: the disk fails.
         """
         length = max(length, PIECE_BYTES)
-        with ByteSource(self.path) as source:
+        with ByteSource(self.path, threads) as source:
             source.read_exact(self.start)
             scanner, position, end, last = Scanner(self.start), 0, self.start, False
             while not last:

@@ -260,10 +260,10 @@ class Scheme:
         """Of the file for each row."""
         return 12 if self.first.has_gyro else 6
 
-    def stream(self, chunk_samples: int) -> Generator[Chunk]:
-        """All rows of the file, whole packets."""
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk]:
+        """All rows of the file, whole packets; so many threads may work on a gzip file."""
         assembler = Assembler(self, 0, self.problems)
-        with closing(self.file.parts(chunk_samples * self.row_bytes)) as parts:
+        with closing(self.file.parts(chunk_samples * self.row_bytes, threads)) as parts:
             for part in parts:
                 chunk = assembler.feed_file(part)
                 if len(chunk) or chunk.problems:
@@ -345,7 +345,7 @@ class ParmayReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """Yield all rows in order, whole packets."""
-        return self._scheme.stream(chunk_samples)
+        return self._scheme.stream(chunk_samples, self.threads)
 
     def intake(self) -> Intake:
         """See `Reader`."""
