@@ -171,7 +171,7 @@ def open_recording(
         from accelcal_cli.formats._parts.session import SessionReader
 
         kind = SessionReader if session else PartsReader
-        reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused), kind)
+        reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused), kind, threads)
     else:
         reader = _open_file(path, options, unused)
     reader.threads = threads

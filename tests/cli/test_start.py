@@ -16,7 +16,18 @@ from tests.formats import make_flash
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, still_counts
 
 FORMATS = "accelcal_cli.formats."
-SHARED = {"_bytes", "_frames", "_gravity", "_idle", "_inflate", "_packed", "_pages", "_problems", "_stamps", "_tables"}
+SHARED = {
+    "_bytes",
+    "_frames",
+    "_gravity",
+    "_idle",
+    "_inflate",
+    "_packed",
+    "_pages",
+    "_problems",
+    "_stamps",
+    "_tables",
+}
 FOLDER = {"opal": "hdf5", "parquet": "arrow", "feather": "arrow"}
 READERS = {item.name: item.reader.partition(":")[0] for item in all_formats()}
 """The folder of a format, if it is not called like the format."""

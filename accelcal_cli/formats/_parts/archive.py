@@ -18,13 +18,14 @@ import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, nullcontext, suppress
+from contextlib import ExitStack, closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import IO, Any, BinaryIO, Protocol, Self, cast
 
 from accelcal_cli.core.errors import OutputError, UnreadableError
+from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.formats._bytes import ShortReads
 
 ZIP_MAGIC, TAR_MAGIC, TAR_MAGIC_AT = b"PK\x03\x04", b"ustar", 257
@@ -35,8 +36,11 @@ PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {
 }
 """How the streams begin that may hold a tar file, and what unpacks them."""
 
-BROKEN = (tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError)
-"""What reading a damaged archive raises."""
+BROKEN = (
+    tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError,
+    struct.error, OverflowError, NotImplementedError,
+)  # fmt: skip
+"""What reading a damaged archive raises, or one whose members are packed in an unknown way."""
 
 COPIED_BYTES = 1 << 20
 
@@ -94,11 +98,12 @@ def first_names(path: Path, number: int) -> Iterator[str]:
             yield name
 
 
-def unpack(path: Path, folder: Path, wanted: Callable[[str], bool]) -> Unpacked:
+def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int = 1) -> Unpacked:
     """Unpack members into a folder.
 
     Args:
         wanted: whether a member of this name is.
+        threads: how many may work at a time; one of its own unpacks what another writes.
 
     Raises:
         OutputError: there is no room for them.
@@ -108,12 +113,17 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool]) -> Unpacked:
     files: list[Path] = []
     target: Path | None = None
     try:
-        for name, stream in _members(path):
-            if wanted(name):
-                target = folder / f"{len(files):06d}" / name
-                _copy(stream, target, allowance)
-                files.append(target)
-                target = None
+        with closing(prefetch(_pieces(path, wanted), threads)) as pieces:
+            for name, piece in pieces:
+                if piece is None or target is None:
+                    target = folder / f"{len(files):06d}" / name
+                    _begin(target)
+                elif piece:
+                    allowance.take(len(piece))
+                    _append(piece, target)
+                else:
+                    files.append(target)
+                    target = None
     except BROKEN as error:
         if isinstance(error, OSError) and error.errno is not None:  # of the disk, not of what is packed
             raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
@@ -156,15 +166,26 @@ def _leave_room(folder: Path) -> None:
         raise OSError(errno.ENOSPC, f"less than {FREE_SHARE:.0%} of the disk would be left")
 
 
-def _copy(stream: Stream, target: Path, allowance: _Allowance) -> None:
+def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes | None]]:
+    """The wanted members piece by piece, with their names; None before the first piece, an empty last one."""
+    for name, stream in _members(path):
+        if wanted(name):
+            yield name, None
+            while piece := stream.read(COPIED_BYTES):
+                yield name, piece
+            yield name, b""
+
+
+def _begin(target: Path) -> None:
     with _unpacked_into(target.parent.parent):
         target.parent.mkdir()
         target.touch()
-    while piece := stream.read(COPIED_BYTES):
-        allowance.take(len(piece))
-        with _unpacked_into(target.parent.parent), target.open("ab") as file:
-            _leave_room(target.parent)
-            file.write(piece)
+
+
+def _append(piece: bytes, target: Path) -> None:
+    with _unpacked_into(target.parent.parent), target.open("ab") as file:
+        _leave_room(target.parent)
+        file.write(piece)
 
 
 @contextmanager
@@ -278,6 +299,8 @@ def _zip_members(path: Path) -> Iterator[tuple[str, Stream]]:
         if len(archive.infolist()) > MOST_MEMBERS:
             raise _too_many(path)
         for member in archive.infolist():
+            if member.flag_bits & 1:
+                raise zipfile.BadZipFile("it is encrypted")
             if not member.is_dir():
                 with archive.open(member) as stream:
                     yield member.filename, stream

@@ -64,11 +64,14 @@ Open = Callable[[Path], Reader]
 AnyReader = TypeVar("AnyReader", bound=Reader)
 
 
-def open_parts(path: Path, open_part: Open, kind: Callable[[Path, Found, Open], AnyReader]) -> AnyReader:
+def open_parts(
+    path: Path, open_part: Open, kind: Callable[[Path, Found, Open], AnyReader], threads: int = 1
+) -> AnyReader:
     """Open a recording of several files: a folder, a pattern, or an archive.
 
     Args:
         kind: what reads them.
+        threads: how many may work at a time on unpacking an archive.
 
     Raises:
         UnreadableError: none of them can be read, or they do not say when they begin.
@@ -87,7 +90,7 @@ def open_parts(path: Path, open_part: Open, kind: Callable[[Path, Found, Open], 
             hint="set TMPDIR to a disk with more space",
         ) from error
     try:
-        unpacked = archive.unpack(path, folder, lambda name: not is_never(Path(name)))
+        unpacked = archive.unpack(path, folder, lambda name: not is_never(Path(name)), threads)
         found = Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
         return kind(path, found, open_part)
     except BaseException:

@@ -1,10 +1,12 @@
-"""Archives that unpack to more than any recording has, and disks without room for them."""
+"""Archives that unpack to more than any recording has, disks without room for them, and threads."""
 
 from __future__ import annotations
 
 import errno
 import gzip
+import io
 import os
+import random
 import tarfile
 import tempfile
 import zipfile
@@ -64,6 +66,59 @@ def test_members_that_are_passed_over_count_too(tmp_path: Path, small: None) -> 
     with pytest.raises(UnreadableError, match="unpacks to more than"):
         unpack(path, tmp_path, lambda _name: False)
     assert list(first_names(path, 5)) == ["a.csv"]
+
+
+@pytest.mark.parametrize(("place", "value", "words"), [(8, 1, "it is encrypted"), (10, 99, "not supported")])
+def test_a_zip_file_that_cannot_be_unpacked_is_refused(
+    tmp_path: Path, place: int, value: int, words: str
+) -> None:
+    """By flags and method of a member, as its entry in the directory has them."""
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as made:
+        made.writestr("a.csv", "1,2,3\n")
+    data = bytearray((tmp_path / "a.zip").read_bytes())
+    data[data.index(b"PK\x01\x02") + place] = value
+    (tmp_path / "a.zip").write_bytes(data)
+    with pytest.raises(UnreadableError, match=f"a.zip: damaged archive: nothing can be unpacked .*{words}"):
+        unpack(tmp_path / "a.zip", tmp_path, lambda _name: True)
+
+
+@pytest.mark.parametrize("suffix", [".tar.gz", ".tar", ".zip"])
+def test_a_thread_that_unpacks_ahead_changes_nothing(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of an archive that is cut short, or damaged, anywhere."""
+    monkeypatch.setattr(archive, "COPIED_BYTES", 100)
+    texts = {"a.csv": b"1,2,3\n" * 120, "b.csv": b"", "c.csv": random.Random(1).randbytes(500)}
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".zip":
+        with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as made:
+            for name, text in texts.items():
+                made.writestr(name, text)
+    else:
+        with tarfile.open(path, "w:gz" if suffix == ".tar.gz" else "w") as packed:
+            for name, text in texts.items():
+                header = tarfile.TarInfo(name)
+                header.size = len(text)
+                packed.addfile(header, io.BytesIO(text))
+    data = path.read_bytes()
+    step = len(data) // 40
+    for place in range(0, len(data), step):
+        path.write_bytes(data[:place] + bytes([data[place] ^ 16]) + data[place + 1 :])
+        assert unpacked(path, 2) == unpacked(path, 1)
+        path.write_bytes(data[: place + 1])
+        assert unpacked(path, 2) == unpacked(path, 1)
+    path.write_bytes(data)
+    assert unpacked(path, 2)[0] == [*texts.items()]
+
+
+def unpacked(path: Path, threads: int) -> tuple[object, ...]:
+    """Names and bytes of what an archive holds, and what is wrong with it, or its error."""
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        try:
+            found = unpack(path, Path(folder), lambda _name: True, threads)
+        except UnreadableError as error:
+            return (str(error), sorted(one.name for one in Path(folder).rglob("*")))
+        return [(one.name, one.read_bytes()) for one in found.files], found.damage, found.lost_bytes
 
 
 @pytest.mark.parametrize("kind", [tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.GNUTYPE_LONGNAME])
