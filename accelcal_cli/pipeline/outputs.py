@@ -80,6 +80,10 @@ def refuse_report_of_another(path: Path, source: Path) -> None:
         _refuse_other(Job(source, path, path), source, report)
 
 
+LACKING = "unreadable_part"
+"""A problem that may be gone: what kept a part from being read may have been the disk."""
+
+
 def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -> Result | None:
     """The existing result if it stands for this input, these settings and this version.
 
@@ -98,6 +102,8 @@ def up_to_date(job: Job, source: Path, recording: Recording, request: Request) -
     if existing.parquet is not None and not _are_a_pair(report, metadata_of(existing.parquet)):
         return None
     if request.integers and report["calibration"] is not None and not exists(job.integers):
+        return None
+    if any(problem["code"] == LACKING for problem in report["file_health"]["problems"]):
         return None
     return existing if _is_of(report, source) else None
 

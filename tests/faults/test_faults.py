@@ -19,7 +19,10 @@ SOME = {
         Fault("open", "EIO", 20), Fault("thread", "EAGAIN", 1),
     ),
     "calibrate again": (Fault("rename", "EIO", 4), Fault("unlink", "EIO", 6)),
-    "calibrate parts": (Fault("mkdir", "ENOSPC", 3), Fault("close", "EIO", 29), Fault("read", SHORT, 5)),
+    "calibrate parts": (
+        Fault("open", "EIO", 12), Fault("mkdir", "ENOSPC", 3), Fault("close", "EIO", 29),
+        Fault("read", SHORT, 5),
+    ),
     "calibrate, now refused": (Fault("open", "EIO", 19), Fault("create", "ENOSPC", 4)),
     "verify": (Fault("open", "EIO", 15), Fault("open", "EIO", 16), Fault("thread", "EAGAIN", 3)),
     "six-pose": (Fault("thread", "EAGAIN", 4),),
