@@ -5,6 +5,8 @@ Takes a line of JSON for each run, the words and the folder, and answers with th
 
 from __future__ import annotations
 
+import atexit
+import ctypes
 import importlib
 import json
 import multiprocessing
@@ -13,6 +15,7 @@ import resource
 import signal
 import sys
 import tempfile
+import threading
 from multiprocessing import forkserver, resource_tracker
 from pathlib import Path
 
@@ -33,8 +36,8 @@ LOADED = (
     *(f"accelcal_cli.cli.{name}" for name in COMMANDS),
 )  # fmt: skip
 
-MORE_BYTES, OPEN_FILES, CPU_S = 1 << 30, 64, 60
-"""What a limited command is given: memory besides what it needs to begin, files, seconds of a processor."""
+MORE_BYTES, OPEN_FILES = 1 << 30, 64
+"""What a limited command is given: memory besides what it needs to begin, and files."""
 
 START = "2024-03-04T00:00:00+00:00"
 """When all runs are said to have been made, on pages too."""
@@ -54,10 +57,10 @@ def main() -> None:
         _fork_workers()
     folder = Path(sys.argv[1])
     for line in sys.stdin.buffer:
-        words, here, limited = json.loads(line)
+        words, here, limit_s = json.loads(line)
         process = os.fork()
         if process == 0:
-            _command(words, Path(here), folder, limited)
+            _command(words, Path(here), folder, limit_s)
         code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
         soon(lambda ended=process: not session(ended))
         arm(folder / "plan", False)
@@ -73,15 +76,15 @@ def _fork_workers() -> None:
         module.ensure_running = lambda: None
 
 
-def _command(words: list[str], here: Path, folder: Path, limited: bool) -> None:
+def _command(words: list[str], here: Path, folder: Path, limit_s: int) -> None:
     """What the console command does, to its end."""
     os.setsid()
-    if limited:
+    if limit_s:
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (used + MORE_BYTES, used + MORE_BYTES))
         resource.setrlimit(resource.RLIMIT_NOFILE, (OPEN_FILES, OPEN_FILES))
-        resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
-    signal.alarm(LONGEST_S)
+        resource.setrlimit(resource.RLIMIT_CPU, (limit_s, limit_s))
+    signal.alarm(max(LONGEST_S, limit_s))
     for number, name in enumerate(("out", "err"), 1):
         file = os.open(folder / name, os.O_CREAT | os.O_TRUNC | os.O_WRONLY)
         os.dup2(file, number)
@@ -92,7 +95,21 @@ def _command(words: list[str], here: Path, folder: Path, limited: bool) -> None:
     sys.argv = ["accelcal", *words]
     main = importlib.import_module("accelcal_cli.cli.main").main
     arm(folder / "plan", True)
-    main()
+    if not limit_s:
+        main()
+    try:
+        main()
+    except SystemExit as ended:
+        _end(ended.code)
+
+
+def _end(code: object) -> None:
+    """End as Python and its libraries do, but take no module apart: that takes longer than most runs."""
+    threading._shutdown()
+    atexit._run_exitfuncs()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    ctypes.PyDLL(None).exit(code)
 
 
 if __name__ == "__main__":

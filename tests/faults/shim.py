@@ -89,31 +89,32 @@ def compiled(folder: Path) -> Path | None:
 class Runner:
     """A process that has everything imported, and forks one for each command."""
 
-    def __init__(self, shim: Path, folder: Path, *, forked: bool = False) -> None:
+    def __init__(self, shim: Path | None, folder: Path, *, forked: bool = False) -> None:
         """Start it.
 
         Args:
+            shim: None: nothing fails, and what is opened is not written down.
             folder: for the plan and what commands print; no operation on it fails.
             forked: whether workers are forked from a command itself, in milliseconds, and not from a server
                 that has to import everything.
         """
-        self.folder = folder
+        self.shim, self.folder = shim, folder
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "plan").write_bytes(bytes(LAYOUT.size))
         (folder / "opened").touch()
         names = {"ACCELCAL_FAULTS": str(folder / "plan"), "ACCELCAL_OPENED": str(folder / "opened")}
-        environment = os.environ | {"LD_PRELOAD": str(shim)} | names
+        environment = os.environ | ({"LD_PRELOAD": str(shim)} if shim else {}) | names
         environment |= dict.fromkeys(THREAD_VARIABLES, "1") | ({"ACCELCAL_FORKED": "1"} if forked else {})
         words = [sys.executable, "-m", "tests.faults.runner", str(folder)]
         self.process = subprocess.Popen(
             words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, cwd=HERE.parent.parent
         )
 
-    def run(self, words: Sequence[str], here: Path, fault: Fault = NONE, *, limited: bool = False) -> Struck:
+    def run(self, words: Sequence[str], here: Path, fault: Fault = NONE, *, limit_s: int = 0) -> Struck:
         """Run a command in a folder, below which an operation fails.
 
         Args:
-            limited: with the memory, open files and time of `runner.py` only.
+            limit_s: so many seconds of a processor, with the memory and files of `runner.py`; 0: no limits.
         """
         (self.folder / "opened").write_bytes(b"")
         mode = 2 if fault.kills else int(fault.on)
@@ -122,7 +123,7 @@ class Runner:
             file.write(LAYOUT.pack(*plan, b"", os.fsencode(here), b""))
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.process.stdin.write(json.dumps([list(words), str(here), limited]).encode() + b"\n")
+        self.process.stdin.write(json.dumps([list(words), str(here), limit_s]).encode() + b"\n")
         self.process.stdin.flush()
         code = int(self.process.stdout.readline())
         *_, failed, counts, _, place = LAYOUT.unpack((self.folder / "plan").read_bytes())

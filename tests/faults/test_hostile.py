@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import json
 import os
-import subprocess
 import sys
 import tarfile
 import zipfile
@@ -17,21 +16,11 @@ import numpy as np
 import pytest
 
 from tests.cli.run import Ran, assert_one_line
+from tests.faults.shim import Runner
 from tests.recordings import directions, still_counts, write_csv
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs limits of address space")
-
-LIMITED = """
-import resource
-import h5py, pandas, accelcal_cli.studies.preload, accelcal_cli.cli.calibrate
-used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
-resource.setrlimit(resource.RLIMIT_AS, (used + (1 << 30),) * 2)
-resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
-resource.setrlimit(resource.RLIMIT_CPU, (900, 900))
-from accelcal_cli.__main__ import main
-main()
-"""
-"""The command with 1 GB of memory more than it needs to begin, and 64 open files."""
+Limited = Callable[..., Ran]
 
 MEGABYTE = 1 << 20
 BLOCK = 16 * MEGABYTE
@@ -41,17 +30,11 @@ LAYOUT = "[dump]\nrate_hz = 25\nlsb_per_g = 256\nrange_g = 8.0\n[fields]\n" + ""
 )
 
 
-def limited(folder: Path, *words: object) -> Ran:
-    """Run with limits; temporary files go into the folder."""
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, *map(str, words)],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"TMPDIR": str(folder)},
-        timeout=1200,
-        check=False,
-    )
-    return Ran(done.returncode, done.stdout, done.stderr)
+@pytest.fixture
+def limited(forks: Runner, tmp_path: Path) -> Limited:
+    """Run a command with little memory and few open files; temporary files go into the folder."""
+    (tmp_path / "tmp").mkdir()
+    return lambda *words: forks.run([*map(str, words)], tmp_path, limit_s=900).ran
 
 
 def packed(path: Path, block: bytes, times: int, head: bytes = b"") -> Path:
@@ -75,18 +58,22 @@ def nightly(*values: object) -> object:
 
 @pytest.mark.parametrize("blocks", size(8, 640))
 @pytest.mark.parametrize("suffix", [".csv.gz", ".cwa.gz", ".gt3x.gz"])
-def test_zeros_without_end_are_no_recording(tmp_path: Path, blocks: int, suffix: str) -> None:
+def test_zeros_without_end_are_no_recording(
+    limited: Limited, tmp_path: Path, blocks: int, suffix: str
+) -> None:
     path = packed(tmp_path / f"zeros{suffix}", bytes(BLOCK), blocks)
-    ran = limited(tmp_path, "calibrate", path, "-q")
+    ran = limited("calibrate", path, "-q")
     assert ran.code == 3
     assert_one_line(ran, str(path))
 
 
 @pytest.mark.parametrize("blocks", size(2, 64))
-def test_zeros_that_a_layout_makes_a_recording_are_refused(tmp_path: Path, blocks: int) -> None:
+def test_zeros_that_a_layout_makes_a_recording_are_refused(
+    limited: Limited, tmp_path: Path, blocks: int
+) -> None:
     path = packed(tmp_path / "zeros.raw.gz", bytes(BLOCK), blocks)
     (tmp_path / "zeros.layout.toml").write_text(LAYOUT)
-    ran = limited(tmp_path, "calibrate", path, "-q")
+    ran = limited("calibrate", path, "-q")
     assert ran.code == 4
     assert_one_line(ran, "refused")
 
@@ -97,18 +84,20 @@ def test_zeros_that_a_layout_makes_a_recording_are_refused(tmp_path: Path, block
     [(HEAD + b"2024-03-04T00:00:00,0.1,0.2,", b"1"), (b"time,x,y,z", b","), (HEAD + b'"', b'"a\n"')],
     ids=["a cell", "columns", "quotes"],
 )
-def test_a_line_of_csv_without_end(tmp_path: Path, head: bytes, block: bytes, blocks: int) -> None:
+def test_a_line_of_csv_without_end(
+    limited: Limited, tmp_path: Path, head: bytes, block: bytes, blocks: int
+) -> None:
     path = packed(tmp_path / "line.csv.gz", block * (BLOCK // len(block)), blocks, head)
-    ran = limited(tmp_path, "calibrate", path, "-q")
+    ran = limited("calibrate", path, "-q")
     assert ran.code == 3
     assert_one_line(ran, str(path))
 
 
 @pytest.mark.parametrize("blocks", size(8, 64))
-def test_a_line_without_end_after_good_ones(tmp_path: Path, blocks: int) -> None:
+def test_a_line_without_end_after_good_ones(limited: Limited, tmp_path: Path, blocks: int) -> None:
     good = write_csv(tmp_path / "good.csv", still_counts(directions(3))).read_bytes()
     path = packed(tmp_path / "line.csv.gz", b"1" * BLOCK, blocks, good)
-    ran = limited(tmp_path, "calibrate", path, "-q")
+    ran = limited("calibrate", path, "-q")
     assert ran.code == 3
     assert_one_line(ran, str(path), "a line has no end")
 
@@ -162,13 +151,13 @@ def endless(file: h5py.File, _pipe: Path) -> None:
     ],
 )
 def test_hdf5_opens_no_other_file_and_takes_no_memory_for_claims(
-    tmp_path: Path, pipe: Path, make: Callable[[h5py.File, Path], None]
+    limited: Limited, tmp_path: Path, pipe: Path, make: Callable[[h5py.File, Path], None]
 ) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:
         make(file, pipe)
         file.attrs["sample_rate"] = 25.0
-    ran = limited(tmp_path, "calibrate", path, "-q", "--unit", "counts", "--lsb-per-g", 256)
+    ran = limited("calibrate", path, "-q", "--unit", "counts", "--lsb-per-g", 256)
     assert ran.code in (2, 3)
     assert_one_line(ran, str(path))
 
@@ -183,11 +172,13 @@ def test_hdf5_opens_no_other_file_and_takes_no_memory_for_claims(
     ids=["report", "export", "apply"],
 )
 @pytest.mark.parametrize("text", ['{"a":' * 200_000, '{"a":[' + "1," * 40_000_000], ids=["deep", "long"])
-def test_json_that_is_deep_or_long(tmp_path: Path, words: tuple[str, ...], text: str) -> None:
+def test_json_that_is_deep_or_long(
+    limited: Limited, tmp_path: Path, words: tuple[str, ...], text: str
+) -> None:
     path = tmp_path / "a.calibration.json"
     path.write_text(text + "1")
     write_csv(tmp_path / "x.csv", still_counts(directions(2)))
-    ran = limited(tmp_path, *(word.format(path).replace("x.csv", f"{tmp_path}/x.csv") for word in words))
+    ran = limited(*(word.format(path).replace("x.csv", f"{tmp_path}/x.csv") for word in words))
     assert ran.code == 3
     assert_one_line(ran, str(path))
 
@@ -201,11 +192,11 @@ def test_json_that_is_deep_or_long(tmp_path: Path, words: tuple[str, ...], text:
         "a = 1\n" * 20_000,
     ],
 )
-def test_toml_that_is_deep_or_long(tmp_path: Path, text: str) -> None:
+def test_toml_that_is_deep_or_long(limited: Limited, tmp_path: Path, text: str) -> None:
     (tmp_path / "a.raw").write_bytes(bytes(6000))
     layout = tmp_path / "a.layout.toml"
     layout.write_text(text)
-    ran = limited(tmp_path, "calibrate", tmp_path / "a.raw", "-q")
+    ran = limited("calibrate", tmp_path / "a.raw", "-q")
     assert ran.code == 2
     assert_one_line(ran, str(layout))
 
@@ -219,17 +210,21 @@ def tar_of_zeros(path: Path, kind: bytes, blocks: int) -> Path:
 
 @pytest.mark.parametrize("blocks", [pytest.param(256, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("kind", [tarfile.REGTYPE, tarfile.XHDTYPE], ids=["member", "header"])
-def test_archives_that_unpack_to_gigabytes(tmp_path: Path, kind: bytes, blocks: int) -> None:
+def test_archives_that_unpack_to_gigabytes(
+    limited: Limited, tmp_path: Path, kind: bytes, blocks: int
+) -> None:
     path = tar_of_zeros(tmp_path / "a.tar.gz", kind, blocks)
-    ran = limited(tmp_path, "calibrate", path, "-q")
+    ran = limited("calibrate", path, "-q")
     assert ran.code == 3
     assert_one_line(ran, str(path))
-    assert not list(tmp_path.glob("accelcal-*"))
+    assert not [*(tmp_path / "tmp").iterdir()]
 
 
 @pytest.mark.parametrize("blocks", size(4, 128))
 @pytest.mark.parametrize("name", ["log.bin", "info.txt"])
-def test_a_gt3x_file_that_unpacks_to_gigabytes(tmp_path: Path, name: str, blocks: int) -> None:
+def test_a_gt3x_file_that_unpacks_to_gigabytes(
+    limited: Limited, tmp_path: Path, name: str, blocks: int
+) -> None:
     path = tmp_path / "a.gt3x"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for member in {"log.bin", "info.txt"} - {name}:
@@ -237,7 +232,7 @@ def test_a_gt3x_file_that_unpacks_to_gigabytes(tmp_path: Path, name: str, blocks
         with archive.open(name, "w", force_zip64=True) as file:
             for _ in range(blocks):
                 file.write(bytes(BLOCK))
-    ran = limited(tmp_path, "calibrate", path, "-q")
+    ran = limited("calibrate", path, "-q")
     assert ran.code == 3
     assert_one_line(ran, str(path))
 
@@ -254,11 +249,11 @@ def parts(folder: Path, number: int) -> Iterator[Path]:
         yield path
 
 
-def test_more_parts_than_files_may_be_open(tmp_path: Path) -> None:
+def test_more_parts_than_files_may_be_open(limited: Limited, tmp_path: Path) -> None:
     folder = tmp_path / "S01"
     folder.mkdir()
     assert len(list(parts(folder, 80))) == 80
-    ran = limited(tmp_path, "calibrate", "--parts", folder, "-d", tmp_path / "out", "-q")
+    ran = limited("calibrate", "--parts", folder, "-d", tmp_path / "out", "-q")
     assert ran.code == 0, ran.err
     report = json.loads((tmp_path / "out" / "S01.calibration.json").read_text())
     assert "80 parts" in " ".join(report["recording"]["notes"])

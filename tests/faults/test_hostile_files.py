@@ -254,7 +254,7 @@ def test_it_is_read_or_refused_within_limits(
         (tmp_path / folder).mkdir()
     (tmp_path / "elsewhere.bin").write_bytes(COUNTS.tobytes())
     make(tmp_path / "in" / name)
-    struck = runner.run(["calibrate", f"in/{name}", "-d", "out", "-q", "--html"], tmp_path, limited=True)
+    struck = runner.run(["calibrate", f"in/{name}", "-d", "out", "-q", "--html"], tmp_path, limit_s=60)
     assert_harmless(struck, tmp_path, runner.folder)
     assert struck.ran.code in (2, 3, 4), struck
     assert not any((tmp_path / "tmp").iterdir())
