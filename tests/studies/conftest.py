@@ -1,4 +1,4 @@
-"""One cluster for all tests that need one: to start its processes takes longer than most of them."""
+"""One cluster for all tests of this folder: its processes take long to start, and time to wait."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from tests.studies.clusters import cluster
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The scheduler file of a cluster whose two workers are there."""
     distributed = pytest.importorskip("distributed")
