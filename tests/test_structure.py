@@ -67,12 +67,20 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text("utf-8"))
 
 
+def statements(tree: ast.AST) -> Iterator[ast.AST]:
+    """All statements, those within others as well; none lies within an expression."""
+    for node in ast.iter_child_nodes(tree):
+        if not isinstance(node, ast.expr):
+            yield node
+            yield from statements(node)
+
+
 @cache
 def imported(path: Path, top_level: bool = False) -> tuple[str, ...]:
     """Names of all that a module imports, those imported inside functions included unless `top_level`."""
     tree = tree_of(path)
     names: list[str] = []
-    for node in tree.body if top_level else ast.walk(tree):
+    for node in tree.body if top_level else statements(tree):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):

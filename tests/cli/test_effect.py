@@ -71,11 +71,15 @@ def test_they_are_the_measures_of_the_parquet_file(day: Path, tmp_path: Path, ca
     ]
 
 
-@pytest.mark.parametrize("name", ["night.h5", pytest.param("evening.csv.gz", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "name",
+    ["good.raw", *(pytest.param(name, marks=pytest.mark.nightly) for name in ("night.h5", "evening.csv.gz"))],
+)
 def test_the_length_of_the_chunks_makes_no_difference(name: str, capsys: Capture, tmp_path: Path) -> None:
     tables = [tmp_path / "a.csv", tmp_path / "b.csv"]
-    one = effect_of(capsys, SAMPLES / name, "--epochs", tables[0])
-    assert effect_of(capsys, SAMPLES / name, "--chunk-samples", 1009, "--epochs", tables[1]) == one
+    path = good_raw(tmp_path) if name == "good.raw" else SAMPLES / name
+    one = effect_of(capsys, path, "--epochs", tables[0])
+    assert effect_of(capsys, path, "--chunk-samples", 1009, "--epochs", tables[1]) == one
     assert tables[0].read_bytes() == tables[1].read_bytes()
 
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from accelcal_cli.pipeline.calibrate import OwnCalibration
-from tests.cli.run import Ran, assert_one_line, run
+from tests.cli.run import Ran, assert_one_line, exit_code, run
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, good_csv, good_raw, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
@@ -135,7 +135,17 @@ def test_profile_paper_tells_its_two_sets(tmp_path: Path, capsys: Capture) -> No
 def test_times_are_utc_where_the_zone_is_known(tmp_path: Path, capsys: Capture) -> None:
     path = good_raw(tmp_path)
     for suffix in ("csv", "parquet"):
-        made(capsys, path, tmp_path / f"all.{suffix}", "--timezone", "+02:00", "--report-only", "--force")
+        made(
+            capsys,
+            path,
+            tmp_path / f"all.{suffix}",
+            "--timezone",
+            "+02:00",
+            "--report-only",
+            "--model",
+            6,
+            "--force",
+        )
     assert read(tmp_path / "all.csv")["time"].iloc[0] == "2024-03-04T00:00:00.000000+02:00"
     assert read(tmp_path / "all.parquet")["time"].iloc[0] == pd.Timestamp("2024-03-03T22:00:00Z")
 
@@ -192,6 +202,15 @@ def test_anothers_file_is_kept_without_force(tmp_path: Path, capsys: Capture) ->
     assert made(capsys, path, table, "--force")[0].code == 0 and len(read(table)) > 100
 
 
+@pytest.fixture(scope="module")
+def windows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The table of a good recording."""
+    folder = tmp_path_factory.mktemp("windows")
+    words = ("--report-only", "-q", "--windows", folder / "all.csv")
+    assert exit_code("calibrate", good_raw(folder), *words) == 0
+    return folder / "all.csv"
+
+
 @pytest.mark.parametrize(
     ("column", "value", "said"),
     [
@@ -204,10 +223,9 @@ def test_anothers_file_is_kept_without_force(tmp_path: Path, capsys: Capture) ->
     ],
 )
 def test_a_changed_table_is_refused_with_its_line(
-    tmp_path: Path, capsys: Capture, column: str, value: str, said: str
+    windows: Path, tmp_path: Path, capsys: Capture, column: str, value: str, said: str
 ) -> None:
-    made(capsys, good_raw(tmp_path), tmp_path / "all.csv", "--report-only")
-    held = pd.read_csv(tmp_path / "all.csv", dtype=str, keep_default_na=False)
+    held = pd.read_csv(windows, dtype=str, keep_default_na=False)
     held.loc[3, column] = value
     held.to_csv(tmp_path / "changed.csv", index=False)
     ran = run(capsys, "fit", tmp_path / "changed.csv")
@@ -231,9 +249,8 @@ def test_rows_may_be_taken_out(tmp_path: Path, capsys: Capture) -> None:
     assert_one_line(ran, "cut.parquet")
 
 
-def test_sums_beyond_exact_integers_are_refused(tmp_path: Path, capsys: Capture) -> None:
-    made(capsys, good_raw(tmp_path), tmp_path / "all.csv", "--report-only")
-    held = read(tmp_path / "all.csv").assign(counts_per_g=float(1 << 24))
+def test_sums_beyond_exact_integers_are_refused(windows: Path, tmp_path: Path, capsys: Capture) -> None:
+    held = read(windows).assign(counts_per_g=float(1 << 24))
     held.loc[3, "samples"] = 1 << 30
     held.to_csv(tmp_path / "changed.csv", index=False)
     ran = run(capsys, "fit", tmp_path / "changed.csv")
@@ -242,7 +259,7 @@ def test_sums_beyond_exact_integers_are_refused(tmp_path: Path, capsys: Capture)
 
 
 def test_a_calibrated_recording_is_no_table_of_windows(tmp_path: Path, capsys: Capture) -> None:
-    run(capsys, "calibrate", good_raw(tmp_path))
+    run(capsys, "calibrate", good_raw(tmp_path), "--model", 6)
     ran = run(capsys, "fit", tmp_path / "good.calibrated.parquet")
     assert ran.code == 3
     assert_one_line(ran, "holds a recording, not its still windows", "calibrate --windows")

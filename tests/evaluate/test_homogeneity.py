@@ -20,7 +20,7 @@ from tests.cli.run import run
 from tests.recordings import LSB_PER_G, START, good_raw, still_counts, write_raw
 
 Capture = pytest.CaptureFixture[str]
-RATE_HZ, HOURS = 25.0, 5
+RATE_HZ, HOURS = 25.0, 4
 AHEAD_S = (0.0, 2.36, -17.8, 0.0, 40.0, 0.52)
 """How far each clock is ahead of the first one's: multiples of a sample."""
 

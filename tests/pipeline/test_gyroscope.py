@@ -20,7 +20,7 @@ from accelcal_cli.core.rotations import Turns
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.gyroscope import turning
 from accelcal_cli.pipeline.survey import open_marked
-from tests.cli.run import run
+from tests.cli.run import exit_code, run
 from tests.formats.make_hdf5 import write
 
 Capture = pytest.CaptureFixture[str]
@@ -52,9 +52,16 @@ def calibrated(capsys: Capture, path: Path, *words: object) -> dict[str, Any]:
     return report
 
 
-def test_a_real_sensor(xsens: Path, capsys: Capture) -> None:
-    report = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")
-    found = report["gyroscope"]
+@pytest.fixture(scope="module")
+def held(xsens: Path) -> dict[str, Any]:
+    """Its report, beside its values."""
+    assert exit_code("calibrate", xsens, "-q", "--segment-seconds", 1) == 0
+    report: dict[str, Any] = json.loads(xsens.with_name("xsens.calibration.json").read_text())
+    return report
+
+
+def test_a_real_sensor(xsens: Path, held: dict[str, Any], capsys: Capture) -> None:
+    found = held["gyroscope"]
     assert found["outcome"] == "calibrated", found["message"]
     assert 30 <= found["pairs"] <= 42
     assert found["holdout_deg"]["after"] < 0.55
@@ -68,10 +75,9 @@ def test_a_real_sensor(xsens: Path, capsys: Capture) -> None:
     assert told.code == 0, told
 
 
-def test_the_same_from_text(xsens: Path, tmp_path: Path, capsys: Capture) -> None:
+def test_the_same_from_text(xsens: Path, held: dict[str, Any], tmp_path: Path, capsys: Capture) -> None:
     """Counts as counts, to the bit; rad/s with six decimals, to what these leave."""
     words = ("--segment-seconds", 1, "--rate", 100, "--unit", "counts", "--lsb-per-g", XSENS_PER_G)
-    held = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")
     with h5py.File(xsens) as file:
         accel, gyro, step = file["accel"][()], file["gyro"][()], file["gyro"].attrs["dps_per_lsb"]
     whole, decimal = tmp_path / "whole.csv", tmp_path / "decimal.csv"
@@ -90,7 +96,9 @@ def test_the_same_from_text(xsens: Path, tmp_path: Path, capsys: Capture) -> Non
     assert told.code == 0, told
 
 
-@pytest.mark.parametrize("name", ["mpu9150_imu0.log", "mpu9150_imu1.log"])
+@pytest.mark.parametrize(
+    "name", ["mpu9150_imu0.log", pytest.param("mpu9150_imu1.log", marks=pytest.mark.nightly)]
+)
 def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path, capsys: Capture) -> None:
     path, read = real_data / "imu" / name, ("--columns", "0,1,2", "--unit", "m/s2", "--rate", 100)
     words = (*read, "--segment-seconds", 1, "--report-only", "-d", tmp_path)
@@ -105,8 +113,8 @@ def test_a_log_without_names_or_times(real_data: Path, name: str, tmp_path: Path
     assert wrong["message"] == "its rates are about 57 times too small for its turns: look at their unit"
 
 
-def test_parquet_holds_what_the_report_says(xsens: Path, capsys: Capture) -> None:
-    found = calibrated(capsys, xsens, "--segment-seconds", 1, "--force")["gyroscope"]
+def test_parquet_holds_what_the_report_says(xsens: Path, held: dict[str, Any]) -> None:
+    found = held["gyroscope"]
     table = pq.read_table(xsens.with_name("xsens.calibrated.parquet"))
     with open_marked(xsens, ReadOptions()) as reader:
         counts = np.concatenate([chunk.gyro_counts for chunk in reader.chunks(7000)])
@@ -142,19 +150,18 @@ def seen(path: Path, chunk_samples: int) -> Turns:
     return observer.result()
 
 
-def test_the_same_bits_for_any_chunk_size(xsens: Path, capsys: Capture) -> None:
-    reports = [
-        calibrated(capsys, xsens, "--segment-seconds", 1, "--report-only", "--chunk-samples", size)
-        for size in (997, 4096, 1 << 18)
-    ]
-    assert reports[0]["gyroscope"] == reports[1]["gyroscope"] == reports[2]["gyroscope"]
+def test_the_same_bits_for_any_chunk_size(
+    xsens: Path, held: dict[str, Any], tmp_path: Path, capsys: Capture
+) -> None:
+    words = ("--segment-seconds", 1, "--report-only", "-d", tmp_path, "--chunk-samples", 997)
+    assert calibrated(capsys, xsens, *words)["gyroscope"] == held["gyroscope"]
     one, other = seen(xsens, 777), seen(xsens, 1 << 18)
     for left, right in zip(one.turns, other.turns, strict=True):
         assert (left.before.sums, left.after.gyro_sums) == (right.before.sums, right.after.gyro_sums)
         np.testing.assert_array_equal(left.counts, right.counts)
 
 
-@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e9])
+@pytest.mark.parametrize("scale", [1e-12, pytest.param(1.0, marks=pytest.mark.nightly), 1e9])
 def test_any_scale_and_any_counts_are_taken(tmp_path: Path, scale: float) -> None:
     """Nothing overflows: rates of 0.002 deg/s are rest whatever the counts, such of 1e9 are not."""
     random = np.random.default_rng(1)
