@@ -137,12 +137,12 @@ def test_a_rerun_does_nothing_and_says_so(tmp_path: Path, capsys: Capture) -> No
 )
 def test_a_rerun_redoes_what_changed(tmp_path: Path, capsys: Capture, change: str) -> None:
     path = good_csv(tmp_path)
-    run(capsys, "calibrate", path)
-    words = ["calibrate", path]
+    run(capsys, "calibrate", path, "--model", 9)
+    words = ["calibrate", path, "--model", 9]
     if change == "input":
         write_csv(path, still_counts(directions(60), seed=2))
     elif change == "settings":
-        words += ["--model", "6"]
+        words[-1] = 6
     elif change == "parquet":
         (tmp_path / "good.calibrated.parquet").unlink()
     else:
@@ -221,7 +221,7 @@ def test_foreign_files_are_not_overwritten_without_force(tmp_path: Path, capsys:
         assert ran.code == 5
         assert_one_line(ran, name, "not written by accelcal", "--force")
         assert (tmp_path / name).read_text() == "{}"
-        assert run(capsys, "calibrate", path, "--force").code == 0
+        assert run(capsys, "calibrate", path, "--force", "--model", 6).code == 0
         (tmp_path / "good.calibrated.parquet").unlink()
         (tmp_path / "good.calibration.json").unlink()
 
@@ -240,12 +240,12 @@ def test_gz_and_plain_of_one_stem_collide(tmp_path: Path, capsys: Capture) -> No
     packed = path.with_suffix(".csv.gz")
     packed.write_bytes(gzip.compress(path.read_bytes()))
     assert run(capsys, "calibrate", path, packed).code == 2
-    assert run(capsys, "calibrate", packed, "-d", tmp_path / "out").code == 0
+    assert run(capsys, "calibrate", packed, "-d", tmp_path / "out", "--model", 6).code == 0
     assert (tmp_path / "out" / "good.calibrated.parquet").exists()
 
 
 def test_output_names_the_parquet_and_the_report_lies_beside(tmp_path: Path, capsys: Capture) -> None:
-    ran = run(capsys, "calibrate", good_csv(tmp_path), "-o", tmp_path / "sub" / "mine.parquet")
+    ran = run(capsys, "calibrate", good_csv(tmp_path), "-o", tmp_path / "sub" / "mine.parquet", "--model", 6)
     assert ran.code == 0
     assert files(tmp_path / "sub") == ["mine.calibration.json", "mine.parquet", "mine.quality.json"]
     other = good_csv(tmp_path, "b.csv")
@@ -254,7 +254,7 @@ def test_output_names_the_parquet_and_the_report_lies_beside(tmp_path: Path, cap
 
 def test_several_recordings_one_bad(tmp_path: Path, capsys: Capture) -> None:
     good, bad = good_csv(tmp_path), tmp_path / "absent.csv"
-    ran = run(capsys, "calibrate", bad, good)
+    ran = run(capsys, "calibrate", bad, good, "--model", 6)
     assert ran.code == 1
     assert [line.split("\t")[0] for line in ran.lines] == [str(good)]
     assert str(bad) in ran.err
@@ -330,20 +330,20 @@ def test_the_integers_fit_again_to_the_same_bits(tmp_path: Path, capsys: Capture
 def test_a_changed_layout_is_a_changed_input(tmp_path: Path, capsys: Capture) -> None:
     path = write_raw(tmp_path / "a.raw", still_counts(directions(40)))
     layout = tmp_path / "a.layout.toml"
-    run(capsys, "calibrate", path)
+    run(capsys, "calibrate", path, "--model", 6)
     layout.write_text(layout.read_text().replace("256.0", "255.0"))
-    ran = run(capsys, "calibrate", path)
+    ran = run(capsys, "calibrate", path, "--model", 6)
     assert "up to date" not in ran.err
     assert report_of(tmp_path / "a.calibration.json")["recording"]["lsb_per_g"] == 255.0
 
 
 def test_report_only_leaves_a_parquet_that_still_holds(tmp_path: Path, capsys: Capture) -> None:
     path = good_csv(tmp_path)
-    run(capsys, "calibrate", path)
+    run(capsys, "calibrate", path, "--model", 9)
     before = (tmp_path / "good.calibrated.parquet").read_bytes()
-    run(capsys, "calibrate", path, "--report-only")
+    run(capsys, "calibrate", path, "--report-only", "--model", 9)
     assert (tmp_path / "good.calibrated.parquet").read_bytes() == before
-    run(capsys, "calibrate", path, "--report-only", "--model", "6")
+    run(capsys, "calibrate", path, "--report-only", "--model", 6)
     assert not (tmp_path / "good.calibrated.parquet").exists()
 
 
@@ -357,7 +357,7 @@ def test_report_only_leaves_a_parquet_that_still_holds(tmp_path: Path, capsys: C
     ],
 )
 def test_a_known_zone_gives_utc_times(tmp_path: Path, capsys: Capture, zone: str, hours: float) -> None:
-    run(capsys, "calibrate", good_csv(tmp_path), "--timezone", zone)
+    run(capsys, "calibrate", good_csv(tmp_path), "--timezone", zone, "--model", 6)
     frame = pd.read_parquet(tmp_path / "good.calibrated.parquet")
     local = pd.Timestamp("2024-03-04T00:00:00")
     assert frame["time"].iloc[0] == (local - pd.Timedelta(hours=hours)).tz_localize("UTC")
@@ -371,7 +371,7 @@ def test_time_has_one_type_where_the_zone_is_known_and_else_says_unknown(
 ) -> None:
     path, parquet = good_csv(tmp_path), tmp_path / "good.calibrated.parquet"
     for words, zone, kind in (((), "unknown", None), (("--timezone", "Europe/Berlin"), "UTC", "UTC")):
-        run(capsys, "calibrate", path, *words)
+        run(capsys, "calibrate", path, "--model", 6, *words)
         schema = pq.read_schema(parquet)
         assert (schema.field("time").type, schema.metadata[b"time_zone"]) == (
             pa.timestamp("us", kind),

@@ -155,6 +155,9 @@ COMMANDS: dict[str, tuple[tuple[str, ...], tuple[int, ...], int | None]] = {
 }
 """Words, exit codes and lines on stdout of commands; what goes over a study comes below."""
 
+NIGHTLY = {"evaluate methods", "evaluate methods --csv", "evaluate stillness", "evaluate segments", "effect"}
+"""Others of the same command are in `make test`."""
+
 OF_STUDIES = {"study", "devices"}
 NAMELESS = {"gravity", "evaluate gravity", "evaluate simulation"}
 """They are told no names."""
@@ -174,7 +177,9 @@ def test_no_command_is_left_out() -> None:
     assert tried | OF_STUDIES | NAMELESS == set(all_commands())
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.nightly] * (name in NIGHTLY)) for name in COMMANDS]
+)
 def test_every_command(tmp_path: Path, capsys: Capture, calibrated: dict[str, Path], name: str) -> None:
     words, codes, lines = COMMANDS[name]
     out = tmp_path / f"@{BODY}"
@@ -310,7 +315,11 @@ def test_errors(
 
 
 @pytest.mark.parametrize(
-    ("encoding", "name"), [("iso8859-7", b"\xd9\\xe9.raw"), ("latin-1", b"\\u03a9\xe9.raw")]
+    ("encoding", "name"),
+    [
+        ("iso8859-7", b"\xd9\\xe9.raw"),
+        pytest.param("latin-1", b"\\u03a9\xe9.raw", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_terminal_that_has_not_all_characters(tmp_path: Path, encoding: str, name: bytes) -> None:
     path = write_raw(tmp_path / "Ωé.raw", still_counts(directions(4)))

@@ -71,7 +71,7 @@ def test_an_ax6_sector_by_hand(tmp_path: Path, capsys: Capture) -> None:
 
 def test_the_truth_is_found_again_with_its_slope(tmp_path: Path, capsys: Capture) -> None:
     path, truth = simulated(
-        capsys, tmp_path, "raw", "--days", 0.5, "--rate", 50, "--seed", 3, "--gyro-temp-slope", 0.02, -0.03, 0
+        capsys, tmp_path, "raw", "--days", 0.5, "--rate", 25, "--seed", 3, "--gyro-temp-slope", 0.02, -0.03, 0
     )
     found, told = gyroscope(capsys, path), truth["gyroscope"]
     assert found["outcome"] == "calibrated", found["message"]

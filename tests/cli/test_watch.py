@@ -82,7 +82,9 @@ def test_a_named_pipe_gives_the_same_events_and_state(
     assert undisturbed[0][-1]["event"] == "ended"
 
 
-@pytest.mark.parametrize("how", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.nightly), "SIGKILL"])
+@pytest.mark.parametrize(
+    "how", ["SIGINT", *(pytest.param(how, marks=pytest.mark.nightly) for how in ("SIGTERM", "SIGKILL"))]
+)
 def test_what_ends_a_watch_leaves_a_state_to_go_on_with(
     how: str, recording: Path, undisturbed: tuple[list[Any], bytes], tmp_path: Path
 ) -> None:

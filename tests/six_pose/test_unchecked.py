@@ -143,7 +143,12 @@ def test_without_noise_any_sizes_give_the_truth_itself() -> None:
 
 
 @pytest.mark.parametrize(
-    "references", [ANY[[0, 1, 2, 4, 6]], ANY, np.vstack([FACES, 4 * FACES])], ids=["5", "8", "12"]
+    "references",
+    [
+        pytest.param(ANY[[0, 1, 2, 4, 6]], id="5"),
+        pytest.param(ANY, id="8", marks=pytest.mark.nightly),
+        pytest.param(np.vstack([FACES, 4 * FACES]), id="12"),
+    ],
 )
 def test_intervals_of_95_percent_hold_the_truth_so_often(references: np.ndarray) -> None:
     """Student's t with 3 (N - 4) degrees of freedom; 400 sessions of twelve parameters."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.arrow import PARQUET
-from tests.cli.run import run
+from tests.cli.run import exit_code, run
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read, even_times
 from tests.formats.make_hdf5 import read as read_of
@@ -309,12 +310,19 @@ def test_tables_that_are_no_recordings_are_told_from_damage(path: Path) -> None:
         read(path, columns=("a", "b", "d"))
 
 
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A calibrated recording of ours beside its report."""
+    folder = tmp_path_factory.mktemp("ours")
+    raw = make(folder, still_counts(directions(60)), RATE_HZ, LSB_PER_G).path
+    assert exit_code("calibrate", raw, "-d", folder / "out", "-q") == 0
+    return folder / "out"
+
+
 @pytest.fixture
-def calibrated(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Path:
-    """A calibrated recording of ours under another name."""
-    counts = still_counts(directions(60))
-    raw = make(tmp_path, counts, RATE_HZ, LSB_PER_G).path
-    assert run(capsys, "calibrate", raw, "-d", tmp_path / "first", "-q").code == 0
+def calibrated(ours: Path, tmp_path: Path) -> Path:
+    """It, under another name."""
+    shutil.copytree(ours, tmp_path / "first")
     return (tmp_path / "first" / "made.calibrated.parquet").rename(tmp_path / "renamed.parquet")
 
 

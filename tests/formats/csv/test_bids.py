@@ -178,7 +178,8 @@ def test_without_sidecars_it_is_a_table_like_any_other(tmp_path: Path) -> None:
     assert np.array_equal(read(path, columns=("4", "3", "2"), rate_hz=50.0, time_column="0").counts, COUNTS)
 
 
-def test_damage_to_sidecars_gives_rows_or_an_error_of_ours(tmp_path: Path) -> None:
+@pytest.mark.parametrize("mutants", [100, pytest.param(400, marks=pytest.mark.nightly)])
+def test_damage_to_sidecars_gives_rows_or_an_error_of_ours(tmp_path: Path, mutants: int) -> None:
     path = laid_out(tmp_path, scans="2024-03-04T10:00:00.500")
     folder, chance = path.parent, random.Random(2)
     sidecars = [
@@ -188,7 +189,7 @@ def test_damage_to_sidecars_gives_rows_or_an_error_of_ours(tmp_path: Path) -> No
     ]
     sound = {sidecar: sidecar.read_bytes() for sidecar in sidecars}
     assert len(sound) == 3
-    for _ in range(400):
+    for _ in range(mutants):
         sidecar = chance.choice(sidecars)
         data = bytearray(sound[sidecar])
         for _ in range(chance.randint(1, 3)):

@@ -287,12 +287,12 @@ def test_truncation_at_every_byte_gives_fewer_rows_or_a_plain_error(tmp_path: Pa
 
 
 def test_a_broken_gzip_gives_the_same_rows_for_every_chunk_size(tmp_path: Path) -> None:
-    whole = gzip.compress(make(tmp_path, random_counts(20_000), 100.0, 256.0).path.read_bytes())
+    whole = gzip.compress(make(tmp_path, random_counts(8000), 100.0, 256.0).path.read_bytes())
     path = tmp_path / "cut.cwa.gz"
     path.write_bytes(whole[: len(whole) // 2])
     results = [everything(opened(path), size) for size in (1, 3000, 10**6)]
     assert results[0] == results[1] == results[2]
-    assert 8000 < len(results[0][0]) < 12_000
+    assert 3200 < len(results[0][0]) < 4800
     assert results[0][4][-1].code == "truncated"
 
 
