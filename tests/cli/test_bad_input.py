@@ -75,7 +75,7 @@ def test_some_missing_values_are_reported_and_the_rest_is_used(tmp_path: Path, c
     for index in (1000, 1001, 5000):
         lines[index] = lines[index].rsplit(",", 1)[0] + ",NaN"
     path.write_text("\n".join(lines) + "\n")
-    ran = run(capsys, "calibrate", path)
+    ran = run(capsys, "calibrate", path, "--model", 6)
     assert ran.code == 0
     assert "missing_value" in ran.err
 
@@ -153,7 +153,7 @@ def test_impossible_numbers_and_zones(tmp_path: Path, capsys: Capture, words: tu
     assert files(tmp_path) == ["good.csv"]
 
 
-@pytest.mark.parametrize("step", [8, pytest.param(1, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("step", [13, pytest.param(1, marks=pytest.mark.nightly)])
 def test_one_flipped_bit_in_a_gzip_file_is_never_taken_for_data(
     tmp_path: Path, capsys: Capture, step: int
 ) -> None:
@@ -168,10 +168,10 @@ def test_a_gzip_file_cut_short_gives_its_rows_and_says_so(tmp_path: Path, capsys
     packed = gzip.compress(good_csv(tmp_path).read_bytes())
     path = tmp_path / "cut.csv.gz"
     path.write_bytes(packed[: len(packed) * 3 // 4])
-    ran = run(capsys, "calibrate", path)
+    ran = run(capsys, "calibrate", path, "--model", 6)
     assert ran.code == 0, ran
     assert "truncated" in ran.err
-    whole = run(capsys, "calibrate", tmp_path / "good.csv")
+    whole = run(capsys, "calibrate", tmp_path / "good.csv", "--model", 6)
     assert whole.code == 0
     part, full = (pd.read_parquet(tmp_path / f"{name}.calibrated.parquet") for name in ("cut", "good"))
     assert 0 < len(part) < len(full)
@@ -187,7 +187,7 @@ def test_a_gzip_file_cut_short_gives_its_rows_and_says_so(tmp_path: Path, capsys
 )
 def test_strange_names(tmp_path: Path, name: str) -> None:
     path = good_csv(tmp_path, name)
-    ran = run_process("calibrate", path, "--report-only")
+    ran = run_process("calibrate", path, "--report-only", "--model", 6)
     assert ran.code in (0, 5), ran
     assert len(ran.lines) == (1 if ran.code == 0 else 0)
     assert len(ran.lines[0].split("\t")) == 7 if ran.lines else "too long" in ran.err
@@ -196,7 +196,7 @@ def test_strange_names(tmp_path: Path, name: str) -> None:
 def test_a_loop_of_links_stops_only_itself(tmp_path: Path, capsys: Capture) -> None:
     loop = tmp_path / "loop.csv"
     loop.symlink_to(loop)
-    ran = run(capsys, "calibrate", loop, good_csv(tmp_path))
+    ran = run(capsys, "calibrate", loop, good_csv(tmp_path), "--model", 6)
     assert ran.code == 1
     assert len(ran.lines) == 1
     assert run(capsys, "calibrate", loop).code == 3
@@ -208,13 +208,13 @@ def test_another_recordings_result_is_kept(tmp_path: Path, capsys: Capture) -> N
     one = good_csv(tmp_path / "a")
     two = write_csv(tmp_path / "b" / "good.csv", still_counts(directions(60), seed=9))
     out = tmp_path / "out"
-    assert run(capsys, "calibrate", one, "-d", out).code == 0
+    assert run(capsys, "calibrate", one, "-d", out, "--model", 6).code == 0
     before = (out / "good.calibrated.parquet").read_bytes()
-    ran = run(capsys, "calibrate", two, "-d", out)
+    ran = run(capsys, "calibrate", two, "-d", out, "--model", 6)
     assert ran.code == 5
     assert_one_line(ran, str(one), "another recording", "-d")
     assert (out / "good.calibrated.parquet").read_bytes() == before
-    assert run(capsys, "calibrate", two, "-d", out, "--force").code == 0
+    assert run(capsys, "calibrate", two, "-d", out, "--force", "--model", 6).code == 0
 
 
 def test_a_failed_rerun_keeps_the_earlier_result(tmp_path: Path, capsys: Capture) -> None:
@@ -276,21 +276,21 @@ in_the_middle = pytest.mark.parametrize(
 
 @in_the_middle
 def test_temporaries_of_a_killed_run_are_cleared_by_the_next(
-    tmp_path: Path, begun: Begun, poses: int
+    tmp_path: Path, capsys: Capture, begun: Begun, poses: int
 ) -> None:
     path, out = write_csv(tmp_path / "long.csv", still_counts(directions(poses))), tmp_path / "out"
     process = begun(path, out)
     process.kill()
     process.communicate()
     assert any(name.endswith(".tmp") for name in files(out))
-    assert run_process("calibrate", path, "-d", out).code == 0
+    assert run(capsys, "calibrate", path, "-d", out, "--model", 6).code == 0
     assert files(out) == ["long.calibrated.parquet", "long.calibration.json", "long.quality.json"]
 
 
 def test_closed_streams_do_not_stop_the_work(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
     for redirect, code in (("2>&-", 0), (">&-", 5)):
-        shell = " ".join(shlex.quote(word) for word in command("calibrate", path, "--force"))
+        shell = " ".join(shlex.quote(word) for word in command("calibrate", path, "--force", "--model", 6))
         done = subprocess.run(f"{shell} {redirect}", shell=True, capture_output=True, check=False)
         assert done.returncode == code, (redirect, done)
         assert (tmp_path / "good.calibration.json").exists()
@@ -322,7 +322,9 @@ def test_interruption_leaves_nothing_behind(tmp_path: Path, number: int, begun: 
 
 def test_a_closed_pipe_is_quiet(tmp_path: Path) -> None:
     path = good_csv(tmp_path)
-    process = subprocess.Popen(command("calibrate", path), stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        command("calibrate", path, "--model", 6), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     process.stdout.close()
     err = process.stderr.read()
     process.stderr.close()

@@ -101,7 +101,7 @@ def test_the_length_of_chunks_makes_no_difference(tmp_path: Path, capsys: Captur
     path = made(tmp_path / "a.raw")
     first = calibrated(capsys, path)
     table = pq.read_table(tmp_path / "a.calibrated.parquet")
-    again = calibrated(capsys, path, "--chunk-samples", "4999")
+    again = calibrated(capsys, path, "--chunk-samples", "499")
     for section in ("calibration", "change", "message", "holdout", "sphere_mg"):
         assert again[section] == first[section], section
     assert pq.read_table(tmp_path / "a.calibrated.parquet").equals(table)

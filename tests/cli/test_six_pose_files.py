@@ -104,7 +104,7 @@ def test_the_calibration_is_that_of_one_recording_with_the_same_states(
     assert parts["holdout"] == one["holdout"]
 
 
-@pytest.mark.parametrize("chunk", [1, pytest.param(77, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("chunk", [77, pytest.param(1, marks=pytest.mark.nightly)])
 def test_the_bits_do_not_depend_on_the_chunk_size(tmp_path: Path, capsys: Capture, chunk: int) -> None:
     folder = folder_of(tmp_path / "faces", 4.0)
     write_csv(folder / "roll.csv", rolled(seconds=5.0))

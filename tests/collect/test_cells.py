@@ -397,7 +397,7 @@ def test_blocks_of_time_add_up_to_the_points() -> None:
     assert held.points().weights.tolist() == points.weights.tolist()
 
 
-@pytest.mark.parametrize("parts", [1, 2, 9])
+@pytest.mark.parametrize("parts", [1, pytest.param(2, marks=pytest.mark.nightly), 9])
 @pytest.mark.parametrize(("bound", "most"), [("MAX_TIMED", 20), ("MAX_BLOCKS", 2)])
 def test_blocks_become_longer_where_there_are_too_many(
     monkeypatch: pytest.MonkeyPatch, bound: str, most: int, parts: int

@@ -171,7 +171,8 @@ def text_files() -> Iterator[tuple[str, str]]:
     """Calls of the package that open or write a file as text, but for members of archives."""
     for path in sorted(PACKAGE.rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            text = ast.unparse(node) if isinstance(node, ast.Call) else ""
+            called = isinstance(node, ast.Call) and getattr(node.func, "attr", getattr(node.func, "id", ""))
+            text = ast.unparse(node) if called in ("open", "write_text") else ""
             if re.match(r"(?!archive)[\w.]+\.write_text\(|(?!archive)([\w.]+\.)?open\(.*'[wax]t?'", text):
                 yield path.name, text
 

@@ -15,7 +15,7 @@ from tests.fuzz import command, engine, limits, mutate_cwa, reading
 from tests.fuzz.blind import blind
 from tests.fuzz.mutant import Rows, Truth, verdict
 
-FEW, MANY = range(1, 13), range(100, 700)
+FEW, MANY = range(1, 10), range(100, 700)
 """The first numbers of each target are tried in the fast tests, through no command; then many."""
 
 LATE = {"gt3x": 50, "csv": 30}

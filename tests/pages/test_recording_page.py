@@ -413,7 +413,7 @@ def test_two_weeks_with_all_points_make_a_page_below_250_kb(made: Files) -> None
     assert {"4 Mar", "10 Mar", "18 Mar"} <= set(labels)
 
 
-@pytest.mark.parametrize("hours", [14 * 24, 14 * 24 + 1, 512])
+@pytest.mark.parametrize("hours", [pytest.param(14 * 24, marks=pytest.mark.nightly), 14 * 24 + 1, 512])
 def test_a_page_is_never_larger_than_300_kb(made: Files, hours: int) -> None:
     """512 rows are all that there can be: of an hour in three weeks, of four in sixty days and more."""
     report, quality = fullest(*made["warm"], hours)

@@ -67,7 +67,7 @@ FORMS: dict[str, tuple[str, Written]] = {
 
 
 @pytest.mark.parametrize("form", FORMS)
-@pytest.mark.parametrize("start", [MIDNIGHT, NOON, NINE])
+@pytest.mark.parametrize("start", [MIDNIGHT, NOON, pytest.param(NINE, marks=pytest.mark.nightly)])
 def test_every_row_has_its_time(tmp_path: Path, form: str, start: datetime) -> None:
     header, written = FORMS[form]
     times = moments(start)
