@@ -72,6 +72,14 @@ def real_data() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _no_disk() -> Iterator[None]:
+    """What this process writes need not reach the disk: the processes that are killed are others."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _file: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _temporaries(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Temporary files of the package, such as traces of the bugs that tests make, lie among the tests'."""
     with pytest.MonkeyPatch.context() as patch:
