@@ -8,6 +8,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
 from accelcal_cli.core.errors import (
+    AccelcalError,
     NoFormatError,
     OutputError,
     UnreadableError,
@@ -92,9 +94,19 @@ def open_parts(
     try:
         unpacked = archive.unpack(path, folder, lambda name: not is_never(Path(name)), threads)
         found = Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
-        return kind(path, found, open_part)
+        return kind(path, found, partial(_open_member, path, open_part))
     except BaseException:
         archive.removed(folder)
+        raise
+
+
+def _open_member(archived: Path, open_part: Open, unpacked: Path) -> Reader:
+    """Open a member of an archive; errors name it, and not where it was unpacked."""
+    try:
+        return open_part(unpacked)
+    except AccelcalError as error:
+        if error.path == unpacked:
+            error.path = archived / unpacked.name
         raise
 
 

@@ -240,6 +240,15 @@ def test_names_longer_than_a_file_system_takes_are_shortened(made: Path, tmp_pat
     assert result.report["recording"]["samples"] == 25 * PART_S * PARTS
 
 
+def test_an_error_names_the_member_and_not_where_it_was_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "S01.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("sub/one.csv", b"")
+    with pytest.raises(UnreadableError) as caught:
+        accelcal.calibrate(path, report_only=True)
+    assert str(caught.value).startswith(f"{path / 'one.csv'}, byte 0: is empty")
+
+
 def test_parts_of_two_devices_are_no_recording(parts: Path) -> None:
     other = sensor_files(parts)[-1]
     other.rename(parts / other.name.replace("NEO1D26171071", "NEO1D26171072"))
