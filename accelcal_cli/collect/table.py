@@ -193,7 +193,7 @@ def _parquet(path: Path) -> pd.DataFrame:
         )
     wanted = {alias for aliases in ALIASES.values() for alias in aliases}
     columns = [name for name in names if name.strip().lower() in wanted]
-    with pq.ParquetFile(path) as file:
+    with pq.ParquetFile(path, pre_buffer=False) as file:
         held = file.read(columns, use_threads=False).to_pandas(use_threads=False)
     held = held.dropna(axis=1, how="all").reset_index(drop=True)
     texts = [name for name in held if name.strip().lower() in ALIASES["posture"]]
