@@ -22,10 +22,10 @@ deflate: Any = zlib
 with suppress(ImportError):
     deflate = import_module("zlib_ng.zlib_ng")
 
-STEP_BYTES = 1 << 15
+STEP_BYTES = 1 << 18
 """Packed bytes that are taken from a file at a time."""
 
-MOST_BYTES = 1 << 18
+MOST_BYTES = 1 << 20
 """Of unpacked bytes at once: damaged or empty stretches unpack to a thousand times their size."""
 
 DEFLATE = 8

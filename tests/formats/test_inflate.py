@@ -246,8 +246,8 @@ def test_leaving_early_ends_the_thread(tmp_path: Path, name: str, monkeypatch: p
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_places_in_the_file_go_with_the_bytes_that_were_taken(tmp_path: Path, threads: int) -> None:
-    """Not with those that are unpacked ahead; here in files of 9 MB that are packed in 9 kB."""
-    (tmp_path / "a.gz").write_bytes(member(bytes(3_000_000)) * 3)
+    """Not with those that are unpacked ahead; here in files of 36 MB that are packed in 36 kB."""
+    (tmp_path / "a.gz").write_bytes(member(bytes(12_000_000)) * 3)
     with ByteSource(tmp_path / "a.gz", threads) as source:
         places = []
         while len(source.read(inflate.MOST_BYTES)):

@@ -41,7 +41,7 @@ START_SAMPLES = 1
 UNPACK = "unpack the .gz; a .gt3x is a zip file already"
 NO_START = "info.txt does not tell when the recording began: times count from its start"
 
-MOST_ROWS = 1 << 18
+MOST_ROWS = 1 << 20
 NOTHING = Applied()
 
 

@@ -60,6 +60,9 @@ PADDING_BYTES = FRAME_BYTES - 1
 """So many zeros between records are padding, as the format's document allows; more hide a record."""
 
 FIRST_WALK, LONGEST_WALK = 64, 1 << 20
+ALIKE, TOGETHER = 16, 256
+"""After so many records of one length the next are held against it, so many at once."""
+
 LOOK_AHEAD = 2 * LONGEST_BELIEVED
 
 Key = tuple[int, int]
@@ -73,7 +76,7 @@ SENSOR_CONFIGURATION = (1, 44)
 
 _PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
 
-PIECE_BYTES = 3 << 18
+PIECE_BYTES = 3 << 20
 """log.bin is read in equal pieces, so that nothing depends on the size of the chunks."""
 
 
@@ -219,14 +222,28 @@ class Page:
 def walk(data: bytes, index: int, most: int) -> tuple[list[int], int]:
     """Where complete records begin, by their sizes alone, and where the last of them ends."""
     starts: list[int] = []
-    last = len(data) - FRAME_BYTES
+    last, length, alike = len(data) - FRAME_BYTES, 0, 0
     while index <= last and data[index] == SEPARATOR and len(starts) < most:
-        after = index + FRAME_BYTES + (data[index + 6] | data[index + 7] << 8)
-        if after > len(data):
+        before, length = length, FRAME_BYTES + (data[index + 6] | data[index + 7] << 8)
+        if index + length > len(data):
             break
         starts.append(index)
-        index = after
+        index += length
+        alike = alike + 1 if length == before else 0
+        if alike == ALIKE:
+            end = index + length * _as_long(data, index, length, most - len(starts))
+            starts += range(index, end, length)
+            index, alike = end, 0
     return starts, index
+
+
+def _as_long(data: bytes, index: int, length: int, most: int) -> int:
+    """How many complete records in a row, from `index` on, have this length, up to `most`."""
+    number = min(most, TOGETHER, (len(data) - index) // length)
+    rows = np.frombuffer(data, np.uint8, number * length, index).reshape(number, length)
+    size = length - FRAME_BYTES
+    fits = (rows[:, 0] == SEPARATOR) & (rows[:, 6] == size & 0xFF) & (rows[:, 7] == size >> 8)
+    return number if fits.all() else int(fits.argmin())
 
 
 def spoiled_records(data: bytes) -> int:

@@ -140,7 +140,7 @@ def test_long_sleep_comes_in_parts_of_bounded_size(tmp_path: Path) -> None:
     log = [*awake(0, 4), asleep(4), *hourly, wakes(night), *awake(4, 10, night)]
     found = read(tmp_path, log, 10**9)
     assert filled_seconds(found) == list(range(4, night))
-    assert max(map(len, found.chunks)) <= 1 << 18
+    assert max(map(len, found.chunks)) <= 1 << 20
     assert (np.diff(found.times) == 20_000).all()
     assert found.same(read(tmp_path, log, 20_011))
 
