@@ -233,7 +233,7 @@ class PageClock:
     def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
         """Times of all rows of pages that hold `rows` rows each, one page after the other.
 
-        Pages of one device last one of a few times: each is divided up once.
+        Few different spans occur among the pages of a device: each is divided up once.
         """
         spans, which = np.unique(self.span_us[pages], return_inverse=True)
         into = np.outer(spans, 2 * np.arange(rows, dtype=np.int64))

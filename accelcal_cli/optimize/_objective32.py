@@ -151,7 +151,7 @@ def gradients(
     scale = _of_entries(force, state.shifted, [index for index in free if index < ENTRIES])
     plain = force.sum(axis=2).T.tolist()
     heated = [[0, 0, 0]] * len(plain)
-    if stack.tau is not None and free[-1] >= PARAMETERS - 3:
+    if stack.tau is not None and any(index >= PARAMETERS - 3 for index in free):
         heated = _sums(force * stack.tau)
     return list(map(_gradient, scale, plain, heated, parameters, stack.weight))
 
