@@ -1,4 +1,4 @@
-"""The machine under this process: its CPUs and memory, its processes, its C library and linear algebra.
+"""The machine under this process: CPUs, memory, processes, temporary folders, C library and linear algebra.
 
 CPUs and memory are those that this process was given, not the machine's; the number of workers follows
 from them.
@@ -11,6 +11,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from math import ceil
 from pathlib import Path
@@ -168,6 +169,31 @@ def _state(process: int) -> str:
         return Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()[0]
     except (OSError, IndexError):
         return ""
+
+
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """A new folder, removed at the end; raises OSError if none can be made."""
+    folder = new_folder()
+    try:
+        yield folder
+    finally:
+        remove_folder(folder)
+
+
+def new_folder() -> Path:
+    """A new folder for temporary files; raises OSError if none can be made."""
+    import tempfile  # few runs need one
+
+    return Path(tempfile.mkdtemp(prefix="accelcal-"))
+
+
+def remove_folder(folder: Path) -> None:
+    """Remove a folder with all that is in it, as far as that can be done."""
+    import shutil
+
+    with suppress(OSError):  # rmtree passes on that a folder cannot be closed
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def keep_freed_memory() -> bool:

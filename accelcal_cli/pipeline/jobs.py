@@ -21,7 +21,7 @@ from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
 from accelcal_cli.core.parts import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
-from accelcal_cli.core.system import cpus
+from accelcal_cli.core.system import cpus, temporary_folder
 from accelcal_cli.formats import all_formats, refuse_unused, unused_options
 from accelcal_cli.pipeline import stated
 
@@ -263,12 +263,10 @@ def spooled(stream: BinaryIO) -> Iterator[Path]:
         OutputError: there is no room for it.
     """
     import shutil  # few runs read standard input
-    import tempfile
 
     with contextlib.ExitStack() as stack:
         try:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="accelcal-"))
-            path = Path(folder) / "stdin"
+            path = stack.enter_context(temporary_folder()) / "stdin"
             with path.open("wb") as file:
                 shutil.copyfileobj(stream, file, 1 << 20)
         except OSError as error:

@@ -23,6 +23,7 @@ from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.system import temporary_folder
 from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
 from accelcal_cli.judge.change import told
 from accelcal_cli.judge.quality import check
@@ -202,8 +203,7 @@ class Watch:
                 layouts[beside.name] = file.read(HEAD_BYTES)  # one as long is refused
         with ExitStack() as stack:
             try:
-                made = tempfile.TemporaryDirectory(prefix="accelcal-", ignore_cleanup_errors=True)
-                folder = Path(stack.enter_context(made))
+                folder = stack.enter_context(temporary_folder())
                 path = folder / (self._source.name.strip("-") or "stdin")
                 path.write_bytes(head)
                 for name, held in layouts.items():

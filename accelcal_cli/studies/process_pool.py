@@ -11,7 +11,6 @@ import contextlib
 import hashlib
 import multiprocessing
 import os
-import shutil
 import signal
 import sys
 import tempfile
@@ -28,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.system import hold_to_one_thread, host, lives
+from accelcal_cli.core.system import hold_to_one_thread, host, lives, remove_folder
 from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
 
 LONGEST_PATH = 40
@@ -73,9 +72,9 @@ def forkserver_folder() -> Iterator[None]:
 @cache
 def _temporary_folder() -> Path:
     sweep_folders()
-    folder = tempfile.mkdtemp(prefix=f"{_start()}{os.getpid()}-", dir=_parent())
-    Finalize(None, shutil.rmtree, (folder, True), exitpriority=EXIT_PRIORITY)
-    return Path(folder)
+    folder = Path(tempfile.mkdtemp(prefix=f"{_start()}{os.getpid()}-", dir=_parent()))
+    Finalize(None, remove_folder, (folder,), exitpriority=EXIT_PRIORITY)
+    return folder
 
 
 def sweep_folders() -> None:
@@ -84,7 +83,7 @@ def sweep_folders() -> None:
         for entry in entries:
             owner = entry.name.removeprefix(_start()).split("-")[0]
             if entry.name.startswith(_start()) and owner.isdigit() and not lives(int(owner)):
-                shutil.rmtree(entry.path, ignore_errors=True)
+                remove_folder(Path(entry.path))
 
 
 def _start() -> str:

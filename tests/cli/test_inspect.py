@@ -79,7 +79,7 @@ def test_standard_input_is_read_like_a_file(tmp_path: Path) -> None:
     ran = run_process("inspect", "--json", "-", stdin=data)
     assert (ran.code, ran.err) == (0, "")
     shown = json.loads(ran.out)
-    assert (shown["recording"]["path"], shown["recording"]["samples"]) == ("-", None)
+    assert (shown["recording"]["path"], shown["recording"]["samples"]) == ("-", 45000)
     assert shown["prediction"]["outcome"] == "calibrated"
     layout = write_raw(tmp_path / "a.raw", still_counts(directions(60))).with_name("a.layout.toml")
     raw = run_process("inspect", "--layout", layout, "-", stdin=(tmp_path / "a.raw").read_bytes())

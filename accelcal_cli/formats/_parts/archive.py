@@ -347,9 +347,3 @@ class _Inflated:
             if not packed:
                 raise EOFError("the archive ends early")
         return self._inflate.decompress(packed, count) if self._inflate else packed
-
-
-def removed(folder: Path) -> None:
-    """Remove what was unpacked."""
-    with suppress(OSError):  # rmtree passes on that a folder cannot be closed
-        shutil.rmtree(folder, ignore_errors=True)

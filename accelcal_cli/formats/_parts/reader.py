@@ -5,7 +5,6 @@ What is missing is a gap, what is there twice is read once, and what cannot be r
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -27,6 +26,7 @@ from accelcal_cli.core.errors import (
 )
 from accelcal_cli.core.parts import files_of, is_never, size_of
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
+from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
 from accelcal_cli.formats._stamps import GAP_PERIODS
 
@@ -84,7 +84,7 @@ def open_parts(
     if files is not None:
         return kind(path, Found(files), open_part)
     try:
-        folder = Path(tempfile.mkdtemp(prefix="accelcal-"))
+        folder = new_folder()
     except OSError as error:
         raise OutputError(
             f"no temporary folder can be made ({error.strerror or error})",
@@ -96,7 +96,7 @@ def open_parts(
         found = Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
         return kind(path, found, partial(_open_member, path, open_part))
     except BaseException:
-        archive.removed(folder)
+        remove_folder(folder)
         raise
 
 
@@ -146,7 +146,7 @@ class FilesReader(Reader):
     def close(self) -> None:
         """See `Closing`; what was unpacked is removed."""
         if self._found.folder is not None:
-            archive.removed(self._found.folder)
+            remove_folder(self._found.folder)
 
     def _open(self, path: Path) -> Reader:
         reader = self._open_part(path)
