@@ -59,7 +59,8 @@ CASES = (
 def main() -> None:
     """Time what is asked for, print a table, write it as JSON."""
     options = _options()
-    options.folder.mkdir(parents=True, exist_ok=True)
+    for folder in (options.folder, options.json.parent):
+        folder.mkdir(parents=True, exist_ok=True)
     chosen = [case for case in CASES if not options.only or case.name in options.only.split(",")]
     rows = [row for case in chosen for row in _rows(case, options)]
     head = ("run", "wall s", "least", "most", "CPU s", "MB", "of floor")
