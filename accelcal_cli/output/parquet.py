@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Self
 
 import numpy as np
@@ -27,11 +28,18 @@ from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Rec
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.zones import UNKNOWN, UTC
+from accelcal_cli.output.dictionary_pages import Places, dictionary_chunk, paired, places
 from accelcal_cli.output.files import output_error
 from accelcal_cli.output.row_groups import MAGIC, EncodedGroup, Footer, encoded
 
 ROW_GROUP_ROWS = 1 << 19
 WRITE_BATCH_ROWS = 1 << 16
+
+LEVEL = 1
+"""Of zstd."""
+
+SAMPLED, MOST_DIFFERENT = 64, 0.6
+"""Of how many rows one is looked at, and the share of different values up to which they repeat."""
 
 MOST_ENCODERS = 8
 """Row groups that are encoded side by side; each takes 11 MB, 17 with a gyroscope."""
@@ -45,8 +53,35 @@ BLOCK_ROWS = 1 << 14
 SOURCE_ROWS = 1 << 17
 """Rows that are read back at a time."""
 
+TEMPERATURE = "temperature"
+NO_TEMPERATURE_MC = int(np.iinfo(np.int32).min)
+NO_RATE = int(np.iinfo(np.int64).min)
+"""Of rows without a temperature and without angular rates, where numbers are stored."""
+
+VALIDITY = "0 measured, 1 filled, 2 clipped, 3 recovered"
+
 Axes = list[NDArray[np.float32]]
 """Calibrated x, y, z [g]."""
+
+
+Rows = Callable[[Chunk, Axes], NDArray[Any]]
+"""One number for each row, of a chunk and its calibrated x, y, z [g]."""
+
+
+@dataclass(frozen=True, slots=True)
+class Numbers:
+    """Whole numbers that the values of a column follow from, where the file should hold these and a table.
+
+    Attributes:
+        values: of numbers, each for itself, and those of the column beside.
+        dtype: of the numbers.
+        beside: another column that is stored as numbers, where the values follow from these too.
+    """
+
+    of: Rows
+    values: Callable[..., NDArray[Any]]
+    dtype: Any = np.int32
+    beside: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,15 +90,24 @@ class Column:
 
     Attributes:
         unit: of its values, for the field's metadata.
-        values: of a chunk and its calibrated x, y, z [g]: one for each row.
-        encoding: of Parquet.
+        values: for each row.
+        numbers: that the values follow from, if they do.
     """
 
     name: str
     unit: str
     type: pa.DataType
-    values: Callable[[Chunk, Axes], NDArray[Any]]
-    encoding: str = "PLAIN"
+    values: Rows
+    numbers: Numbers | None = None
+
+    @classmethod
+    def following(cls, name: str, unit: str, kind: pa.DataType, numbers: Numbers) -> Self:
+        """A column whose values are only known by its numbers."""
+
+        def values(chunk: Chunk, xyz: Axes) -> NDArray[Any]:
+            return numbers.values(numbers.of(chunk, xyz))
+
+        return cls(name, unit, kind, values, numbers=numbers)
 
     @property
     def field(self) -> pa.Field:
@@ -71,39 +115,56 @@ class Column:
         return pa.field(self.name, self.type, nullable=False, metadata={b"unit": self.unit.encode()})
 
     @property
+    def stored(self) -> Rows:
+        """What a sink takes: the numbers, or else the values."""
+        return self.values if self.numbers is None else self.numbers.of
+
+    @property
     def dtype(self) -> Any:
-        """Of its values in numpy; times are whole microseconds."""
+        """Of what a sink takes; times are whole microseconds."""
+        if self.numbers is not None:
+            return self.numbers.dtype
         return np.int64 if pa.types.is_timestamp(self.type) else self.type.to_pandas_dtype()
 
 
 def columns_of(
-    recording: Recording, facts: Facts, fine_axes: str, gyroscope: Gyroscope | None = None
+    recording: Recording,
+    facts: Facts,
+    axes: Mapping[str, Numbers] = MappingProxyType({}),
+    gyroscope: Gyroscope | None = None,
 ) -> list[Column]:
     """All columns of a calibrated recording: THE place for a new one.
 
     Args:
-        fine_axes: those of x, y, z whose values hardly repeat while their high bytes do, so that bytes
-            of one place compress better side by side.
+        axes: those of x, y, z that follow from whole numbers, and from which.
         gyroscope: the verdict on it; without a scale matrix its values stay raw.
     """
     single, offset_s = pa.float32(), facts.utc_offset_s
     time = pa.timestamp("us", None if offset_s is None else UTC)
-    columns = [Column("time", "us since 1970", time, partial(_times, offset_s or 0), "DELTA_BINARY_PACKED")]
+    columns = [Column("time", "us since 1970", time, partial(_times, offset_s or 0))]
     for axis, name in enumerate("xyz"):
-        encoding = "BYTE_STREAM_SPLIT" if name in fine_axes else "PLAIN"
-        columns.append(Column(name, "g", single, partial(_calibrated, axis), encoding))
+        columns.append(Column(name, "g", single, partial(_calibrated, axis), axes.get(name)))
     if facts.has_temperature:
-        columns.append(Column("temperature", "degree Celsius", single, _temperature))
+        columns.append(
+            Column.following(TEMPERATURE, "degree Celsius", single, Numbers(_temperature_mc, _degrees))
+        )
     if facts.has_gyroscope:
-        known = gyroscope is not None and gyroscope.scale is not None
-        rates = _Rates(recording.gyro_dps_per_lsb, gyroscope if known else None)
-        encoding = "BYTE_STREAM_SPLIT" if known else "PLAIN"
-        columns += [
-            Column(f"g{name}", "deg/s", single, partial(rates.values, axis), encoding)
-            for axis, name in enumerate("xyz")
-        ]
-    columns.append(Column("validity", "0 measured, 1 filled, 2 clipped, 3 recovered", pa.uint8(), _validity))
-    return columns
+        columns += _rate_columns(recording.gyro_dps_per_lsb, gyroscope)
+    return [*columns, _validity_column(VALIDITY, 0)]
+
+
+def _rate_columns(dps_per_lsb: tuple[float, ...] | None, gyroscope: Gyroscope | None) -> Iterator[Column]:
+    """Angular rates: calibrated if a scale matrix is known, else raw."""
+    rates = None
+    if dps_per_lsb is not None and gyroscope is not None and gyroscope.scale is not None:
+        rates = _CalibratedRates(dps_per_lsb, gyroscope)
+    for axis, name in enumerate("xyz"):
+        if rates is not None:
+            yield Column(f"g{name}", "deg/s", pa.float32(), partial(rates.values, axis))
+        else:
+            scale = dps_per_lsb[axis] if dps_per_lsb else np.nan
+            numbers = Numbers(partial(_gyro_counts, axis), partial(_rates, scale), np.int64)
+            yield Column.following(f"g{name}", "deg/s", pa.float32(), numbers)
 
 
 def _times(offset_s: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.int64]:
@@ -116,57 +177,75 @@ def _calibrated(axis: int, _chunk: Chunk, xyz: Axes) -> NDArray[np.float32]:
     return xyz[axis]
 
 
-def _temperature(chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
-    if chunk.temperature_mc is None:
-        return np.full(len(chunk), np.nan, np.float32)
-    return (chunk.temperature_mc / 1000.0).astype(np.float32)
+def _temperature_mc(chunk: Chunk, _xyz: Axes) -> NDArray[Any]:
+    return _or_absent(chunk, chunk.temperature_mc, NO_TEMPERATURE_MC)
 
 
-class _Rates:
-    """Angular rates of chunks, raw or calibrated; those of one chunk are kept until the next comes."""
+def _degrees(temperature_mc: NDArray[np.int32]) -> NDArray[np.float32]:
+    return _or_nan(temperature_mc, NO_TEMPERATURE_MC, temperature_mc / 1000.0)
 
-    def __init__(self, dps_per_lsb: tuple[float, ...] | None, gyroscope: Gyroscope | None) -> None:
+
+def _gyro_counts(axis: int, chunk: Chunk, _xyz: Axes) -> NDArray[Any]:
+    counts = chunk.gyro_counts
+    return _or_absent(chunk, None if counts is None else counts[:, axis], NO_RATE)
+
+
+def _rates(dps_per_lsb: float, counts: NDArray[np.int64]) -> NDArray[np.float32]:
+    return _or_nan(counts, NO_RATE, counts * dps_per_lsb)
+
+
+def _or_absent(chunk: Chunk, numbers: NDArray[Any] | None, absent: int) -> NDArray[Any]:
+    return np.full(len(chunk), absent, np.int64) if numbers is None else numbers
+
+
+def _or_nan(numbers: NDArray[Any], absent: int, values: NDArray[Any]) -> NDArray[np.float32]:
+    return np.where(numbers == absent, np.nan, values).astype(np.float32)
+
+
+class _CalibratedRates:
+    """Angular rates of chunks; those of one chunk are kept until the next comes."""
+
+    def __init__(self, dps_per_lsb: tuple[float, ...], gyroscope: Gyroscope) -> None:
         self._dps_per_lsb, self._gyroscope = dps_per_lsb, gyroscope
         self._chunk: Chunk | None = None
         self._held: Axes = []
 
     def values(self, axis: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
         """Of one axis [deg/s]; NaN where a chunk has none."""
-        if chunk.gyro_counts is None or self._dps_per_lsb is None:
+        if chunk.gyro_counts is None:
             return np.full(len(chunk), np.nan, np.float32)
-        if self._gyroscope is None:
-            return (chunk.gyro_counts[:, axis] * self._dps_per_lsb[axis]).astype(np.float32)
         if self._chunk is not chunk:
-            self._chunk, self._held = chunk, self._calibrated(chunk, self._gyroscope)
+            self._chunk, self._held = chunk, self._calibrated(chunk, chunk.gyro_counts)
         return self._held[axis]
 
-    def _calibrated(self, chunk: Chunk, gyroscope: Gyroscope) -> Axes:
+    def _calibrated(self, chunk: Chunk, counts: NDArray[Any]) -> Axes:
         held = [np.empty(len(chunk), np.float32) for _ in range(3)]
-        assert chunk.gyro_counts is not None and self._dps_per_lsb is not None
         for start in range(0, len(chunk), BLOCK_ROWS):
             part = slice(start, start + BLOCK_ROWS)
             raw = [
-                np.multiply(chunk.gyro_counts[part, axis], scale, dtype=np.float64)
+                np.multiply(counts[part, axis], scale, dtype=np.float64)
                 for axis, scale in enumerate(self._dps_per_lsb)
             ]
             warm = None if chunk.temperature_mc is None else chunk.temperature_mc[part] / 1000.0
-            for column, values in zip(held, gyroscope.calibrated(raw, warm), strict=True):
+            for column, values in zip(held, self._gyroscope.calibrated(raw, warm), strict=True):
                 column[part] = values
         return held
 
 
-def _validity(chunk: Chunk, _xyz: Axes) -> NDArray[np.uint8]:
-    return np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity
+def _validity_column(meaning: str, plus: int) -> Column:
+    """`validity`, with something added in each row."""
+
+    def numbers(chunk: Chunk, _xyz: Axes) -> NDArray[np.uint8]:
+        held = np.zeros(len(chunk), np.uint8) if chunk.validity is None else chunk.validity
+        return held + np.uint8(plus) if plus else held
+
+    return Column.following("validity", meaning, pa.uint8(), Numbers(numbers, np.asarray, np.uint8))
 
 
 def not_calibrated(columns: Sequence[Column]) -> list[Column]:
     """The columns of a file of raw values: `validity` says so in each row."""
-    unit = f"0 measured, 1 filled, 2 clipped, 3 recovered; plus {NOT_CALIBRATED}: not calibrated"
-
-    def flagged(chunk: Chunk, xyz: Axes) -> NDArray[np.uint8]:
-        return _validity(chunk, xyz) + np.uint8(NOT_CALIBRATED)
-
-    return [replace(one, unit=unit, values=flagged) if one.name == "validity" else one for one in columns]
+    flagged = _validity_column(f"{VALIDITY}; plus {NOT_CALIBRATED}: not calibrated", NOT_CALIBRATED)
+    return [flagged if column.name == flagged.name else column for column in columns]
 
 
 def schema_of(columns: Sequence[Column], metadata: dict[str, Any]) -> pa.Schema:
@@ -204,6 +283,11 @@ def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArra
     return [column.values(chunk, xyz) for column in columns]
 
 
+def stored_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArray[Any]]:
+    """A chunk's rows as `ParquetSink.write` takes them: one array a column."""
+    return [column.stored(chunk, xyz) for column in columns]
+
+
 class ParquetSink:
     """Takes rows in any portions and writes them to a file that the caller made.
 
@@ -227,9 +311,8 @@ class ParquetSink:
         self._schema = schema_of(columns, metadata)
         self._options = {
             "compression": "zstd",
-            "compression_level": 1,
+            "compression_level": LEVEL,
             "use_dictionary": False,
-            "column_encoding": {column.name: column.encoding for column in columns},
             "write_batch_size": WRITE_BATCH_ROWS,
             "write_statistics": ["time"],
             "store_schema": True,
@@ -237,7 +320,7 @@ class ParquetSink:
         encoders = min(threads, MOST_ENCODERS)
         self._spare = [self._empty_group() for _ in range(encoders if threads < 2 else encoders + 1)]
         self._rows = 0
-        self._footer = Footer()
+        self._footer = Footer(self._schema, **self._options)
         self._encoding = OrderedCalls(encoders, "parquet")
         try:
             file = path.open("wb")
@@ -251,7 +334,7 @@ class ParquetSink:
         return [np.empty(ROW_GROUP_ROWS, column.dtype) for column in self.columns]
 
     def write(self, arrays: list[NDArray[Any]]) -> None:
-        """Take rows: one array a column, in the order of the columns.
+        """Take rows: one array a column, as `stored_of` gives them.
 
         Raises:
             OutputError: the disk is full, or fails.
@@ -275,11 +358,21 @@ class ParquetSink:
 
     def _encoded(self, group: list[NDArray[Any]], rows: int) -> tuple[EncodedGroup, list[NDArray[Any]]]:
         """A row group, encoded from where its columns lie; `pa.array` would load pandas."""
-        arrays = [
-            pa.Array.from_buffers(column.type, rows, [None, pa.py_buffer(values)])
-            for values, column in zip(group, self.columns, strict=True)
-        ]
-        return encoded(pa.record_batch(arrays, schema=self._schema), **self._options), group
+        stored = {column.name: memory[:rows] for column, memory in zip(self.columns, group, strict=True)}
+        found = _places(self.columns, stored)
+        made, arrays, encodings = {}, [], {}
+        for at, column in enumerate(self.columns):
+            place = found.get(column.name)
+            if place is not None and column.numbers is not None:
+                kept = column.numbers.values(*place.present)
+                made[at] = dictionary_chunk(column.name, place.of_rows, kept, LEVEL)
+            else:
+                values = _values_of_stored(column, stored)
+                arrays.append(pa.Array.from_buffers(column.type, rows, [None, pa.py_buffer(values)]))
+                encodings[column.name] = _encoding(values)
+        schema = pa.schema([self._schema.field(name) for name in encodings])
+        batch = pa.record_batch(arrays, schema=schema)
+        return encoded(batch, made, **self._options, column_encoding=encodings), group
 
     def _append(self) -> None:
         """Write the first of the groups that are being encoded; raises OutputError."""
@@ -287,7 +380,8 @@ class ParquetSink:
         self._spare.append(memory)
         try:
             self._footer.add(group, self._file.tell())
-            self._file.write(group.body)
+            for part in group.parts:
+                self._file.write(part)
         except OSError as error:
             raise output_error(error, self.shown) from error
 
@@ -316,6 +410,38 @@ class ParquetSink:
         self._encoding.close()
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+def _places(columns: Sequence[Column], stored: Mapping[str, NDArray[Any]]) -> dict[str, Places | None]:
+    """Where the rows of columns that are stored as numbers find these; None where they are too many."""
+    numbers = {column.name: column.numbers for column in columns if column.numbers is not None}
+    found = {name: places(stored[name]) for name, one in numbers.items() if one.beside is None}
+    for name, one in numbers.items():
+        if one.beside is not None:
+            slow = found[one.beside]
+            found[name] = None if slow is None else paired(stored[name], slow)
+    return found
+
+
+def _values_of_stored(column: Column, stored: Mapping[str, NDArray[Any]]) -> NDArray[Any]:
+    """The values of a column of a row group."""
+    held, numbers = stored[column.name], column.numbers
+    if numbers is None:
+        return held
+    return numbers.values(held, *([] if numbers.beside is None else [stored[numbers.beside]]))
+
+
+def _encoding(values: NDArray[Any]) -> str:
+    """Of a column of a row group: what makes it small.
+
+    Fractions that repeat are found by the codec as they are; of others only the high bytes are alike, and
+    compress better side by side.
+    """
+    if values.dtype != np.float32:
+        return "DELTA_BINARY_PACKED" if values.dtype == np.int64 else "PLAIN"
+    sample = np.sort(values.view(np.uint32)[::SAMPLED])  # several times faster than np.unique
+    different = 1 + np.count_nonzero(sample[1:] != sample[:-1])
+    return "PLAIN" if different <= MOST_DIFFERENT * len(sample) else "BYTE_STREAM_SPLIT"
 
 
 class ParquetSource:

@@ -1,92 +1,122 @@
 """Row groups of one Parquet file, encoded apart from each other and put under one footer.
 
 pyarrow encodes a row group after the other. Here each is encoded by itself, as a small file in memory, on
-whatever thread is free; the groups are then written one behind the other, and the places that the footer of
-each names are moved to where it lies. The bytes are those that pyarrow writes by itself.
+whatever thread is free; columns that are made elsewhere come behind it. The groups are then written one
+behind the other, and the places that the footer of each names are moved to where it lies. Without columns
+from elsewhere the bytes are those that pyarrow writes by itself.
 
-The footer is a Thrift structure in the compact protocol (Apache Thrift, thrift-compact-protocol.md;
-parquet-format, parquet.thrift): `_Reader` and `_written` know the protocol, and only `shifted` what it means.
+Source of the fields: parquet-format, parquet.thrift.
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from accelcal_cli.output import thrift
+from accelcal_cli.output.thrift import I64, STRUCT, Struct, value_of
+
 MAGIC = b"PAR1"
 TAIL_BYTES = 8
 """Length of the footer, and the magic number again."""
 
-TRUE, FALSE, I8, I16, I32, I64, DOUBLE, BINARY, LIST, SET, STRUCT = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
-WHOLE = (I16, I32, I64)
-
-Struct = list[tuple[int, int, Any]]
-"""Fields: identifier, type, value."""
-
 NUM_ROWS, ROW_GROUPS = 3, 4
 """Fields of FileMetaData."""
 
-COLUMNS, GROUP_OFFSET, ORDINAL = 1, 5, 7
+COLUMNS, GROUP_UNPACKED, GROUP_OFFSET, GROUP_PACKED, ORDINAL = 1, 2, 5, 6, 7
 CHUNK_OFFSET, META_DATA = 2, 3
+UNPACKED, PACKED = 6, 7
 PAGE_OFFSETS = (9, 10, 11, 14)
-"""Of a RowGroup, a ColumnChunk, and its ColumnMetaData: all that says where something lies."""
+"""Of a RowGroup, a ColumnChunk, its ColumnMetaData: how long it is, and all that says where something is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ColumnChunk:
+    """A column of a row group as bytes.
+
+    Attributes:
+        meta: its ColumnMetaData, as in a file with nothing else: `body` begins behind MAGIC.
+    """
+
+    body: bytes
+    meta: Struct
 
 
 @dataclass(frozen=True, slots=True)
 class EncodedGroup:
-    """A row group as bytes, and what the footer of a file with nothing else says."""
+    """A row group as bytes, and what the footer of a file with nothing else says of it."""
 
-    body: pa.Buffer
+    parts: list[pa.Buffer | bytes]
     rows: int
-    footer: Struct
+    fields: Struct
 
 
-def encoded(table: pa.RecordBatch, **options: Any) -> EncodedGroup:
+def encoded(table: pa.RecordBatch, made: Mapping[int, ColumnChunk], **options: Any) -> EncodedGroup:
     """Encode one row group.
 
     Args:
+        table: its columns but those that are made.
+        made: the others, by their place among all.
         options: of `pyarrow.parquet.ParquetWriter`.
     """
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, table.schema, **options) as writer:
         writer.write_batch(table, max(1, table.num_rows))
     whole = sink.getvalue()
+    end, footer = _footer(whole)
+    (fields,) = value_of(footer, ROW_GROUPS)
+    parts, at = [whole[len(MAGIC) : end]], end
+    for place, chunk in sorted(made.items()):
+        fields = _with(fields, place, _moved(chunk.meta, PAGE_OFFSETS, at - len(MAGIC)))
+        parts.append(chunk.body)
+        at += len(chunk.body)
+    return EncodedGroup(parts, table.num_rows, fields)
+
+
+def _footer(whole: pa.Buffer) -> tuple[int, Struct]:
+    """Where the footer of a file begins, and what it says."""
     (length,) = struct.unpack("<I", whole[len(whole) - TAIL_BYTES : len(whole) - 4].to_pybytes())
     end = len(whole) - TAIL_BYTES - length
-    footer = _Reader(whole[end : len(whole) - TAIL_BYTES].to_pybytes()).struct()
-    return EncodedGroup(whole[len(MAGIC) : end], table.num_rows, footer)
+    return end, thrift.read(whole[end : len(whole) - TAIL_BYTES].to_pybytes())
+
+
+def _with(group: Struct, place: int, meta: Struct) -> Struct:
+    """A row group with one more column."""
+    columns = list(value_of(group, COLUMNS))
+    columns.insert(place, [(CHUNK_OFFSET, I64, 0), (META_DATA, STRUCT, meta)])
+    more = {GROUP_UNPACKED: value_of(meta, UNPACKED), GROUP_PACKED: value_of(meta, PACKED)}
+    return [(n, k, columns if n == COLUMNS else v + more.get(n, 0)) for n, k, v in group]
 
 
 class Footer:
-    """The footer of a file, group by group."""
+    """The footer of a file, group by group.
 
-    def __init__(self) -> None:
+    Args:
+        options: of `pyarrow.parquet.ParquetWriter`.
+    """
+
+    def __init__(self, schema: pa.Schema, **options: Any) -> None:
+        sink = pa.BufferOutputStream()
+        pq.ParquetWriter(sink, schema, **options).close()
         self.rows = 0
-        self._first: Struct | None = None
+        self._file = _footer(sink.getvalue())[1]
         self._groups: list[Struct] = []
 
     def add(self, group: EncodedGroup, at: int) -> None:
-        """Take in the next group, whose body begins at a byte of the file."""
-        self._first = self._first or group.footer
+        """Take in the next group, whose first part begins at a byte of the file."""
         self.rows += group.rows
-        for one in value_of(group.footer, ROW_GROUPS):
-            self._groups.append(shifted(one, at - len(MAGIC), len(self._groups)))
+        self._groups.append(shifted(group.fields, at - len(MAGIC), len(self._groups)))
 
     def tail(self) -> bytes:
         """What ends the file."""
-        assert self._first is not None
         new = {NUM_ROWS: self.rows, ROW_GROUPS: self._groups}
-        data = _written([(number, kind, new.get(number, value)) for number, kind, value in self._first])
+        data = thrift.written([(number, kind, new.get(number, value)) for number, kind, value in self._file])
         return data + struct.pack("<I", len(data)) + MAGIC
-
-
-def value_of(fields: Struct, number: int) -> Any:
-    """The value of a field; None where it is not there."""
-    return next((value for one, _, value in fields if one == number), None)
 
 
 def shifted(group: Struct, by: int, ordinal: int) -> Struct:
@@ -104,106 +134,3 @@ def shifted(group: Struct, by: int, ordinal: int) -> Struct:
 def _moved(fields: Struct, numbers: tuple[int, ...], by: int) -> Struct:
     """Places moved; 0 stands for none."""
     return [(n, k, v + by if n in numbers and v else v) for n, k, v in fields]
-
-
-class _Reader:
-    """Reads a structure from its bytes."""
-
-    def __init__(self, data: bytes) -> None:
-        self._data, self._at = data, 0
-
-    def struct(self) -> Struct:
-        """The fields up to the end of a structure."""
-        fields, number = [], 0
-        while head := self._byte():
-            step, kind = head >> 4, head & 15
-            number = number + step if step else self._whole()
-            fields.append((number, kind, self._value(kind)))
-        return fields
-
-    def _value(self, kind: int) -> Any:
-        if kind in (TRUE, FALSE):
-            return None
-        if kind in WHOLE:
-            return self._whole()
-        if kind in (LIST, SET):
-            return self._list()
-        if kind == STRUCT:
-            return self.struct()
-        size = {I8: 1, DOUBLE: 8}.get(kind)
-        return self._bytes(self._varint() if size is None else size)
-
-    def _list(self) -> Any:
-        head = self._byte()
-        size, kind = head >> 4, head & 15
-        size = self._varint() if size == 15 else size
-        if kind == STRUCT:
-            return [self.struct() for _ in range(size)]
-        values = [self._byte() if kind in (TRUE, FALSE) else self._value(kind) for _ in range(size)]
-        return (kind, values)
-
-    def _byte(self) -> int:
-        self._at += 1
-        return self._data[self._at - 1]
-
-    def _bytes(self, count: int) -> bytes:
-        self._at += count
-        return self._data[self._at - count : self._at]
-
-    def _varint(self) -> int:
-        value = shift = 0
-        while (byte := self._byte()) & 128:
-            value, shift = value | (byte & 127) << shift, shift + 7
-        return value | byte << shift
-
-    def _whole(self) -> int:
-        value = self._varint()
-        return value >> 1 ^ -(value & 1)
-
-
-def _written(fields: Struct) -> bytes:
-    """The bytes of a structure."""
-    data, last = bytearray(), 0
-    for number, kind, value in fields:
-        step = number - last
-        data += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + _zigzag(number)
-        data += _value_written(kind, value)
-        last = number
-    return bytes(data) + b"\0"
-
-
-def _value_written(kind: int, value: Any) -> bytes:
-    if kind in (TRUE, FALSE):
-        return b""
-    if kind in WHOLE:
-        return _zigzag(value)
-    if kind in (LIST, SET):
-        return _list_written(value)
-    if kind == STRUCT:
-        return _written(value)
-    data: bytes = value
-    return data if kind in (I8, DOUBLE) else _varint(len(data)) + data
-
-
-def _list_written(value: Any) -> bytes:
-    kind, values = (STRUCT, value) if isinstance(value, list) else value
-    head = (
-        bytes([len(values) << 4 | kind])
-        if len(values) < 15
-        else bytes([15 << 4 | kind]) + _varint(len(values))
-    )
-    if kind in (TRUE, FALSE):
-        return head + bytes(values)
-    return head + b"".join(_value_written(kind, one) for one in values)
-
-
-def _varint(value: int) -> bytes:
-    data = bytearray()
-    while value > 127:
-        data.append(value & 127 | 128)
-        value >>= 7
-    return bytes([*data, value])
-
-
-def _zigzag(value: int) -> bytes:
-    return _varint(value << 1 ^ value >> 63)

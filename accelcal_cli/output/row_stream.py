@@ -131,4 +131,4 @@ def _columns(recording: Recording) -> Sequence[Column]:
         if recording.start_us is None
         else utc_offset_s(recording.timezone, recording.start_us),
     )
-    return columns_of(recording, facts, "")
+    return columns_of(recording, facts)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from math import ceil, frexp, log2
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -18,9 +19,12 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
-    from accelcal_cli.output.parquet import Column, ParquetSink
+    from accelcal_cli.output.parquet import Column, Numbers, ParquetSink
 
 BLOCK_ROWS = 1 << 14
+
+NEGATIVE_ZERO = -1
+"""Stands for a zero with a sign, which no whole number has, among halves of steps."""
 
 Floats = NDArray[np.float64]
 
@@ -69,14 +73,10 @@ class Transform:
             self._block(chunk, part, buffers[:, : part.stop - start], xyz)
         return xyz
 
-    def fine_axes(self) -> str:
-        """Axes whose values are finer than one count, or lie on a coarse grid whose low bytes are zero.
-
-        An axis of one count, or two, has values that repeat; one of all three has not.
-        """
-        mixed = np.count_nonzero(self.gain, axis=1) == 3
-        finer = self.steps_per_g is not None or self.course is not None
-        return "".join(name for name, fine in zip("xyz", mixed, strict=True) if fine or finer)
+    def of_one_count(self, axis: int) -> bool:
+        """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else."""
+        others = self._others(axis)
+        return self.course is None and not self.gain[axis, others].any()
 
     def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
@@ -170,9 +170,80 @@ def columns_of(data: ReportInput) -> list[Column]:
     """The columns of a result's Parquet file."""
     from accelcal_cli.output import parquet
 
-    fine_axes = transform_of(data).fine_axes()
-    columns = parquet.columns_of(data.recording, data.facts, fine_axes, data.gyroscope)
+    applied = transform_of(data)
+    axes = numbers_of_axes(applied, data.facts.has_temperature)
+    columns = parquet.columns_of(data.recording, data.facts, axes, data.gyroscope)
     return columns if data.judgement.calibration is not None else parquet.not_calibrated(columns)
+
+
+def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Numbers]:
+    """The whole numbers that calibrated values follow from: steps, or the counts of one axis."""
+    from accelcal_cli.output.parquet import TEMPERATURE, Numbers
+
+    steps = transform.steps_per_g
+    if steps is not None:
+        return {
+            name: Numbers(partial(_half_steps, axis, steps), partial(_of_half_steps, steps), np.float32)
+            for axis, name in enumerate("xyz")
+        }
+    warm = has_temperature & (transform.slope_g_per_c != 0)
+    return {
+        name: Numbers(
+            partial(_counts, axis),
+            partial(_of_counts, transform, axis),
+            beside=TEMPERATURE if warm[axis] else None,
+        )
+        for axis, name in enumerate("xyz")
+        if transform.of_one_count(axis)
+    }
+
+
+def _half_steps(
+    axis: int, steps_per_g: float, _chunk: Chunk, xyz: list[NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """Halves of steps, of which only whole steps occur, and NEGATIVE_ZERO; powers of two round nothing."""
+    values = xyz[axis]
+    halves = values * np.float32(2 * steps_per_g)
+    halves[(values == 0) & np.signbit(values)] = NEGATIVE_ZERO
+    return halves
+
+
+def _of_half_steps(steps_per_g: float, halves: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.where(halves == NEGATIVE_ZERO, np.float32(-0.0), halves / np.float32(2 * steps_per_g))
+
+
+def _counts(axis: int, chunk: Chunk, _xyz: list[NDArray[np.float32]]) -> NDArray[Any]:
+    return chunk.counts[:, axis]
+
+
+def _of_counts(
+    transform: Transform,
+    axis: int,
+    counts: NDArray[np.int32],
+    temperature_mc: NDArray[np.int32] | None = None,
+) -> NDArray[np.float32]:
+    """Calibrated values of counts of one axis, whatever the others are."""
+    from accelcal_cli.output.parquet import NO_TEMPERATURE_MC
+
+    alone = np.zeros((len(counts), 3), np.int32)
+    alone[:, axis] = counts
+    if temperature_mc is None:
+        return transform.apply(_Counts(alone))[axis]
+    warm = transform.apply(_Counts(alone, temperature_mc))[axis]
+    absent = temperature_mc == NO_TEMPERATURE_MC
+    return np.where(absent, transform.apply(_Counts(alone))[axis], warm) if absent.any() else warm
+
+
+@dataclass(frozen=True, slots=True)
+class _Counts:
+    """Rows of which nothing else is known."""
+
+    counts: NDArray[np.int32]
+    temperature_mc: NDArray[np.int32] | None = None
+    first_sample: int = 0
+
+    def __len__(self) -> int:
+        return len(self.counts)
 
 
 def write_calibrated(
@@ -189,11 +260,11 @@ def write_calibrated(
     Raises:
         OutputError: the output cannot be written.
     """
-    from accelcal_cli.output.parquet import values_of
+    from accelcal_cli.output.parquet import stored_of
 
     total, recording = 0, data.recording
     read = prefetch(iter(chunks), threads - 1)  # of two threads one reads and calibrates
     for chunk, xyz in prefetch(calibrated(read, transform_of(data), progress), threads):
         total += beyond(xyz, recording.range_g)
-        sink.write(values_of(sink.columns, chunk, xyz))
+        sink.write(stored_of(sink.columns, chunk, xyz))
     return total

@@ -61,19 +61,19 @@ def test_coefficients_are_applied_at_any_precision(tmp_path: Path, capsys: Captu
     assert (steps != np.rint(steps)).any()
 
 
-def split(folder: Path) -> list[str]:
-    """Columns whose bytes lie side by side."""
+def stored_as_numbers(folder: Path) -> list[str]:
+    """Columns that are whole numbers and a table."""
     group = pq.ParquetFile(folder / "good.calibrated.parquet").metadata.row_group(0)
     found = [group.column(index) for index in range(group.num_columns)]
-    return [one.path_in_schema for one in found if "BYTE_STREAM_SPLIT" in one.encodings]
+    return [one.path_in_schema for one in found if "RLE_DICTIONARY" in one.encodings]
 
 
 @pytest.mark.parametrize(
     ("options", "names"),
-    [((), ["z"]), (("--model", 6), []), (("--precision", 0.25), ["x", "y", "z"])],
+    [((), ["x"]), (("--model", 6), ["x", "y", "z"]), (("--precision", 0.25), ["x", "y", "z"])],
 )
-def test_bytes_are_split_where_three_counts_are_mixed_or_values_are_coarse(
+def test_axes_of_one_count_or_on_a_grid_are_stored_as_numbers(
     options: tuple[str | float, ...], names: list[str], tmp_path: Path, capsys: Capture
 ) -> None:
     assert run(capsys, "calibrate", good_raw(tmp_path), "-d", tmp_path, *options).code == 0
-    assert split(tmp_path) == names
+    assert stored_as_numbers(tmp_path) == [*names, "validity"]

@@ -19,17 +19,25 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.output import parquet
 from accelcal_cli.output.files import refuse_foreign, written_by_us
-from accelcal_cli.output.parquet import Column, ParquetSink, columns_of
+from accelcal_cli.output.parquet import (
+    NO_RATE,
+    NO_TEMPERATURE_MC,
+    Column,
+    Numbers,
+    ParquetSink,
+    columns_of,
+)
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
+    """As a sink takes them: temperatures in thousandths of a degree, rates in counts."""
     random = np.random.RandomState(3)
     held = [1_700_000_000_000_000 + 10_000 * np.arange(number, dtype=np.int64)]
     held += [random.randn(number).astype(np.float32) for _ in range(3)]
     if temperature:
-        held.append(np.repeat(np.float32(30.5), number))
+        held.append(np.repeat(np.int32(30_500), number))
     if gyroscope:
-        held += [random.randn(number).astype(np.float32) for _ in range(3)]
+        held += [random.randint(-(1 << 15), 1 << 15, number) for _ in range(3)]
     return [*held, random.randint(0, 4, number).astype(np.uint8)]
 
 
@@ -47,7 +55,8 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
         has_gyroscope=gyroscope,
         utc_offset_s=3600 if utc else None,
     )
-    return columns_of(Recording(Path("a"), "csv", 100.0, 256.0, 0), facts, "")
+    recording = Recording(Path("a"), "csv", 100.0, 256.0, 0, gyro_dps_per_lsb=(0.1, 0.2, 0.3))
+    return columns_of(recording, facts)
 
 
 def write(path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
@@ -82,6 +91,8 @@ def test_pandas_reads_the_same_values(tmp_path: Path) -> None:
     frame = pd.read_parquet(path)
     assert (frame["time"].to_numpy("datetime64[us]").astype(np.int64) == held[0]).all()
     assert (frame["x"].to_numpy() == held[1]).all()
+    assert (frame["temperature"].to_numpy() == np.float32(30.5)).all()
+    assert (frame["gy"].to_numpy() == (held[6] * 0.2).astype(np.float32)).all()
     assert (frame["validity"].to_numpy() == held[-1]).all()
 
 
@@ -99,6 +110,47 @@ def test_the_bytes_do_not_depend_on_portions_or_threads(cuts: list[int]) -> None
         for threads in (1, 2, 4, 16):
             write(Path(name) / str(threads), kept, held, [0, *sorted(cuts), 5000], threads=threads)
         assert len({path.read_bytes() for path in Path(name).iterdir()}) == 1
+
+
+def test_rows_without_temperature_or_rates_have_none(tmp_path: Path) -> None:
+    path, held = tmp_path / "a.parquet", arrays(1000)
+    held[4][300:] = NO_TEMPERATURE_MC
+    held[5][:10] = NO_RATE
+    write(path, columns(temperature=True, gyroscope=True, utc=False), held, [0, 1000])
+    table = pq.read_table(path)
+    assert np.isnan(table["temperature"].to_numpy()).tolist() == [False] * 300 + [True] * 700
+    assert np.isnan(table["gx"].to_numpy()).tolist() == [True] * 10 + [False] * 990
+
+
+@pytest.mark.parametrize("spread", [1, 200, 2000, 70_000, 1 << 30], ids=str)
+@pytest.mark.parametrize("beside", [None, "temperature"])
+def test_numbers_are_written_whatever_their_range(tmp_path: Path, spread: int, beside: str | None) -> None:
+    random, rows = np.random.default_rng(spread), 100_001
+    warm = np.repeat(random.integers(20_000, 23_000, rows // 100 + 1), 100)[:rows].astype(np.int32)
+    numbers = random.integers(-spread, spread, rows).astype(np.int32)
+
+    def values(counts: np.ndarray, mc: np.ndarray | float = 0.0) -> np.ndarray:
+        return (counts / 256 + mc / 1000).astype(np.float32)
+
+    kept = columns(temperature=True, gyroscope=False, utc=False)
+    kept[1] = Column("x", "g", pa.float32(), never, Numbers(never, values, beside=beside))
+    held = arrays(rows, gyroscope=False)
+    held[1], held[4] = numbers, warm
+    write(tmp_path / "a", kept, held, [0, rows])
+    expected = values(numbers) if beside is None else values(numbers, warm)
+    assert (pq.read_table(tmp_path / "a")["x"].to_numpy() == expected).all()
+
+
+def never(*_: object) -> np.ndarray:
+    raise AssertionError
+
+
+@pytest.mark.parametrize(("repeat", "encoding"), [(1000, "PLAIN"), (1, "BYTE_STREAM_SPLIT")])
+def test_fractions_that_repeat_are_written_as_they_are(tmp_path: Path, repeat: int, encoding: str) -> None:
+    held = arrays(100_000, temperature=False, gyroscope=False)
+    held[2] = np.repeat(held[2][: 100_000 // repeat], repeat)
+    write(tmp_path / "a", columns(temperature=False, gyroscope=False, utc=False), held, [0, 100_000])
+    assert encoding in pq.ParquetFile(tmp_path / "a").metadata.row_group(0).column(2).encodings
 
 
 def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:

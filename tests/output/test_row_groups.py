@@ -49,11 +49,11 @@ def at_once(batches: list[pa.RecordBatch], **options: Any) -> bytes:
 
 
 def apart(batches: list[pa.RecordBatch], **options: Any) -> bytes:
-    data, footer = bytearray(MAGIC), Footer()
+    data, footer = bytearray(MAGIC), Footer(SCHEMA, **options)
     for one in batches:
-        group = encoded(one, **options)
+        group = encoded(one, {}, **options)
         footer.add(group, len(data))
-        data += group.body.to_pybytes()
+        data += b"".join(bytes(part) for part in group.parts)
     return bytes(data) + footer.tail()
 
 

@@ -1,0 +1,172 @@
+"""A column as Parquet's dictionary pages, made from whole numbers that its values follow from.
+
+Many columns hold few values: an axis that depends on one raw count, a temperature, a flag. pyarrow finds
+them by hashing every row, and packs their places in the dictionary into as few bits as they need, across the
+limits of bytes, so that the codec finds nothing in them. Here the numbers, less the smallest, are the
+places, one or two bytes each: that needs no search, and packs to two thirds of the values' own bytes.
+
+Source: parquet-format, Encodings.md (RLE_DICTIONARY: the width in bits, then runs; any width that holds the
+places is allowed) and parquet.thrift (PageHeader, ColumnMetaData).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from accelcal_cli.output import thrift
+from accelcal_cli.output.row_groups import MAGIC, PACKED, UNPACKED, ColumnChunk
+from accelcal_cli.output.thrift import BINARY, I32, I64, LIST, STRUCT, Struct
+
+MOST_VALUES = 1 << 16
+"""Of a dictionary: places take two bytes."""
+
+MOST_UNUSED = 1 << 11
+"""A dictionary of so many numbers may hold some that no row has; in a longer one they are left out."""
+
+MOST_SPAN = 1 << 20
+"""From the smallest number to the largest; those between are looked at one by one."""
+
+LEAST_RUN = 8
+"""Rows, in the mean, that numbers stay the same for, so that runs are looked at instead of rows."""
+
+DATA_PAGE, DICTIONARY_PAGE = 0, 2
+PLAIN, RLE, RLE_DICTIONARY = 0, 3, 8
+ZSTD = 6
+INT32, FLOAT = 1, 4
+PHYSICAL = {"float32": (FLOAT, "<f4"), "uint8": (INT32, "<i4")}
+"""Parquet's type of the values of a type of numpy, and how PLAIN stores them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where the rows of a column find their numbers.
+
+    Attributes:
+        present: whole numbers that rows may have, and no others; two arrays where a row has a pair of them.
+        of_rows: the place of each row's among them, in one or two bytes.
+    """
+
+    present: tuple[NDArray[Any], ...]
+    of_rows: NDArray[Any]
+
+
+def places(numbers: NDArray[Any]) -> Places | None:
+    """The places of (n,) whole numbers, of integers or floats; None if there are too many, or no rows."""
+    if not len(numbers):
+        return None
+    starts = np.flatnonzero(numbers[1:] != numbers[:-1]) + 1
+    if len(starts) * LEAST_RUN < len(numbers):
+        return _of_runs(numbers, np.concatenate([[0], starts, [len(numbers)]]))
+    low, high = numbers.min(), numbers.max()
+    span = float(high) - float(low) + 1
+    if not span <= MOST_SPAN:
+        return None
+    if span <= MOST_UNUSED:
+        return Places((_up_from(low, int(span)),), _narrow(np.subtract(numbers, low), int(span)))
+    return _without_unused(low, np.subtract(numbers, low).astype(np.intp), int(span))
+
+
+def _of_runs(numbers: NDArray[Any], edges: NDArray[Any]) -> Places | None:
+    """Of numbers that stay the same from edge to edge."""
+    present, at = np.unique(numbers[edges[:-1]], return_inverse=True)
+    if len(present) > MOST_VALUES:
+        return None
+    return Places((present,), np.repeat(_narrow(at, len(present)), np.diff(edges)))
+
+
+def _without_unused(low: Any, above: NDArray[np.intp], span: int) -> Places | None:
+    """Of numbers that lie so far above the lowest."""
+    has = np.zeros(span, bool)
+    has[above] = True
+    present = np.flatnonzero(has)
+    if len(present) > MOST_VALUES:
+        return None
+    rank = np.zeros(span, np.uint16)
+    rank[present] = np.arange(len(present))
+    return Places((low + present.astype(low.dtype),), _narrow(rank, len(present))[above])
+
+
+def _narrow(of_rows: NDArray[Any], number: int) -> NDArray[Any]:
+    return of_rows.astype(np.uint8 if number <= 256 else np.uint16)
+
+
+def paired(numbers: NDArray[Any], slow: Places) -> Places | None:
+    """The places of pairs: each row's number, and the one that it has in another column, of few.
+
+    None if there would be too many.
+    """
+    low, high = numbers.min(), numbers.max()
+    (others,) = slow.present
+    span = float(high) - float(low) + 1
+    if not span * len(others) <= MOST_VALUES:
+        return None
+    width = int(span)
+    of_rows = np.multiply(slow.of_rows, width, dtype=np.uint16)
+    of_rows += np.subtract(numbers, low).astype(np.uint16)
+    return Places((np.tile(_up_from(low, width), len(others)), np.repeat(others, width)), of_rows)
+
+
+def _up_from(low: Any, number: int) -> NDArray[Any]:
+    return np.asarray(low + np.arange(number, dtype=low.dtype))
+
+
+def dictionary_chunk(name: str, of_rows: NDArray[Any], kept: NDArray[Any], level: int) -> ColumnChunk:
+    """A column without missing values, packed with zstd.
+
+    Args:
+        of_rows: (n,) the place of each row's value, of one or two bytes.
+        kept: the values, in single precision, or as bytes.
+        level: of zstd.
+    """
+    kind, stored = PHYSICAL[kept.dtype.name]
+    codec = pa.Codec("zstd", compression_level=level)
+    first, first_unpacked = _page(
+        codec, kept.astype(stored).tobytes(), DICTIONARY_PAGE, 7, _of(len(kept), PLAIN)
+    )
+    about = [*_of(len(of_rows), RLE_DICTIONARY), (3, I32, RLE), (4, I32, RLE)]
+    second, second_unpacked = _page(codec, _bit_packed(of_rows), DATA_PAGE, 5, about)
+    meta: Struct = [
+        (1, I32, kind),
+        (2, LIST, (I32, [PLAIN, RLE, RLE_DICTIONARY])),
+        (3, LIST, (BINARY, [name.encode()])),
+        (4, I32, ZSTD),
+        (5, I64, len(of_rows)),
+        (UNPACKED, I64, first_unpacked + second_unpacked),
+        (PACKED, I64, len(first) + len(second)),
+        (9, I64, len(MAGIC) + len(first)),
+        (11, I64, len(MAGIC)),
+        (13, LIST, [_pages(DICTIONARY_PAGE, PLAIN), _pages(DATA_PAGE, RLE_DICTIONARY)]),
+    ]
+    return ColumnChunk(first + second, meta)
+
+
+def _bit_packed(of_rows: NDArray[Any]) -> bytes:
+    """The width of a place in bits, and all of them in one run; a run has a multiple of 8."""
+    groups = -(-len(of_rows) // 8)
+    head = bytes([8 * of_rows.itemsize]) + thrift.varint(groups << 1 | 1)
+    stored = of_rows.astype(of_rows.dtype.newbyteorder("<"), copy=False)
+    return head + stored.tobytes() + bytes((8 * groups - len(of_rows)) * of_rows.itemsize)
+
+
+def _of(number: int, encoding: int) -> Struct:
+    """How many values a page has, and their encoding."""
+    return [(1, I32, number), (2, I32, encoding)]
+
+
+def _page(codec: Any, data: bytes, kind: int, field: int, about: Struct) -> tuple[bytes, int]:
+    """A page with its head, and how long it is unpacked."""
+    packed = codec.compress(data, asbytes=True)
+    head = thrift.written(
+        [(1, I32, kind), (2, I32, len(data)), (3, I32, len(packed)), (field, STRUCT, about)]
+    )
+    return head + packed, len(head) + len(data)
+
+
+def _pages(kind: int, encoding: int) -> Struct:
+    """Statistics: one page of a kind."""
+    return [(1, I32, kind), (2, I32, encoding), (3, I32, 1)]

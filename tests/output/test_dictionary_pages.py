@@ -1,0 +1,83 @@
+"""Columns made of whole numbers: read back by other libraries, whatever rows and numbers there are."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from accelcal_cli.output.dictionary_pages import MOST_VALUES, dictionary_chunk, paired, places
+from accelcal_cli.output.row_groups import MAGIC, ColumnChunk, Footer, encoded
+
+SCHEMA = pa.schema([pa.field("n", pa.int64(), False), pa.field("v", pa.float32(), False)])
+
+
+def in_file(made: ColumnChunk, rows: int) -> bytes:
+    """A file of a counter and one made column."""
+    counter = pa.record_batch([pa.array(np.arange(rows))], schema=pa.schema([SCHEMA.field("n")]))
+    group, footer = encoded(counter, {1: made}, compression="zstd"), Footer(SCHEMA, compression="zstd")
+    footer.add(group, len(MAGIC))
+    return MAGIC + b"".join(bytes(part) for part in group.parts) + footer.tail()
+
+
+def written(numbers: np.ndarray[Any, Any]) -> bytes:
+    found = places(numbers)
+    assert found is not None
+    kept = (found.present[0] / 8).astype(np.float32)
+    return in_file(dictionary_chunk("v", found.of_rows, kept, 1), len(numbers))
+
+
+@given(
+    st.lists(st.integers(-(1 << 19), (1 << 19) - 1), min_size=1, max_size=300),
+    st.integers(1, 12),
+    st.sampled_from([np.int32, np.int64, np.float32]),
+)
+def test_pyarrow_reads_what_was_written(numbers: list[int], times: int, kind: type) -> None:
+    rows: np.ndarray[Any, Any] = np.repeat(np.array(numbers, kind), times)
+    read = pq.read_table(pa.BufferReader(written(rows)))["v"].to_numpy()
+    assert (read == (rows / 8).astype(np.float32)).all()
+
+
+@pytest.mark.parametrize("rows", [1, 7, 8, 9, 524_288])
+@pytest.mark.parametrize("spread", [3, 300, 60_000])
+def test_duckdb_reads_what_was_written(rows: int, spread: int) -> None:
+    numbers = np.random.default_rng(rows).integers(0, spread, rows).astype(np.int32)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.parquet"
+        path.write_bytes(written(numbers))
+        read = duckdb.execute(f"select v from '{path}' order by n").fetchnumpy()["v"]
+    assert (read == (numbers / 8).astype(np.float32)).all()
+
+
+def test_more_values_than_places_of_two_bytes_are_not_taken() -> None:
+    numbers = np.arange(MOST_VALUES + 1, dtype=np.int32)
+    assert places(numbers) is None
+    found = places(numbers[1:])
+    assert found is not None
+    assert found.of_rows.tolist() == list(range(MOST_VALUES))
+    assert places(numbers[:0]) is None
+
+
+def test_numbers_far_apart_or_beyond_all_bounds_are_not_taken() -> None:
+    low, high = np.iinfo(np.int32).min, np.iinfo(np.int32).max
+    assert places(np.array([low, high] * 9, np.int32)) is None
+    assert places(np.array([0.0, np.inf] * 9, np.float32)) is None
+
+
+def test_pairs_have_one_place_each() -> None:
+    slow = places(np.repeat(np.array([500, -3], np.int32), [40, 60]))
+    assert slow is not None
+    numbers = np.tile(np.array([7, 9, -1, 7], np.int32), 25)
+    both = paired(numbers, slow)
+    assert both is not None
+    assert (both.present[0][both.of_rows] == numbers).all()
+    assert both.present[1][both.of_rows].tolist() == [500] * 40 + [-3] * 60
+    assert paired(np.arange(100, dtype=np.int32) * 400, slow) is None
