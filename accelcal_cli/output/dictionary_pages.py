@@ -67,7 +67,9 @@ def places(numbers: NDArray[Any]) -> Places | None:
     if not span <= MOST_SPAN:
         return None
     if span <= MOST_UNUSED:
-        return Places((_up_from(low, int(span)),), _narrow(np.subtract(numbers, low), int(span)))
+        return Places(
+            (_up_from(low, int(span)),), _above(low, numbers, np.uint8 if span <= 256 else np.uint16)
+        )
     return _without_unused(low, np.subtract(numbers, low).astype(np.intp), int(span))
 
 
@@ -106,9 +108,16 @@ def paired(numbers: NDArray[Any], slow: Places) -> Places | None:
     if not span * len(others) <= MOST_VALUES:
         return None
     width = int(span)
-    of_rows = np.multiply(slow.of_rows, width, dtype=np.uint16)
-    of_rows += np.subtract(numbers, low).astype(np.uint16)
+    of_rows = _above(low, numbers, np.uint16)
+    of_rows += np.multiply(slow.of_rows, width, dtype=np.uint16)
     return Places((np.tile(_up_from(low, width), len(others)), np.repeat(others, width)), of_rows)
+
+
+def _above(low: Any, numbers: NDArray[Any], kind: type) -> NDArray[Any]:
+    """How far numbers lie above the lowest, without a copy of them all in their own type."""
+    above: NDArray[Any] = np.empty(len(numbers), kind)
+    np.subtract(numbers, low, out=above, casting="unsafe")
+    return above
 
 
 def _up_from(low: Any, number: int) -> NDArray[Any]:
@@ -137,20 +146,24 @@ def dictionary_chunk(name: str, of_rows: NDArray[Any], kept: NDArray[Any], level
         (4, I32, ZSTD),
         (5, I64, len(of_rows)),
         (UNPACKED, I64, first_unpacked + second_unpacked),
-        (PACKED, I64, len(first) + len(second)),
-        (9, I64, len(MAGIC) + len(first)),
+        (PACKED, I64, sum(map(len, first + second))),
+        (9, I64, len(MAGIC) + sum(map(len, first))),
         (11, I64, len(MAGIC)),
         (13, LIST, [_pages(DICTIONARY_PAGE, PLAIN), _pages(DATA_PAGE, RLE_DICTIONARY)]),
     ]
     return ColumnChunk(first + second, meta)
 
 
-def _bit_packed(of_rows: NDArray[Any]) -> bytes:
+def _bit_packed(of_rows: NDArray[Any]) -> NDArray[np.uint8]:
     """The width of a place in bits, and all of them in one run; a run has a multiple of 8."""
     groups = -(-len(of_rows) // 8)
-    head = bytes([8 * of_rows.itemsize]) + thrift.varint(groups << 1 | 1)
-    stored = of_rows.astype(of_rows.dtype.newbyteorder("<"), copy=False)
-    return head + stored.tobytes() + bytes((8 * groups - len(of_rows)) * of_rows.itemsize)
+    width = of_rows.itemsize
+    head = bytes([8 * width]) + thrift.varint(groups << 1 | 1)
+    page = np.zeros(len(head) + 8 * groups * width, np.uint8)
+    page[: len(head)] = list(head)
+    rows = page[len(head) : len(head) + len(of_rows) * width]
+    rows[:] = of_rows.astype(of_rows.dtype.newbyteorder("<"), copy=False).view(np.uint8)
+    return page
 
 
 def _of(number: int, encoding: int) -> Struct:
@@ -158,13 +171,13 @@ def _of(number: int, encoding: int) -> Struct:
     return [(1, I32, number), (2, I32, encoding)]
 
 
-def _page(codec: Any, data: bytes, kind: int, field: int, about: Struct) -> tuple[bytes, int]:
-    """A page with its head, and how long it is unpacked."""
-    packed = codec.compress(data, asbytes=True)
+def _page(codec: Any, data: Any, kind: int, field: int, about: Struct) -> tuple[list[Any], int]:
+    """A page, its head first, and how long it is unpacked."""
+    packed = codec.compress(data, asbytes=True)  # a buffer of Arrow keeps the memory of the longest result
     head = thrift.written(
         [(1, I32, kind), (2, I32, len(data)), (3, I32, len(packed)), (field, STRUCT, about)]
     )
-    return head + packed, len(head) + len(data)
+    return [head, packed], len(head) + len(data)
 
 
 def _pages(kind: int, encoding: int) -> Struct:

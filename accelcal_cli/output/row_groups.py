@@ -40,10 +40,10 @@ class ColumnChunk:
     """A column of a row group as bytes.
 
     Attributes:
-        meta: its ColumnMetaData, as in a file with nothing else: `body` begins behind MAGIC.
+        meta: its ColumnMetaData, as in a file with nothing else: its parts begin behind MAGIC.
     """
 
-    body: bytes
+    parts: list[pa.Buffer | bytes]
     meta: Struct
 
 
@@ -73,8 +73,8 @@ def encoded(table: pa.RecordBatch, made: Mapping[int, ColumnChunk], **options: A
     parts, at = [whole[len(MAGIC) : end]], end
     for place, chunk in sorted(made.items()):
         fields = _with(fields, place, _moved(chunk.meta, PAGE_OFFSETS, at - len(MAGIC)))
-        parts.append(chunk.body)
-        at += len(chunk.body)
+        parts += chunk.parts
+        at += sum(map(len, chunk.parts))
     return EncodedGroup(parts, table.num_rows, fields)
 
 
