@@ -277,8 +277,8 @@ def test_it_beats_while_it_is_held_and_not_when_it_is_lost(tmp_path: Path, monke
     monkeypatch.setattr(heartbeat.os, "utime", touch)
     with held(path) as lease:
         assert touched.wait(60)
-        path.unlink()
         heart = next(one for one in threading.enumerate() if one.name == "heartbeat")
+        path.unlink()
         heart.join(60)
         with pytest.raises(LockedError, match="was removed"):
             lease.check()
