@@ -3,7 +3,7 @@
 Many columns hold few values: an axis that depends on one raw count, a temperature, a flag. pyarrow finds
 them by hashing every row, and packs their places in the dictionary into as few bits as they need, across the
 limits of bytes, so that the codec finds nothing in them. Here the numbers, less the smallest, are the
-places, one or two bytes each: that needs no search, and packs to two thirds of the values' own bytes.
+places, one or two bytes each: that needs no search, and packs better than the values' own bytes.
 
 Source: parquet-format, Encodings.md (RLE_DICTIONARY: the width in bits, then runs; any width that holds the
 places is allowed) and parquet.thrift (PageHeader, ColumnMetaData).
@@ -70,7 +70,7 @@ def places(numbers: NDArray[Any]) -> Places | None:
         return Places(
             (_up_from(low, int(span)),), _above(low, numbers, np.uint8 if span <= 256 else np.uint16)
         )
-    return _without_unused(low, np.subtract(numbers, low).astype(np.intp), int(span))
+    return _without_unused(low, _above(low, numbers, np.intp), int(span))
 
 
 def _of_runs(numbers: NDArray[Any], edges: NDArray[Any]) -> Places | None:
@@ -105,12 +105,20 @@ def paired(numbers: NDArray[Any], slow: Places) -> Places | None:
     low, high = numbers.min(), numbers.max()
     (others,) = slow.present
     span = float(high) - float(low) + 1
-    if not span * len(others) <= MOST_VALUES:
+    if not span * len(others) <= MOST_SPAN:
         return None
     width = int(span)
-    of_rows = _above(low, numbers, np.uint16)
-    of_rows += np.multiply(slow.of_rows, width, dtype=np.uint16)
-    return Places((np.tile(_up_from(low, width), len(others)), np.repeat(others, width)), of_rows)
+    if width * len(others) < MOST_VALUES:
+        of_rows = _above(low, numbers, np.uint16)
+        of_rows += np.multiply(slow.of_rows, width, dtype=np.uint16)
+        return Places((np.tile(_up_from(low, width), len(others)), np.repeat(others, width)), of_rows)
+    above = _above(low, numbers, np.intp)
+    above += np.multiply(slow.of_rows, width, dtype=np.intp)
+    found = _without_unused(np.intp(0), above, width * len(others))
+    if found is None:
+        return None
+    row, column = np.divmod(found.present[0], width)
+    return Places((low + column.astype(low.dtype), others[row]), found.of_rows)
 
 
 def _above(low: Any, numbers: NDArray[Any], kind: type) -> NDArray[Any]:

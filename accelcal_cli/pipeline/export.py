@@ -23,6 +23,9 @@ if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to 
 
 BLOCK_ROWS = 1 << 14
 
+FINEST = 1 << 20
+"""Steps or counts of one g; more are too many values for a table, as those of a text are."""
+
 NEGATIVE_ZERO = -1
 """Stands for a zero with a sign, which no whole number has, among halves of steps."""
 
@@ -74,9 +77,12 @@ class Transform:
         return xyz
 
     def of_one_count(self, axis: int) -> bool:
-        """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else."""
-        others = self._others(axis)
-        return self.course is None and not self.gain[axis, others].any()
+        """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else.
+
+        A negative scale makes zeros with a sign, which the products of the other axes take from them.
+        """
+        others, scale = self.gain[axis, self._others(axis)], self.gain[axis, axis]
+        return bool(self.course is None and scale > 0 and not others.any())
 
     def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
@@ -181,11 +187,13 @@ def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Nu
     from accelcal_cli.output.parquet import TEMPERATURE, Numbers
 
     steps = transform.steps_per_g
-    if steps is not None:
+    if steps is not None and steps <= FINEST:
         return {
             name: Numbers(partial(_half_steps, axis, steps), partial(_of_half_steps, steps), np.float32)
             for axis, name in enumerate("xyz")
         }
+    if transform.lsb_per_g > FINEST:
+        return {}
     warm = has_temperature & (transform.slope_g_per_c != 0)
     return {
         name: Numbers(

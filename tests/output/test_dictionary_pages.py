@@ -6,7 +6,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-import duckdb
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -49,6 +48,7 @@ def test_pyarrow_reads_what_was_written(numbers: list[int], times: int, kind: ty
 @pytest.mark.parametrize("rows", [1, 7, 8, 9, 524_288])
 @pytest.mark.parametrize("spread", [3, 300, 60_000])
 def test_duckdb_reads_what_was_written(rows: int, spread: int) -> None:
+    duckdb = pytest.importorskip("duckdb")
     numbers = np.random.default_rng(rows).integers(0, spread, rows).astype(np.int32)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "a.parquet"
@@ -72,12 +72,26 @@ def test_numbers_far_apart_or_beyond_all_bounds_are_not_taken() -> None:
     assert places(np.array([0.0, np.inf] * 9, np.float32)) is None
 
 
-def test_pairs_have_one_place_each() -> None:
-    slow = places(np.repeat(np.array([500, -3], np.int32), [40, 60]))
+@pytest.mark.parametrize("span", [9, 32_767, 32_768, 65_535, 65_536, 100_000])
+@pytest.mark.parametrize("others", [[500], [500, -3]])
+def test_pairs_have_one_place_each(span: int, others: list[int]) -> None:
+    rows = 60_000
+    slow = places(np.repeat(np.array(others, np.int32), rows // len(others)))
     assert slow is not None
-    numbers = np.tile(np.array([7, 9, -1, 7], np.int32), 25)
+    numbers = np.random.default_rng(span).integers(-7, span - 7, rows).astype(np.int32)
+    numbers[:2] = -7, span - 8
     both = paired(numbers, slow)
     assert both is not None
     assert (both.present[0][both.of_rows] == numbers).all()
-    assert both.present[1][both.of_rows].tolist() == [500] * 40 + [-3] * 60
-    assert paired(np.arange(100, dtype=np.int32) * 400, slow) is None
+    assert (both.present[1][both.of_rows] == slow.present[0][slow.of_rows]).all()
+    kept = (both.present[0] / 8 + both.present[1]).astype(np.float32)
+    read = pq.read_table(pa.BufferReader(in_file(dictionary_chunk("v", both.of_rows, kept, 1), rows)))["v"]
+    assert (read.to_numpy() == kept[both.of_rows]).all()
+
+
+def test_too_many_pairs_are_not_taken() -> None:
+    slow = places(np.repeat(np.arange(2, dtype=np.int32), MOST_VALUES))
+    assert slow is not None
+    numbers = np.arange(2 * MOST_VALUES, dtype=np.int32)
+    assert paired(numbers, slow) is None
+    assert paired(numbers * 8, slow) is None

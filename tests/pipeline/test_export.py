@@ -33,6 +33,8 @@ def transform(gain: Any, slope: Any = (0, 0, 0), steps: float | None = None) -> 
         (transform(NEARLY_DIAGONAL), "yz"),
         (transform(LOWER, SLOPE, steps=4096.0), "xyz"),
         (transform(LOWER, steps=2.0), "xyz"),
+        (transform(LOWER, steps=2.0**140), "x"),
+        (transform(np.diag([1.02, -0.98, 1.01])), "xz"),
     ],
 )
 @pytest.mark.parametrize("warm", [None, WARM])
@@ -51,6 +53,11 @@ def test_values_of_the_numbers_have_the_bits_of_the_calibrated_ones(
         assert (values.view(np.uint32) == expected.view(np.uint32)).all()
     if applied.steps_per_g == 2.0:
         assert (np.signbit(xyz[0]) & (xyz[0] == 0)).any()  # zeros with a sign are among them
+
+
+def test_values_of_a_text_are_too_fine_for_a_table() -> None:
+    fine = Transform(np.eye(3), OFFSET, np.zeros(3), 24.5, 2.0**24)
+    assert numbers_of_axes(fine, has_temperature=False) == {}
 
 
 def test_the_temperature_is_looked_at_only_where_it_counts() -> None:
