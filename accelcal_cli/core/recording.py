@@ -243,6 +243,12 @@ class Chunk:
         )
 
 
+def in_columns(chunk: Chunk) -> Chunk:
+    """The same rows, the counts of each axis one behind the other: that is how most are read."""
+    counts: Any = np.asfortranarray(chunk.counts)
+    return replace(chunk, counts=counts)
+
+
 def joined(chunks: Sequence[Chunk]) -> Chunk:
     """Chunks that follow one another, at least one, as a single one."""
     if len(chunks) == 1:

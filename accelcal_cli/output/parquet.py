@@ -283,11 +283,6 @@ def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArra
     return [column.values(chunk, xyz) for column in columns]
 
 
-def stored_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArray[Any]]:
-    """A chunk's rows as `ParquetSink.write` takes them: one array a column."""
-    return [column.stored(chunk, xyz) for column in columns]
-
-
 class ParquetSink:
     """Takes rows in any portions and writes them to a file that the caller made.
 
@@ -334,18 +329,30 @@ class ParquetSink:
         return [np.empty(ROW_GROUP_ROWS, column.dtype) for column in self.columns]
 
     def write(self, arrays: list[NDArray[Any]]) -> None:
-        """Take rows: one array a column, as `stored_of` gives them.
+        """Take rows: one array a column, its values or the numbers that they follow from.
 
         Raises:
             OutputError: the disk is full, or fails.
         """
-        start, stop = 0, len(arrays[0])
-        while start < stop:
-            take = min(stop - start, ROW_GROUP_ROWS - self._rows)
-            for column, array in zip(self._spare[-1], arrays, strict=True):
-                column[self._rows : self._rows + take] = array[start : start + take]
-            self._rows += take
-            start += take
+        for rows, columns in self.room(len(arrays[0])):
+            for (_, memory), array in zip(columns, arrays, strict=True):
+                memory[:] = array[rows]
+
+    def room(self, number: int) -> Iterator[tuple[slice, list[tuple[Column, NDArray[Any]]]]]:
+        """Memory for so many rows, some of them at a time: which these are, and where each column goes.
+
+        What stands there when the next rows are asked for is taken.
+
+        Raises:
+            OutputError: the disk is full, or fails.
+        """
+        start = 0
+        while start < number:
+            rows = slice(start, min(number, start + ROW_GROUP_ROWS - self._rows))
+            here = slice(self._rows, self._rows + rows.stop - start)
+            free = [memory[here] for memory in self._spare[-1]]
+            yield rows, list(zip(self.columns, free, strict=True))
+            self._rows, start = here.stop, rows.stop
             if self._rows == ROW_GROUP_ROWS:
                 self._flush()
 

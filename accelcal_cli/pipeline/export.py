@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, frexp, log2
 from typing import TYPE_CHECKING, Any, Protocol
@@ -30,6 +30,9 @@ NEGATIVE_ZERO = -1
 """Stands for a zero with a sign, which no whole number has, among halves of steps."""
 
 Floats = NDArray[np.float64]
+
+Axes = list[NDArray[np.float32]]
+"""Calibrated x, y, z [g]."""
 
 
 class Rows(Protocol):
@@ -67,14 +70,26 @@ class Transform:
     steps_per_g: float | None = None
     course: Course | None = None
 
-    def apply(self, chunk: Rows) -> list[NDArray[np.float32]]:
-        """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
-        xyz = [np.empty(len(chunk), np.float32) for _ in range(3)]
-        buffers = np.empty((6, BLOCK_ROWS))
+    def apply(self, chunk: Rows, into: Axes | None = None) -> Axes:
+        """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single.
+
+        Args:
+            into: takes them, (n,) each; None: memory of their own.
+        """
+        xyz = [np.empty(len(chunk), np.float32) for _ in range(3)] if into is None else into
+        buffers, same = np.empty((6, BLOCK_ROWS)), self._in_counts()
         for start in range(0, len(chunk), BLOCK_ROWS):
             part = slice(start, min(start + BLOCK_ROWS, len(chunk)))
-            self._block(chunk, part, buffers[:, : part.stop - start], xyz)
+            same._block(chunk, part, buffers[:, : part.stop - start], xyz)
         return xyz
+
+    def _in_counts(self) -> Transform:
+        """The same for counts that are not divided: of a power of two in 1 g no bit changes."""
+        if frexp(self.lsb_per_g)[0] != 0.5 or self.course is not None:
+            return self
+        offset, slope = self.offset_g * self.lsb_per_g, self.slope_g_per_c * self.lsb_per_g
+        gain = self.gain / self.lsb_per_g
+        return replace(self, gain=gain, offset_g=offset, slope_g_per_c=slope, lsb_per_g=1.0)
 
     def of_one_count(self, axis: int) -> bool:
         """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else.
@@ -84,15 +99,15 @@ class Transform:
         others, scale = self.gain[axis, self._others(axis)], self.gain[axis, axis]
         return bool(self.course is None and scale > 0 and not others.any())
 
-    def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: list[NDArray[np.float32]]) -> None:
+    def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: Axes) -> None:
         """Rows that the processor's cache holds, in memory that is used again."""
         shifted, total, product, warmth = buffers[:3], buffers[3], buffers[4], buffers[5]
         warm = self._warmer(chunk, part, warmth)
         right = None if self.course is None else self.course.values(chunk.first_sample + _numbers(part))
-        exact = frexp(self.lsb_per_g)[0] == 0.5  # then its inverse has the same bits, in less time
-        scaled, by = (np.multiply, 1 / self.lsb_per_g) if exact else (np.divide, self.lsb_per_g)
         for axis in range(3):
-            scaled(chunk.counts[part, axis], by, out=shifted[axis])
+            shifted[axis] = chunk.counts[part, axis]
+            if self.lsb_per_g != 1:
+                shifted[axis] /= self.lsb_per_g
             if right is not None:
                 shifted[axis] *= right[0][:, axis]
                 shifted[axis] += right[1][:, axis]
@@ -156,7 +171,7 @@ def transform_of(data: ReportInput) -> Transform:
 
 def calibrated(
     chunks: Iterable[Chunk], transform: Transform, progress: Progress
-) -> Iterator[tuple[Chunk, list[NDArray[np.float32]]]]:
+) -> Iterator[tuple[Chunk, Axes]]:
     """A recording's chunks, none of them empty, each with its calibrated x, y, z [g]."""
     for chunk in chunks:
         if len(chunk):
@@ -164,7 +179,7 @@ def calibrated(
         progress(chunk.end_byte)
 
 
-def beyond(xyz: list[NDArray[np.float32]], range_g: float | None) -> int:
+def beyond(xyz: Axes, range_g: float | None) -> int:
     """How many calibrated samples lie beyond the sensor's range."""
     if range_g is None or all(-range_g <= v.min() and v.max() <= range_g for v in xyz):
         return 0
@@ -206,9 +221,7 @@ def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Nu
     }
 
 
-def _half_steps(
-    axis: int, steps_per_g: float, _chunk: Chunk, xyz: list[NDArray[np.float32]]
-) -> NDArray[np.float32]:
+def _half_steps(axis: int, steps_per_g: float, _chunk: Chunk, xyz: Axes) -> NDArray[np.float32]:
     """Halves of steps, of which only whole steps occur, and NEGATIVE_ZERO; powers of two round nothing."""
     values = xyz[axis]
     halves = values * np.float32(2 * steps_per_g)
@@ -220,7 +233,7 @@ def _of_half_steps(steps_per_g: float, halves: NDArray[np.float32]) -> NDArray[n
     return np.where(halves == NEGATIVE_ZERO, np.float32(-0.0), halves / np.float32(2 * steps_per_g))
 
 
-def _counts(axis: int, chunk: Chunk, _xyz: list[NDArray[np.float32]]) -> NDArray[Any]:
+def _counts(axis: int, chunk: Chunk, _xyz: Axes) -> NDArray[Any]:
     return chunk.counts[:, axis]
 
 
@@ -268,11 +281,20 @@ def write_calibrated(
     Raises:
         OutputError: the output cannot be written.
     """
-    from accelcal_cli.output.parquet import stored_of
-
-    total, recording = 0, data.recording
-    read = prefetch(iter(chunks), threads - 1)  # of two threads one reads and calibrates
-    for chunk, xyz in prefetch(calibrated(read, transform_of(data), progress), threads):
-        total += beyond(xyz, recording.range_g)
-        sink.write(stored_of(sink.columns, chunk, xyz))
+    applied, range_g, total = transform_of(data), data.recording.range_g, 0
+    for chunk in prefetch(iter(chunks), threads - 1):  # of two threads this one reads, too
+        for rows, columns in sink.room(len(chunk)):
+            total += beyond(_fill(columns, chunk.part(rows.start, rows.stop), applied), range_g)
+        progress(chunk.end_byte)
     return total
+
+
+def _fill(columns: Sequence[tuple[Column, NDArray[Any]]], rows: Chunk, transform: Transform) -> Axes:
+    """Put rows where a sink wants them: an axis that is stored as it is, there at once; returns all three."""
+    held = {column.name: memory for column, memory in columns if column.numbers is None}
+    xyz = transform.apply(rows, [held.get(name, np.empty(len(rows), np.float32)) for name in "xyz"])
+    for column, memory in columns:
+        stored = column.stored(rows, xyz)
+        if stored is not memory:
+            memory[:] = stored
+    return xyz

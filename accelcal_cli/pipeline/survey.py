@@ -34,7 +34,7 @@ from accelcal_cli.core.points import (
     joined_windows,
 )
 from accelcal_cli.core.prior import POPULATION, Prior
-from accelcal_cli.core.recording import Chunk, Intake, PlacedFile, Reader, Recording, clipped_at
+from accelcal_cli.core.recording import Chunk, Intake, PlacedFile, Reader, Recording, clipped_at, in_columns
 from accelcal_cli.core.results import Change, Facts, Judgement
 from accelcal_cli.core.settings import LEARNT_PRIORS, NEVER, NO_PRIOR, PAPER, Settings
 from accelcal_cli.formats import open_recording
@@ -487,7 +487,8 @@ class MarkingReader(Reader):
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
         """See `Reader`."""
-        return (with_clipping(chunk, self.recording) for chunk in self.reader.chunks(chunk_samples))
+        chunks = map(in_columns, self.reader.chunks(chunk_samples))
+        return (with_clipping(chunk, self.recording) for chunk in chunks)
 
     def intake(self) -> Intake:
         """See `Reader`."""

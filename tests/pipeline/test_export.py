@@ -55,6 +55,25 @@ def test_values_of_the_numbers_have_the_bits_of_the_calibrated_ones(
         assert (np.signbit(xyz[0]) & (xyz[0] == 0)).any()  # zeros with a sign are among them
 
 
+@pytest.mark.parametrize("lsb_per_g", [256.0, 2048.0, 300.0])
+@pytest.mark.parametrize("gain", [LOWER, NEARLY_DIAGONAL])
+@pytest.mark.parametrize("layout", ["C", "F"])
+def test_values_have_the_bits_of_the_formula(lsb_per_g: float, gain: Any, layout: Any) -> None:
+    applied = Transform(gain, OFFSET, SLOPE, 24.5, lsb_per_g)
+    counts = np.array(COUNTS, order=layout)
+    memory = [np.full(ROWS, np.nan, np.float32) for _ in range(3)]
+    xyz = applied.apply(Chunk(0, counts, StampClock(np.arange(ROWS)), 0, temperature_mc=WARM), memory)
+    assert all(values is held for values, held in zip(xyz, memory, strict=True))
+    warmth = WARM / 1000.0 - 24.5
+    v = [COUNTS[:, axis] / lsb_per_g + OFFSET[axis] + warmth * SLOPE[axis] for axis in range(3)]
+    for row, values in enumerate(xyz):
+        expected = gain[row, row] * v[row]
+        for column in range(3):
+            if column != row:
+                expected = expected + gain[row, column] * v[column]
+        assert (values == expected.astype(np.float32)).all()
+
+
 def test_values_of_a_text_are_too_fine_for_a_table() -> None:
     fine = Transform(np.eye(3), OFFSET, np.zeros(3), 24.5, 2.0**24)
     assert numbers_of_axes(fine, has_temperature=False) == {}

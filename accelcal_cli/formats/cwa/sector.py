@@ -427,17 +427,17 @@ def _samples(sectors: Sectors, settings: Settings) -> tuple[NDArray[np.int16], N
 
 
 def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArray[np.int16]:
-    """Samples of all sectors one after the other, (n, 3) in memory of their own.
+    """Samples of all sectors one after the other, (n, 3) in memory of their own, one axis behind the other.
 
     Args:
         values: (p, rows, 3).
         rows: how many of each sector's are used, None if all are.
     """
     if rows is not None:
-        return values[np.arange(values.shape[1]) < rows[:, None]]
-    joined = np.empty(values.shape, np.int16)
-    joined[:] = values
-    return joined.reshape(-1, 3)
+        return np.asfortranarray(values[np.arange(values.shape[1]) < rows[:, None]])
+    axes = np.empty((3, *values.shape[:2]), np.int16)
+    axes[:] = values.transpose(2, 0, 1)
+    return axes.reshape(3, -1).T
 
 
 def unpacked(sectors: Sectors) -> NDArray[np.int16]:
@@ -449,11 +449,11 @@ def unpacked(sectors: Sectors) -> NDArray[np.int16]:
     halves = sectors["data"].copy().view(FIELDS)
     low, high = halves["low"], halves["high"]
     factor = (np.int16(1) << (high >> np.uint16(14)).astype(np.int16)).astype(np.int16)
-    counts = np.empty((len(sectors), FULL_ROWS[PACKED], 3), np.int16)
+    counts = np.empty((3, len(sectors), FULL_ROWS[PACKED]), np.int16)
     y = (high << np.uint16(12)) | ((low >> np.uint16(4)) & np.uint16(0x0FC0))
     for axis, top in enumerate((low << np.uint16(6), y, high << np.uint16(2))):
-        np.multiply(top.view(np.int16) >> 6, factor, out=counts[:, :, axis])
-    return counts
+        np.multiply(top.view(np.int16) >> 6, factor, out=counts[axis])
+    return counts.transpose(1, 2, 0)
 
 
 @dataclass(frozen=True, slots=True)
