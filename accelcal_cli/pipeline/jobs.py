@@ -38,6 +38,9 @@ PAGE_SUFFIX = ".html"
 PARQUET, JSON = ".parquet", ".json"
 DEFAULT_CHUNK_SAMPLES = 1 << 18
 
+HASHED_BYTES = 1 << 22
+"""Of a file are hashed at a time: for each portion Python's lock is waited for, beside a thread that fits."""
+
 FileStamp = tuple[int, int]
 """Size [bytes] and time of the last change [ns since 1970] of a file."""
 
@@ -224,7 +227,10 @@ def sha256(path: Path) -> str:
         return hashlib.sha256("".join(lines).encode()).hexdigest()
     try:
         with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+            digest, block = hashlib.sha256(), memoryview(bytearray(HASHED_BYTES))
+            while size := file.readinto(block):
+                digest.update(block[:size])
+            return digest.hexdigest()
     except OSError as error:
         raise UnreadableError(f"cannot be read ({error.strerror or error})", path=path) from error
 
