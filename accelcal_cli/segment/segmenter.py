@@ -65,7 +65,8 @@ class Blocks:
         temperature_mc = self.rows.temperature_mc
         if temperature_mc is None:
             return None
-        return np.asarray(temperature_mc.reshape(len(self), -1).sum(axis=1, dtype=np.int64))
+        largest = max(-int(temperature_mc.min()), int(temperature_mc.max()))
+        return exact_sums(temperature_mc.reshape(len(self), -1), self.length * largest)
 
     def windows(self, which: NDArray[np.bool_]) -> Windows:
         """The windows of a mask."""
@@ -271,7 +272,7 @@ class Segmenter:
 
     def _blocks(self, rows: Chunk) -> Blocks:
         number = len(rows) // self.length
-        columns = np.ascontiguousarray(rows.counts.T).reshape(3, number, self.length)
+        columns = rows.counts.T.reshape(3, number, self.length)
         low, high = columns.min(axis=2).astype(np.int64), columns.max(axis=2).astype(np.int64)
         sums = exact_sums(columns, self.length * (1 << 8 * columns.itemsize - 1))
         usable = self._usable(rows, number)

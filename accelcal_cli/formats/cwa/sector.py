@@ -389,7 +389,8 @@ def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) ->
     rows = sectors["count"].astype(np.int64)
     used = rows if bool((rows < settings.rows).any()) else None
     accel, gyro = _samples(sectors, settings)
-    channels: Channels = {name: np.repeat(values, rows) for name, values in _measured(sectors, settings)}
+    each = settings.rows if used is None else rows
+    channels: Channels = {name: _repeated(values, each) for name, values in _measured(sectors, settings)}
     if gyro is not None and settings.gyro_dps_per_lsb:
         channels["gyro_counts"] = _joined(gyro, used)
     return SectorBlock(
@@ -424,6 +425,13 @@ def _samples(sectors: Sectors, settings: Settings) -> tuple[NDArray[np.int16], N
     if settings.width == 3:
         return values, None
     return values[:, :, 3:6], values[:, :, :3]
+
+
+def _repeated(values: NDArray[np.int32], rows: int | NDArray[np.int64]) -> NDArray[np.int32]:
+    """A value of each sector in all of its rows, of which each has as many, or its own number."""
+    if isinstance(rows, int):  # np.repeat keeps other threads waiting
+        return np.broadcast_to(values[:, np.newaxis], (len(values), rows)).copy().reshape(-1)
+    return np.repeat(values, rows)
 
 
 def _joined(values: NDArray[np.int16], rows: NDArray[np.int64] | None) -> NDArray[np.int16]:
