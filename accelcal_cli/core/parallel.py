@@ -1,9 +1,8 @@
 """The one place where threads are started.
 
-`prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a
-time, `background_call` makes one call beside the work of a block, `BackgroundCalls` several, one after
-another, `OrderedCalls` several side by side, `BackgroundWriter` hands the bytes of a file to the system that
-way, and `thread_pool` is there for what fits none of them.
+`prefetch` takes the items of an iterator ahead of their use, `parallel_map` and `parallel_pull` work on
+several items at a time, `background_call` makes one call beside the work of a block, `BackgroundCalls`
+several, one after another, and `thread_pool` is there for what fits none of them.
 Results come in the order of the items, whatever the number of threads.
 """
 
@@ -15,10 +14,7 @@ from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
 from threading import Lock
-from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar, cast
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer as Buffer
+from typing import Any, TypeVar, cast
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -74,12 +70,18 @@ class _Guarded:
 
     def __init__(self, items: Iterator[object]) -> None:
         self._items = items
+        self._number = -1
         self._lock = Lock()
         self._closed = False
 
     def next(self) -> object:
+        return self.numbered()[1]
+
+    def numbered(self) -> tuple[int, object]:
+        """The next item, _END if there is none, and how many came before it."""
         with self._lock:
-            return _END if self._closed else next(self._items, _END)
+            self._number += 1
+            return self._number, _END if self._closed else next(self._items, _END)
 
     def close(self) -> None:
         """Close the iterator, once nobody uses it."""
@@ -126,6 +128,44 @@ def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> It
         yield failed
 
 
+def parallel_pull(work: Callable[[T], R], items: Iterator[T], threads: int) -> Generator[R]:
+    """The work's results, in the order of the items, which the threads that work take themselves, one at a
+    time: while one takes an item, the others work.
+
+    What taking an item or working on it raises is raised here. Closing this closes the iterator.
+
+    Args:
+        threads: how many may work at a time; with one, each item is taken when its result is asked for.
+    """
+    if threads < 2:
+        yield from map(work, items)
+        return
+    source = _Guarded(items)
+    with ThreadPoolExecutor(threads, thread_name_prefix="parallel-pull") as pool:
+        waiting: deque[Future[list[tuple[int, R]]]] = deque()
+        results, number = dict[int, R](), 0
+        try:
+            for _ in range(threads + 1):
+                waiting.append(pool.submit(_pulled, work, source))
+            while waiting:
+                for place, result in waiting.popleft().result():
+                    waiting.append(pool.submit(_pulled, work, source))
+                    results[place] = result
+                while number in results:
+                    yield results.pop(number)
+                    number += 1
+        finally:
+            for future in waiting:
+                future.cancel()
+            source.close()
+
+
+def _pulled(work: Callable[[T], R], source: _Guarded) -> list[tuple[int, R]]:
+    """The number of the next item and the work's result; nothing if there is none."""
+    number, item = source.numbered()
+    return [] if item is _END else [(number, work(cast(T, item)))]
+
+
 @contextmanager
 def background_call(name: str, call: Callable[..., R], *arguments: Any) -> Iterator[Future[R]]:
     """A call made on a thread of this name beside the work of the block, which ends after it."""
@@ -153,85 +193,3 @@ class BackgroundCalls:
     def close(self) -> None:
         """End the thread, once all calls are made."""
         self._thread.shutdown()
-
-
-class OrderedCalls:
-    """Calls that several threads make side by side; their results are taken in the order of the calls."""
-
-    def __init__(self, threads: int, name: str) -> None:
-        """Start nothing yet.
-
-        Args:
-            threads: how many may work at a time; with one, a call is made when it is given.
-        """
-        self._threads = ThreadPoolExecutor(threads, thread_name_prefix=name) if threads > 1 else None
-        self._waiting: deque[Future[Any]] = deque()
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def submit(self, call: Callable[..., Any], *arguments: Any) -> None:
-        """Give a call to be made."""
-        if self._threads is not None:
-            self._waiting.append(self._threads.submit(call, *arguments))
-            return
-        done: Future[Any] = Future()
-        done.set_result(call(*arguments))
-        self._waiting.append(done)
-
-    def first(self) -> Any:
-        """The result of the first call whose result was not taken; raises what it raised."""
-        return self._waiting.popleft().result()
-
-    def close(self) -> None:
-        """End the threads, once all calls are made."""
-        if self._threads is not None:
-            self._threads.shutdown(cancel_futures=True)
-
-
-class BackgroundWriter:
-    """A binary file, open for writing, whose portions a thread of its own hands to the system.
-
-    Copying three hundred megabytes to the system's cache takes half a second and more, in which the
-    thread that makes them can go on.
-    """
-
-    def __init__(self, file: BinaryIO) -> None:
-        """Take over a file; it is closed with this one."""
-        self._file = file
-        self._taken = 0
-        self._calls = BackgroundCalls("background-writer")
-
-    @property
-    def closed(self) -> bool:
-        """Whether the file is closed."""
-        return self._file.closed
-
-    def tell(self) -> int:
-        """Bytes that were taken so far."""
-        return self._taken
-
-    def write(self, data: Buffer) -> int:
-        """Take bytes, to be written later; they stay as they are until then.
-
-        Raises:
-            OSError: some that were taken before could not be written.
-        """
-        size = memoryview(data).nbytes
-        self._calls.wait(DEPTH - 1)
-        self._calls.submit(self._file.write, data)
-        self._taken += size
-        return size
-
-    def flush(self) -> None:
-        """Wait until the system has all bytes; raises OSError if some could not be written."""
-        self._calls.wait()
-        self._file.flush()
-
-    def close(self) -> None:
-        """Write what is left, and close the file even if that fails; raises OSError."""
-        try:
-            self._calls.wait()
-        finally:
-            self._calls.close()
-            self._file.close()

@@ -27,7 +27,7 @@ MEMORY = Path("/proc/meminfo")
 FIRST_NUMBERS = "pid:[4026531836]"
 """The namespace of process numbers that a Linux host begins with (pid_namespaces(7), linux/proc_ns.h)."""
 
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
+TRIM_THRESHOLD, MMAP_THRESHOLD, ARENA_MAX = -1, -3, -8
 """Numbers of mallopt(3)'s parameters, from glibc's malloc.h."""
 
 PROCESS_QUERY_LIMITED_INFORMATION, ERROR_INVALID_PARAMETER, STILL_ACTIVE = 0x1000, 87, 259
@@ -206,7 +206,7 @@ def keep_freed_memory() -> bool:
         whether the C library took it.
     """
     mallopt = _of_glibc("mallopt")
-    wanted = ((MMAP_THRESHOLD, LARGEST_KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES))
+    wanted = ((MMAP_THRESHOLD, LARGEST_KEPT_BYTES), (TRIM_THRESHOLD, KEPT_BYTES), (ARENA_MAX, 1))
     return mallopt is not None and all(mallopt(name, value) for name, value in wanted)
 
 

@@ -31,7 +31,7 @@ from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, re
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
 from accelcal_cli.exports.smooth import smoothed
 from accelcal_cli.output.files import output_error, replacing
-from accelcal_cli.output.parquet import SOURCE_ROWS, Column, ParquetSink, stored_schema
+from accelcal_cli.output.parquet import SOURCE_ROWS, Column, ParquetSink, Stored, copied, stored_schema
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 
 STANDARD_GRAVITY = 9.80665
@@ -323,12 +323,16 @@ def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], writ
     columns = [Column(name, units[name], types[name], _never) for name in names]
     done: dict[str, Any] = {"smoothed": {"samples": about.smoothed}} if about.smoothed else {}
     done |= {"resampled_hz": about.rate_hz} if written.resampled else {}
+
+    def stored(rows: Rows) -> Stored:
+        written.count(rows)
+        x, y, z = np.ascontiguousarray(rows.xyz.T)
+        held = {"time": rows.time_us, "x": x, "y": y, "z": z, "temperature": rows.celsius, **rows.others}
+        return Stored([np.asarray(held[name]) for name in names])
+
     with ParquetSink(places[0], output, columns, {**about.said, **done}) as sink:
-        for rows in portions:
-            written.count(rows)
-            x, y, z = np.ascontiguousarray(rows.xyz.T)
-            held = {"time": rows.time_us, "x": x, "y": y, "z": z, "temperature": rows.celsius, **rows.others}
-            sink.write([np.asarray(held[name]) for name in names])
+        for _ in sink.write(map(stored, portions), copied):
+            pass
         sink.close()
 
 

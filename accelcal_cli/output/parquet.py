@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -23,14 +24,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, lacking
-from accelcal_cli.core.parallel import BackgroundWriter, OrderedCalls
+from accelcal_cli.core.parallel import BackgroundCalls, parallel_pull
 from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.zones import UNKNOWN, UTC
 from accelcal_cli.output.dictionary_pages import Places, dictionary_chunk, paired, places
 from accelcal_cli.output.files import output_error
-from accelcal_cli.output.row_groups import MAGIC, EncodedGroup, Footer, encoded
+from accelcal_cli.output.row_groups import MAGIC, ColumnChunk, EncodedGroup, Footer, encoded
 
 ROW_GROUP_ROWS = 1 << 19
 WRITE_BATCH_ROWS = 1 << 16
@@ -40,6 +41,9 @@ LEVEL = 1
 
 SAMPLED, MOST_DIFFERENT = 64, 0.6
 """Of how many rows one is looked at, and the share of different values up to which they repeat."""
+
+FLUSHED_BYTES = 1 << 25
+"""After so many the disk begins to write."""
 
 MOST_ENCODERS = 8
 """Row groups that are encoded side by side; each takes 11 MB, up to 26 with temperature and a gyroscope."""
@@ -67,6 +71,9 @@ Axes = list[NDArray[np.float32]]
 Rows = Callable[[Chunk, Axes], NDArray[Any]]
 """One number for each row, of a chunk and its calibrated x, y, z [g]."""
 
+P = TypeVar("P", bound="Portion")
+R = TypeVar("R")
+
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
@@ -76,12 +83,14 @@ class Numbers:
         values: of numbers, each for itself, and those of the column beside.
         dtype: of the numbers.
         beside: another column that is stored as numbers, where the values follow from these too.
+        calibrated: they are made of calibrated values, not of what a chunk holds.
     """
 
     of: Rows
     values: Callable[..., NDArray[Any]]
     dtype: Any = np.int32
     beside: str | None = None
+    calibrated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,11 +292,44 @@ def values_of(columns: Sequence[Column], chunk: Chunk, xyz: Axes) -> list[NDArra
     return [column.values(chunk, xyz) for column in columns]
 
 
+Memory = list[tuple[Column, NDArray[Any]]]
+"""Where rows go, column by column."""
+
+
+class Portion(Protocol):
+    """Some consecutive rows."""
+
+    def __len__(self) -> int: ...
+
+    def part(self, start: int, stop: int) -> Self:
+        """Rows start..stop-1."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stored:
+    """Rows as a sink stores them: one array a column, its values or the numbers that they follow from."""
+
+    arrays: Sequence[NDArray[Any]]
+
+    def __len__(self) -> int:
+        return len(self.arrays[0])
+
+    def part(self, start: int, stop: int) -> Stored:
+        """Rows start..stop-1."""
+        return Stored([array[start:stop] for array in self.arrays])
+
+
+def copied(rows: Stored, memory: Memory) -> None:
+    """Fills memory with rows that are stored already."""
+    for (_, free), array in zip(memory, rows.arrays, strict=True):
+        free[:] = array
+
+
 class ParquetSink:
     """Takes rows in any portions and writes them to a file that the caller made.
 
-    Rows are collected in row groups of a fixed number of rows. A full one is encoded on a thread while others
-    fill; they are written in their order, so that the bytes do not depend on how many threads there are.
+    Rows are collected in row groups of a fixed number of rows. Each thread fills one and encodes it; they are
+    written in their order, so that the bytes do not depend on how many threads there are.
     """
 
     def __init__(
@@ -312,14 +354,12 @@ class ParquetSink:
             "write_statistics": ["time"],
             "store_schema": True,
         }
-        encoders = min(threads, MOST_ENCODERS)
-        self._spare = [self._empty_group() for _ in range(encoders if threads < 2 else encoders + 1)]
-        self._rows = 0
+        self._threads = min(threads, MOST_ENCODERS)
+        self._spare = [self._empty_group() for _ in range(self._threads)]
         self._footer = Footer(self._schema, **self._options)
-        self._encoding = OrderedCalls(encoders, "parquet")
+        self._flushed, self._flushes = 0, BackgroundCalls("flush")
         try:
-            file = path.open("wb")
-            self._file = BackgroundWriter(file) if threads > 1 else file
+            self._file = path.open("wb")
             self._file.write(MAGIC)
         except OSError as error:
             raise output_error(error, shown) from error
@@ -328,84 +368,78 @@ class ParquetSink:
         """Memory for one row group, a column each."""
         return [np.empty(ROW_GROUP_ROWS, column.dtype) for column in self.columns]
 
-    def write(self, arrays: list[NDArray[Any]]) -> None:
-        """Take rows: one array a column, its values or the numbers that they follow from.
+    def write(self, portions: Iterator[P], fill: Callable[[P, Memory], R]) -> Generator[list[R]]:
+        """Write all rows of a file; group by group, what filling it gave, once it is written.
+
+        Args:
+            portions: rows; they are taken by the threads that encode, by one at a time.
+            fill: puts a portion into memory for so many rows of each column.
 
         Raises:
             OutputError: the disk is full, or fails.
         """
-        for rows, columns in self.room(len(arrays[0])):
-            for (_, memory), array in zip(columns, arrays, strict=True):
-                memory[:] = array[rows]
+        work = partial(self._encoded, fill)
+        with contextlib.closing(parallel_pull(work, _groups(portions), self._threads)) as groups:
+            for group, filled in groups:
+                self._append(group)
+                yield filled
 
-    def room(self, number: int) -> Iterator[tuple[slice, list[tuple[Column, NDArray[Any]]]]]:
-        """Memory for so many rows, some of them at a time: which these are, and where each column goes.
+    def _encoded(self, fill: Callable[[P, Memory], R], portions: list[P]) -> tuple[EncodedGroup, list[R]]:
+        """A row group of portions, which are let go of once it is filled, and what filling it gave."""
+        memory, filled, rows = self._spare.pop(), [], 0
+        for portion in portions:
+            here = slice(rows, rows + len(portion))
+            free = [(column, held[here]) for column, held in zip(self.columns, memory, strict=True)]
+            filled.append(fill(portion, free))
+            rows = here.stop
+        portions.clear()
+        group = self._group({c.name: held[:rows] for c, held in zip(self.columns, memory, strict=True)}, rows)
+        self._spare.append(memory)
+        return group, filled
 
-        What stands there when the next rows are asked for is taken.
-
-        Raises:
-            OutputError: the disk is full, or fails.
-        """
-        start = 0
-        while start < number:
-            rows = slice(start, min(number, start + ROW_GROUP_ROWS - self._rows))
-            here = slice(self._rows, self._rows + rows.stop - start)
-            free = [memory[here] for memory in self._spare[-1]]
-            yield rows, list(zip(self.columns, free, strict=True))
-            self._rows, start = here.stop, rows.stop
-            if self._rows == ROW_GROUP_ROWS:
-                self._flush()
-
-    def _flush(self) -> None:
-        """Hand the full group to a thread, and wait until another one can be filled."""
-        self._encoding.submit(self._encoded, self._spare.pop(), self._rows)
-        self._rows = 0
-        while not self._spare:
-            self._append()
-
-    def _encoded(self, group: list[NDArray[Any]], rows: int) -> tuple[EncodedGroup, list[NDArray[Any]]]:
+    def _group(self, stored: Mapping[str, NDArray[Any]], rows: int) -> EncodedGroup:
         """A row group, encoded from where its columns lie; `pa.array` would load pandas."""
-        stored = {column.name: memory[:rows] for column, memory in zip(self.columns, group, strict=True)}
         found = _places(self.columns, stored)
         made, arrays, encodings = {}, [], {}
         for at, column in enumerate(self.columns):
-            place = found.get(column.name)
-            if place is not None and column.numbers is not None:
-                kept = column.numbers.values(*place.present)
-                made[at] = dictionary_chunk(column.name, place.of_rows, kept, LEVEL)
+            chunk = _made(column, found.get(column.name), stored[column.name])
+            if chunk is not None:
+                made[at] = chunk
             else:
                 values = _values_of_stored(column, stored)
                 arrays.append(pa.Array.from_buffers(column.type, rows, [None, pa.py_buffer(values)]))
                 encodings[column.name] = _encoding(values)
         schema = pa.schema([self._schema.field(name) for name in encodings])
         batch = pa.record_batch(arrays, schema=schema)
-        return encoded(batch, made, **self._options, column_encoding=encodings), group
+        return encoded(batch, rows, made, **self._options, column_encoding=encodings)
 
-    def _append(self) -> None:
-        """Write the first of the groups that are being encoded; raises OutputError."""
-        group, memory = self._encoding.first()
-        self._spare.append(memory)
+    def _append(self, group: EncodedGroup) -> None:
+        """Write a group behind the others; raises OutputError."""
         try:
             self._footer.add(group, self._file.tell())
-            for part in group.parts:
-                self._file.write(part)
+            self._file.writelines(group.parts)
+            self._flush_ahead()
         except OSError as error:
             raise output_error(error, self.shown) from error
 
+    def _flush_ahead(self) -> None:
+        """Let the disk begin with what it was given, so that it has little left to do at the end."""
+        at = self._file.tell()
+        if self._threads > 1 and at - self._flushed >= FLUSHED_BYTES and hasattr(os, "fdatasync"):
+            self._flushed = at
+            self._flushes.wait(1)
+            self._flushes.submit(os.fdatasync, self._file.fileno())
+
     def close(self) -> None:
-        """Write what is left, and the footer; without it the file is not complete.
+        """Write the footer; without it the file is not complete.
 
         Raises:
             OutputError: the disk is full, or fails.
         """
-        if self._rows or not (self._footer.rows or self._encoding):
-            self._encoding.submit(self._encoded, self._spare.pop(), self._rows)
-            self._rows = 0
-        while self._encoding:
-            self._append()
         try:
             self._file.write(self._footer.tail())
             self._file.flush()
+            self._flushes.wait()
             self._file.close()
         except OSError as error:
             raise output_error(error, self.shown) from error
@@ -414,9 +448,26 @@ class ParquetSink:
         return self
 
     def __exit__(self, *_failure: object) -> None:
-        self._encoding.close()
+        self._flushes.close()
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+def _groups(portions: Iterator[P]) -> Iterator[list[P]]:
+    """The portions of each row group; those of an empty one where there are no rows at all."""
+    group: list[P] = []
+    left, none = ROW_GROUP_ROWS, True
+    for portion in portions:
+        start = 0
+        while start < len(portion):
+            stop = min(len(portion), start + left)
+            group.append(portion.part(start, stop))
+            left, start = left - (stop - start), stop
+            if not left:
+                yield group
+                group, left, none = [], ROW_GROUP_ROWS, False
+    if group or none:
+        yield group
 
 
 def _places(columns: Sequence[Column], stored: Mapping[str, NDArray[Any]]) -> dict[str, Places | None]:
@@ -428,6 +479,13 @@ def _places(columns: Sequence[Column], stored: Mapping[str, NDArray[Any]]) -> di
             slow = found[one.beside]
             found[name] = None if slow is None else paired(stored[name], slow)
     return found
+
+
+def _made(column: Column, place: Places | None, stored: NDArray[Any]) -> ColumnChunk | None:
+    """A column of a row group whose pages are not pyarrow's; None where they are."""
+    if place is not None and column.numbers is not None:
+        return dictionary_chunk(column.name, place.of_rows, column.numbers.values(*place.present), LEVEL)
+    return None
 
 
 def _values_of_stored(column: Column, stored: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

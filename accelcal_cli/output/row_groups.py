@@ -28,7 +28,7 @@ TAIL_BYTES = 8
 NUM_ROWS, ROW_GROUPS = 3, 4
 """Fields of FileMetaData."""
 
-COLUMNS, GROUP_UNPACKED, GROUP_OFFSET, GROUP_PACKED, ORDINAL = 1, 2, 5, 6, 7
+COLUMNS, GROUP_UNPACKED, GROUP_ROWS, GROUP_OFFSET, GROUP_PACKED, ORDINAL = 1, 2, 3, 5, 6, 7
 CHUNK_OFFSET, META_DATA = 2, 3
 UNPACKED, PACKED = 6, 7
 PAGE_OFFSETS = (9, 10, 11, 14)
@@ -56,11 +56,13 @@ class EncodedGroup:
     fields: Struct
 
 
-def encoded(table: pa.RecordBatch, made: Mapping[int, ColumnChunk], **options: Any) -> EncodedGroup:
+def encoded(
+    table: pa.RecordBatch, rows: int, made: Mapping[int, ColumnChunk], **options: Any
+) -> EncodedGroup:
     """Encode one row group.
 
     Args:
-        table: its columns but those that are made.
+        table: its columns but those that are made; perhaps none.
         made: the others, by their place among all.
         options: of `pyarrow.parquet.ParquetWriter`.
     """
@@ -69,13 +71,14 @@ def encoded(table: pa.RecordBatch, made: Mapping[int, ColumnChunk], **options: A
         writer.write_batch(table, max(1, table.num_rows))
     whole = sink.getvalue()
     end, footer = _footer(whole)
-    (fields,) = value_of(footer, ROW_GROUPS)
+    (group,) = value_of(footer, ROW_GROUPS)
+    fields: Struct = [(n, k, rows if n == GROUP_ROWS else v) for n, k, v in group]
     parts, at = [whole[len(MAGIC) : end]], end
     for place, chunk in sorted(made.items()):
         fields = _with(fields, place, _moved(chunk.meta, PAGE_OFFSETS, at - len(MAGIC)))
         parts += chunk.parts
         at += sum(map(len, chunk.parts))
-    return EncodedGroup(parts, table.num_rows, fields)
+    return EncodedGroup(parts, rows, fields)
 
 
 def _footer(whole: pa.Buffer) -> tuple[int, Struct]:

@@ -41,9 +41,9 @@ from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, R
 from accelcal_cli.pipeline.timeline import Timeline, along_time, timeline_of
 from accelcal_cli.pipeline.windows import WindowLog
 
-SURVEYED_AT_ONCE = 4
-"""Chunks of the first pass, which holds no row groups, are so many times as long as those of the second:
-threads that each take Python's lock for longer wait less for each other."""
+SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2
+"""Chunks of the first pass, and of the second, which holds row groups, are so many times as long as is asked
+for: threads that each take Python's lock for longer wait less for each other."""
 
 UNLIKE = "its points speak against what other recordings say of its sensor"
 
@@ -420,12 +420,11 @@ class RecordingRun:
         counting = over is not None and range_g is not None
         if counting or effect is not None:
             shown = self.progress("applying", data.recording.total_bytes)
-            if counting:
-                parts = export.calibrated(self._chunks(effect), export.transform_of(data), shown)
-                over = sum(export.beyond(xyz, range_g) for _, xyz in parts)
-            else:
-                for chunk in self._chunks(effect):
-                    shown(chunk.end_byte)
+            applied, total = export.transform_of(data), 0
+            for chunk in self._chunks(effect):
+                total += export.beyond(chunk, applied, range_g)
+                shown(chunk.end_byte)
+            over = total if counting else over
         return _with_effect(replace(data, clipped_after=over), effect)
 
     def _effect(self, data: ReportInput) -> Effect | None:
@@ -436,7 +435,7 @@ class RecordingRun:
 
     def _chunks(self, effect: Effect | None) -> Iterator[Chunk]:
         """The chunks of the second pass."""
-        chunks = self.reader.chunks(self.request.chunk_samples)
+        chunks = self.reader.chunks(CALIBRATED_AT_ONCE * self.request.chunk_samples)
         return chunks if effect is None else effect.watch(chunks)
 
 

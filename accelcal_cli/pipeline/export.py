@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass
 from functools import partial
 from math import ceil, frexp, log2
 from typing import TYPE_CHECKING, Any, Protocol
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.course import Course
+from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk
@@ -19,7 +21,7 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
-    from accelcal_cli.output.parquet import Column, Numbers, ParquetSink
+    from accelcal_cli.output.parquet import Column, Memory, Numbers, ParquetSink
 
 BLOCK_ROWS = 1 << 14
 
@@ -28,6 +30,12 @@ FINEST = 1 << 20
 
 NEGATIVE_ZERO = -1
 """Stands for a zero with a sign, which no whole number has, among halves of steps."""
+
+ROUNDING = 1e-6
+"""More than rounding, to double and to single, adds to any value."""
+
+AXES = "xyz"
+"""Names of the columns."""
 
 Floats = NDArray[np.float64]
 
@@ -55,7 +63,7 @@ class Rows(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Transform:
-    """a = K (v + o + s (T - Tref)) for v in counts: K / lsb_per_g on counts plus a constant.
+    """a = K (v + o + s (T - Tref)) for v in counts: K v, and what K makes of the rest.
 
     Attributes:
         steps_per_g: a power of two; calibrated values are rounded to 1 / steps_per_g. None: they are not.
@@ -70,72 +78,126 @@ class Transform:
     steps_per_g: float | None = None
     course: Course | None = None
 
-    def apply(self, chunk: Rows, into: Axes | None = None) -> Axes:
-        """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single.
-
-        Args:
-            into: takes them, (n,) each; None: memory of their own.
-        """
-        xyz = [np.empty(len(chunk), np.float32) for _ in range(3)] if into is None else into
-        buffers, same = np.empty((6, BLOCK_ROWS)), self._in_counts()
-        for start in range(0, len(chunk), BLOCK_ROWS):
-            part = slice(start, min(start + BLOCK_ROWS, len(chunk)))
-            same._block(chunk, part, buffers[:, : part.stop - start], xyz)
+    def apply(self, chunk: Rows) -> Axes:
+        """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
+        xyz = [np.empty(len(chunk), np.float32) for _ in range(3)]
+        self.apply_into(chunk, xyz)
         return xyz
 
-    def _in_counts(self) -> Transform:
-        """The same for counts that are not divided: of a power of two in 1 g no bit changes."""
-        if frexp(self.lsb_per_g)[0] != 0.5 or self.course is not None:
-            return self
-        offset, slope = self.offset_g * self.lsb_per_g, self.slope_g_per_c * self.lsb_per_g
-        gain = self.gain / self.lsb_per_g
-        return replace(self, gain=gain, offset_g=offset, slope_g_per_c=slope, lsb_per_g=1.0)
+    def apply_into(self, chunk: Rows, xyz: Axes) -> None:
+        """The same, put into memory for (n,) values; that of an axis which is not wanted is empty."""
+        wanted = [(self._row(axis, chunk), values) for axis, values in enumerate(xyz) if len(values)]
+        buffers, warm = np.empty((6, min(len(chunk), BLOCK_ROWS))), chunk.temperature_mc
+        for start in range(0, len(chunk), BLOCK_ROWS):
+            part = slice(start, min(start + BLOCK_ROWS, len(chunk)))
+            block = buffers[:, : part.stop - start]
+            self._raw(chunk, part, block[:3])
+            if warm is not None:
+                block[3] = warm[part]
+            for row, values in wanted:
+                values[part] = row.calibrated(block[:3], block[3], block[4:])
+
+    def reach_g(self, chunk: Rows) -> Floats:
+        """What no calibrated value of a chunk of at least one row goes beyond, (3,) [g]."""
+        if self.course is not None:
+            return np.full(3, np.inf)
+        warm, counts = chunk.temperature_mc, np.array([_largest(column) for column in chunk.counts.T])
+        reach: Floats = np.abs(self.gain) @ counts / self.lsb_per_g
+        reach += np.abs(self._constant(warm is not None))
+        if warm is not None:
+            reach += np.abs(self._per_mc()) * _largest(warm)
+        return np.asarray(reach * (1 + ROUNDING))
 
     def of_one_count(self, axis: int) -> bool:
-        """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else.
+        """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else."""
+        return self.course is None and not self.gain[axis, self._others(axis)].any()
 
-        A negative scale makes zeros with a sign, which the products of the other axes take from them.
-        """
-        others, scale = self.gain[axis, self._others(axis)], self.gain[axis, axis]
-        return bool(self.course is None and scale > 0 and not others.any())
+    def _raw(self, chunk: Rows, part: slice, v: Floats) -> None:
+        """Raw values of rows: counts, or g where these are not counts times a power of two."""
+        v[:] = chunk.counts[part].T
+        if not self._in_counts:
+            v /= self.lsb_per_g
+        if self.course is not None:
+            stretch, shift = self.course.values(chunk.first_sample + _numbers(part))
+            v *= stretch.T
+            v += shift.T
 
-    def _block(self, chunk: Rows, part: slice, buffers: Floats, xyz: Axes) -> None:
-        """Rows that the processor's cache holds, in memory that is used again."""
-        shifted, total, product, warmth = buffers[:3], buffers[3], buffers[4], buffers[5]
-        warm = self._warmer(chunk, part, warmth)
-        right = None if self.course is None else self.course.values(chunk.first_sample + _numbers(part))
-        for axis in range(3):
-            shifted[axis] = chunk.counts[part, axis]
-            if self.lsb_per_g != 1:
-                shifted[axis] /= self.lsb_per_g
-            if right is not None:
-                shifted[axis] *= right[0][:, axis]
-                shifted[axis] += right[1][:, axis]
-            shifted[axis] += self.offset_g[axis]
-            if warm and self.slope_g_per_c[axis]:
-                shifted[axis] += np.multiply(warmth, self.slope_g_per_c[axis], out=product)
-        for row in range(3):
-            np.multiply(shifted[row], self.gain[row, row], out=total)
-            for column in self._others(row):
-                np.multiply(shifted[column], self.gain[row, column], out=product)
-                total += product
-            if self.steps_per_g is not None:
-                total *= self.steps_per_g
-                np.rint(total, out=total)
-                total /= self.steps_per_g
-            xyz[row][part] = total
+    @property
+    def _in_counts(self) -> bool:
+        """Whether the gain takes counts: no bit changes where a power of two of them is 1 g."""
+        return self.course is None and frexp(self.lsb_per_g)[0] == 0.5
+
+    def _row(self, axis: int, chunk: Rows) -> _Row:
+        """What calibrates an axis of a chunk."""
+        in_counts, fixed = self._in_counts, self.gain * ONE
+        warm = chunk.temperature_mc is not None
+        return _Row(
+            axis=axis,
+            gain=self.gain[axis] / self.lsb_per_g if in_counts else self.gain[axis],
+            others=self._others(axis),
+            exact=in_counts and chunk.counts.dtype == np.int16 and bool((fixed == np.rint(fixed)).all()),
+            per_mc=float(self._per_mc()[axis]) if warm else 0.0,
+            constant=float(self._constant(warm)[axis]),
+            steps_per_g=self.steps_per_g,
+        )
 
     def _others(self, row: int) -> list[int]:
         """Columns besides the diagonal; above it only where K is not lower triangular."""
         return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
 
-    def _warmer(self, chunk: Rows, part: slice, warmth: Floats) -> bool:
-        """T - Tref, if an offset depends on it and it was measured."""
-        if chunk.temperature_mc is None or not self.slope_g_per_c.any():
-            return False
-        np.divide(chunk.temperature_mc[part], 1000.0, out=warmth)
-        warmth -= self.reference_c
-        return True
+    def _per_mc(self) -> Floats:
+        """K s, for thousandths of a degree C."""
+        return np.asarray(self.gain @ self.slope_g_per_c / 1000)
+
+    def _constant(self, warm: bool) -> Floats:
+        """K (o - s Tref) [g], or K o without temperatures; a zero has no sign, and so no sum with it has."""
+        cold = self.slope_g_per_c * self.reference_c if warm else 0.0
+        return np.asarray(self.gain @ (self.offset_g - cold) + 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Row:
+    """One row of K, and what it makes of offsets and temperature.
+
+    Attributes:
+        exact: products of the gain, in fixed point, and counts of 16 bits are exact, and so are their sums:
+            no bit depends on their order, which a library may choose.
+    """
+
+    axis: int
+    gain: Floats
+    others: list[int]
+    exact: bool
+    per_mc: float
+    constant: float
+    steps_per_g: float | None
+
+    def calibrated(self, v: Floats, warmth: Floats, buffers: Floats) -> Floats:
+        """Values [g] of raw ones (3, n) and thousandths of a degree C (n,), in the first of two buffers."""
+        total: Floats = buffers[0]
+        product: Floats = buffers[1]
+        if self.exact:
+            np.dot(self.gain, v, out=total)
+        else:
+            np.multiply(v[self.axis], self.gain[self.axis], out=total)
+            for column in self.others:
+                total += np.multiply(v[column], self.gain[column], out=product)
+        if self.per_mc:
+            np.multiply(warmth, self.per_mc, out=product)
+            product += self.constant
+            total += product
+        else:
+            total += self.constant
+        if self.steps_per_g is not None:
+            total *= self.steps_per_g
+            np.rint(total, out=total)
+            total /= self.steps_per_g
+        return total
+
+
+def _largest(values: NDArray[Any]) -> float:
+    """The largest absolute value."""
+    return max(-float(values.min()), float(values.max()))
 
 
 def _numbers(part: slice) -> NDArray[np.int64]:
@@ -179,11 +241,11 @@ def calibrated(
         progress(chunk.end_byte)
 
 
-def beyond(xyz: Axes, range_g: float | None) -> int:
-    """How many calibrated samples lie beyond the sensor's range."""
-    if range_g is None or all(-range_g <= v.min() and v.max() <= range_g for v in xyz):
+def beyond(chunk: Chunk, transform: Transform, range_g: float | None) -> int:
+    """How many samples of a chunk lie beyond the sensor's range once they are calibrated."""
+    if range_g is None or not len(chunk) or (transform.reach_g(chunk) <= range_g).all():
         return 0
-    over = [np.abs(value) > range_g for value in xyz]
+    over = [np.abs(values) > range_g for values in transform.apply(chunk)]
     return int((over[0] | over[1] | over[2]).sum())
 
 
@@ -204,8 +266,13 @@ def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Nu
     steps = transform.steps_per_g
     if steps is not None and steps <= FINEST:
         return {
-            name: Numbers(partial(_half_steps, axis, steps), partial(_of_half_steps, steps), np.float32)
-            for axis, name in enumerate("xyz")
+            name: Numbers(
+                partial(_half_steps, axis, steps),
+                partial(_of_half_steps, steps),
+                np.float32,
+                calibrated=True,
+            )
+            for axis, name in enumerate(AXES)
         }
     if transform.lsb_per_g > FINEST:
         return {}
@@ -216,7 +283,7 @@ def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Nu
             partial(_of_counts, transform, axis),
             beside=TEMPERATURE if warm[axis] else None,
         )
-        for axis, name in enumerate("xyz")
+        for axis, name in enumerate(AXES)
         if transform.of_one_count(axis)
     }
 
@@ -282,19 +349,29 @@ def write_calibrated(
         OutputError: the output cannot be written.
     """
     applied, range_g, total = transform_of(data), data.recording.range_g, 0
-    for chunk in prefetch(iter(chunks), threads - 1):  # of two threads this one reads, too
-        for rows, columns in sink.room(len(chunk)):
-            total += beyond(_fill(columns, chunk.part(rows.start, rows.stop), applied), range_g)
-        progress(chunk.end_byte)
+
+    def fill(rows: Chunk, memory: Memory) -> tuple[int, int]:
+        _fill(memory, rows, applied)
+        return beyond(rows, applied, range_g), rows.end_byte
+
+    read = prefetch(iter(chunks), threads - 1)  # of two threads each reads, too
+    with closing(sink.write(read, fill)) as groups:
+        for filled in groups:
+            total += sum(over for over, _ in filled)
+            progress(filled[-1][1] if filled else 0)
     return total
 
 
-def _fill(columns: Sequence[tuple[Column, NDArray[Any]]], rows: Chunk, transform: Transform) -> Axes:
-    """Put rows where a sink wants them: an axis that is stored as it is, there at once; returns all three."""
-    held = {column.name: memory for column, memory in columns if column.numbers is None}
-    xyz = transform.apply(rows, [held.get(name, np.empty(len(rows), np.float32)) for name in "xyz"])
+def _fill(columns: Memory, rows: Chunk, transform: Transform) -> None:
+    """Put rows where a sink wants them: an axis that is stored as it is, there at once."""
+    xyz = [np.empty(0, np.float32)] * 3
+    for column, memory in columns:
+        if column.name in AXES and column.numbers is None:
+            xyz[AXES.index(column.name)] = memory
+        elif column.numbers is not None and column.numbers.calibrated:
+            xyz[AXES.index(column.name)] = np.empty(len(rows), np.float32)
+    transform.apply_into(rows, xyz)
     for column, memory in columns:
         stored = column.stored(rows, xyz)
         if stored is not memory:
             memory[:] = stored
-    return xyz

@@ -260,13 +260,13 @@ PAUSING = """
 import os, sys, time
 from accelcal_cli.cli.main import main
 from accelcal_cli.output.parquet import ParquetSink
-tell, room = int(sys.argv.pop(1)), ParquetSink.room
-def room_and_pause(sink, number):
-    yield from room(sink, number)
+tell, write = int(sys.argv.pop(1)), ParquetSink.write
+def write_and_pause(sink, portions, fill):
+    yield next(write(sink, portions, fill))
     os.write(tell, b"w")
     while True:
         time.sleep(0.01)
-ParquetSink.room = room_and_pause
+ParquetSink.write = write_and_pause
 main()
 """
 in_the_middle = pytest.mark.parametrize(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -15,8 +13,8 @@ from accelcal_cli.core.parallel import (
     MOST_THREADS,
     QUEUED,
     BackgroundCalls,
-    BackgroundWriter,
     parallel_map,
+    parallel_pull,
     prefetch,
     thread_pool,
 )
@@ -143,60 +141,85 @@ def test_leaving_early_ends_the_threads() -> None:
     assert not any(thread.name.startswith("parallel-map") for thread in threading.enumerate())
 
 
-# --- BackgroundWriter
+# --- parallel_pull
 
 
-class Slow(io.BytesIO):
-    """A file whose writes wait for a word."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.go = threading.Event()
-        self.threads: set[str] = set()
-
-    def write(self, data: bytes) -> int:  # type: ignore[override]
-        self.go.wait(10)
-        self.threads.add(threading.current_thread().name)
-        return super().write(data)
+@pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 100])
+@pytest.mark.parametrize("threads", [1, 2, 5])
+def test_pulled_results_are_in_the_order_of_the_items(number: int, threads: int) -> None:
+    assert list(parallel_pull(lambda item: 10 * item, iter(range(number)), threads)) == [
+        10 * item for item in range(number)
+    ]
 
 
-def test_all_bytes_in_order(tmp_path: Path) -> None:
-    path = tmp_path / "a"
-    file = BackgroundWriter(path.open("wb"))
-    parts = [bytes([number % 251]) * (number * 97 % 4096) for number in range(300)]
-    assert [file.write(part) for part in parts] == [len(part) for part in parts]
-    assert file.tell() == sum(map(len, parts))
-    file.close()
-    assert file.closed
-    assert path.read_bytes() == b"".join(parts)
+def test_pulled_results_wait_for_their_turn() -> None:
+    second = threading.Event()
+
+    def work(item: int) -> int:
+        if item == 0:
+            assert second.wait(10)
+        if item == 1:
+            second.set()
+        return item
+
+    assert list(parallel_pull(work, iter(range(5)), 2)) == list(range(5))
 
 
-def test_whoever_writes_does_not_wait_for_the_disk() -> None:
-    slow = Slow()
-    file = BackgroundWriter(slow)
-    for _ in range(DEPTH):
-        file.write(b"abc")
-    assert slow.getvalue() == b""
-    slow.go.set()
-    file.flush()
-    assert slow.getvalue() == b"abc" * DEPTH
-    assert threading.current_thread().name not in slow.threads
+def test_threads_that_work_take_the_items_one_at_a_time() -> None:
+    taking, takers = threading.Lock(), set[str]()
+
+    def items() -> Iterator[int]:
+        for number in range(50):
+            assert taking.acquire(blocking=False)
+            takers.add(threading.current_thread().name)
+            taking.release()
+            yield number
+
+    assert list(parallel_pull(lambda item: item, items(), 3)) == list(range(50))
+    assert takers and all(name.startswith("parallel-pull") for name in takers)
 
 
-class Full(io.BytesIO):
-    def write(self, data: bytes) -> int:  # type: ignore[override]
-        raise OSError(28, "No space left on device")
+@pytest.mark.parametrize("threads", [1, 2, 5])
+@pytest.mark.parametrize("fails", ["item", "work"])
+def test_what_fails_while_items_are_pulled_is_raised(threads: int, fails: str) -> None:
+    closed: list[bool] = []
+
+    def items() -> Iterator[int]:
+        try:
+            yield from range(5)
+            if fails == "item":
+                raise ValueError("five")
+            yield from range(5, 100)
+        finally:
+            closed.append(True)
+
+    def work(item: int) -> int:
+        if item == 5:
+            raise ValueError("five")
+        return item
+
+    found = []
+    with pytest.raises(ValueError, match="five"):
+        for item in parallel_pull(work, items(), threads):
+            found.append(item)
+    assert found == list(range(len(found))) and len(found) <= 5
+    assert closed == [True]
 
 
-@pytest.mark.parametrize("then", ["write", "flush", "close"])
-def test_a_write_that_failed_is_told_by_the_next_call(then: str) -> None:
-    file = BackgroundWriter(Full())
-    for _ in range(DEPTH):
-        file.write(b"abc")
-    with pytest.raises(OSError, match="No space"):
-        file.write(b"abc") if then == "write" else getattr(file, then)()
-    if then == "close":
-        assert file.closed
+def test_closing_ends_the_pulling_threads_and_the_iterator() -> None:
+    closed: list[bool] = []
+
+    def items() -> Iterator[int]:
+        try:
+            yield from range(1000)
+        finally:
+            closed.append(True)
+
+    running = parallel_pull(lambda item: item, items(), 2)
+    next(running)
+    running.close()
+    assert closed == [True]
+    assert not any(thread.name.startswith("parallel-pull") for thread in threading.enumerate())
 
 
 # --- BackgroundCalls, thread_pool

@@ -22,7 +22,7 @@ SCHEMA = pa.schema([pa.field("n", pa.int64(), False), pa.field("v", pa.float32()
 def in_file(made: ColumnChunk, rows: int) -> bytes:
     """A file of a counter and one made column."""
     counter = pa.record_batch([pa.array(np.arange(rows))], schema=pa.schema([SCHEMA.field("n")]))
-    group, footer = encoded(counter, {1: made}, compression="zstd"), Footer(SCHEMA, compression="zstd")
+    group, footer = encoded(counter, rows, {1: made}, compression="zstd"), Footer(SCHEMA, compression="zstd")
     footer.add(group, len(MAGIC))
     return MAGIC + b"".join(bytes(part) for part in group.parts) + footer.tail()
 

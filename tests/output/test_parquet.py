@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +26,9 @@ from accelcal_cli.output.parquet import (
     Column,
     Numbers,
     ParquetSink,
+    Stored,
     columns_of,
+    copied,
 )
 
 
@@ -61,8 +64,8 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
 
 def write(path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
     with ParquetSink(path, path, kept, {"a": 1}, threads) as sink:
-        for start, stop in itertools.pairwise(edges):
-            sink.write([array[start:stop] for array in held])
+        portions = (Stored(held).part(start, stop) for start, stop in itertools.pairwise(edges))
+        assert all(filled for filled in sink.write(portions, copied)) == bool(edges[-1])
         sink.close()
 
 
@@ -166,3 +169,30 @@ def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:
     for path in (foreign, text):
         with pytest.raises(OutputError, match="not written by accelcal"):
             refuse_foreign(path, known=written_by_us(path))
+
+
+@pytest.mark.skipif(not hasattr(os, "fdatasync"), reason="the system has no fdatasync")
+def test_a_disk_that_fails_while_it_takes_what_was_written_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def failing(_file: int) -> None:
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
+    monkeypatch.setattr(parquet, "FLUSHED_BYTES", 1)
+    monkeypatch.setattr(os, "fdatasync", failing)
+    kept = columns(temperature=False, gyroscope=False, utc=False)
+    for rows in (1024, 5000):
+        with pytest.raises(OutputError, match="cannot be written \\(Input/output error\\)"):
+            write(tmp_path / "a", kept, arrays(rows, temperature=False, gyroscope=False), [0, rows])
+    write(tmp_path / "a", kept, arrays(1024, temperature=False, gyroscope=False), [0, 1024], threads=1)
+
+
+def test_only_whole_numbers_and_times(tmp_path: Path) -> None:
+    path, rows = tmp_path / "a.parquet", 1000
+    kept = columns(temperature=True, gyroscope=False, utc=False)
+    whole = [kept[0], *kept[4:]]
+    held = arrays(rows, gyroscope=False)
+    write(path, whole, [held[0], *held[4:]], [0, rows])
+    assert pq.ParquetFile(path).metadata.num_rows == rows
+    assert (pq.read_table(path)["time"].cast(pa.int64()).to_numpy() == held[0]).all()

@@ -51,7 +51,7 @@ def at_once(batches: list[pa.RecordBatch], **options: Any) -> bytes:
 def apart(batches: list[pa.RecordBatch], **options: Any) -> bytes:
     data, footer = bytearray(MAGIC), Footer(SCHEMA, **options)
     for one in batches:
-        group = encoded(one, {}, **options)
+        group = encoded(one, one.num_rows, {}, **options)
         footer.add(group, len(data))
         data += b"".join(bytes(part) for part in group.parts)
     return bytes(data) + footer.tail()

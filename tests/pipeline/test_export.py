@@ -10,7 +10,7 @@ import pytest
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.output.parquet import NO_TEMPERATURE_MC
-from accelcal_cli.pipeline.export import Transform, numbers_of_axes
+from accelcal_cli.pipeline.export import Transform, beyond, numbers_of_axes
 
 ROWS = 20_000
 COUNTS = np.random.default_rng(1).integers(-300, 300, (ROWS, 3)).astype(np.int16)
@@ -34,7 +34,7 @@ def transform(gain: Any, slope: Any = (0, 0, 0), steps: float | None = None) -> 
         (transform(LOWER, SLOPE, steps=4096.0), "xyz"),
         (transform(LOWER, steps=2.0), "xyz"),
         (transform(LOWER, steps=2.0**140), "x"),
-        (transform(np.diag([1.02, -0.98, 1.01])), "xz"),
+        (transform(np.diag([1.02, -0.98, 1.01])), "xyz"),
     ],
 )
 @pytest.mark.parametrize("warm", [None, WARM])
@@ -55,23 +55,92 @@ def test_values_of_the_numbers_have_the_bits_of_the_calibrated_ones(
         assert (np.signbit(xyz[0]) & (xyz[0] == 0)).any()  # zeros with a sign are among them
 
 
-@pytest.mark.parametrize("lsb_per_g", [256.0, 2048.0, 300.0])
+def fixed(gain: Any) -> Any:
+    """A gain of 29 fraction bits, as fits have it."""
+    return np.rint(np.array(gain) * 2**29) / 2**29
+
+
+def with_rest(products: Any, gain: Any, warm: Any) -> Any:
+    """(n,) K v of each axis in double, with what K makes of offsets and temperature, rounded once."""
+    per_mc, constant = gain @ SLOPE / 1000, gain @ (OFFSET - SLOPE * 24.5)
+    cold = gain @ OFFSET
+    rest = [warm * per_mc[i] + constant[i] if warm is not None else cold[i] for i in range(3)]
+    return [(row + rest[i]).astype(np.float32) for i, row in enumerate(products)]
+
+
+@pytest.mark.parametrize("lsb_per_g", [256, 2048])
 @pytest.mark.parametrize("gain", [LOWER, NEARLY_DIAGONAL])
+@pytest.mark.parametrize("warm", [None, WARM])
+@pytest.mark.parametrize("kind", ["<i2", "<i4", "<f8"])
 @pytest.mark.parametrize("layout", ["C", "F"])
-def test_values_have_the_bits_of_the_formula(lsb_per_g: float, gain: Any, layout: Any) -> None:
+def test_products_of_whole_counts_and_a_gain_in_fixed_point_are_exact(
+    lsb_per_g: int, gain: Any, warm: Any, kind: str, layout: Any
+) -> None:
+    gain = fixed(gain)
+    applied = Transform(gain, OFFSET, SLOPE, 24.5, float(lsb_per_g))
+    counts = np.array(np.random.default_rng(2).integers(-(2**15), 2**15, (ROWS, 3)), kind, order=layout)
+    xyz = applied.apply(Chunk(0, counts, StampClock(np.arange(ROWS)), 0, temperature_mc=warm))
+    sums = (gain * 2**29).astype(np.int64) @ counts.T.astype(np.int64)  # whole numbers, exact
+    expected = with_rest(sums / (2**29 * lsb_per_g), gain, warm)
+    assert all((a.view(np.uint32) == b.view(np.uint32)).all() for a, b in zip(xyz, expected, strict=True))
+
+
+@pytest.mark.parametrize("lsb_per_g", [256.0, 300.0])
+@pytest.mark.parametrize("gain", [LOWER, NEARLY_DIAGONAL])
+@pytest.mark.parametrize("warm", [None, WARM])
+def test_other_products_are_taken_in_an_order_that_never_changes(
+    lsb_per_g: float, gain: Any, warm: Any
+) -> None:
     applied = Transform(gain, OFFSET, SLOPE, 24.5, lsb_per_g)
-    counts = np.array(COUNTS, order=layout)
-    memory = [np.full(ROWS, np.nan, np.float32) for _ in range(3)]
-    xyz = applied.apply(Chunk(0, counts, StampClock(np.arange(ROWS)), 0, temperature_mc=WARM), memory)
-    assert all(values is held for values, held in zip(xyz, memory, strict=True))
-    warmth = WARM / 1000.0 - 24.5
-    v = [COUNTS[:, axis] / lsb_per_g + OFFSET[axis] + warmth * SLOPE[axis] for axis in range(3)]
-    for row, values in enumerate(xyz):
-        expected = gain[row, row] * v[row]
+    xyz = applied.apply(Chunk(0, COUNTS, StampClock(np.arange(ROWS)), 0, temperature_mc=warm))
+    v = COUNTS.T / lsb_per_g
+    products = []
+    for row in range(3):
+        product = gain[row, row] * v[row]
         for column in range(3):
             if column != row:
-                expected = expected + gain[row, column] * v[column]
-        assert (values == expected.astype(np.float32)).all()
+                product = product + gain[row, column] * v[column]
+        products.append(product)
+    expected = with_rest(products, gain, warm)
+    assert all((a == b).all() for a, b in zip(xyz, expected, strict=True))
+
+
+def test_values_are_those_of_the_formula() -> None:
+    applied = Transform(LOWER, OFFSET, SLOPE, 24.5, 256.0)
+    xyz = applied.apply(Chunk(0, COUNTS, StampClock(np.arange(ROWS)), 0, temperature_mc=WARM))
+    warmth = WARM[:, np.newaxis].astype(np.longdouble) / 1000 - 24.5
+    formula = (COUNTS / np.longdouble(256) + OFFSET + SLOPE * warmth) @ LOWER.T.astype(np.longdouble)
+    for axis, values in enumerate(xyz):
+        half = np.spacing(np.abs(values)) / 2
+        assert (np.abs(values - formula[:, axis]) <= half * (1 + 1e-6)).all()
+
+
+def test_axes_that_are_not_wanted_are_left_out() -> None:
+    chunk = Chunk(0, COUNTS, StampClock(np.arange(ROWS)), 0, temperature_mc=WARM)
+    applied = transform(LOWER, SLOPE)
+    memory = [np.empty(0, np.float32), np.full(ROWS, np.nan, np.float32), np.empty(0, np.float32)]
+    applied.apply_into(chunk, memory)
+    assert (memory[1] == applied.apply(chunk)[1]).all()
+
+
+@pytest.mark.parametrize("warm", [None, WARM])
+@pytest.mark.parametrize("gain", [LOWER, NEARLY_DIAGONAL, -LOWER])
+def test_no_value_goes_beyond_the_reach(gain: Any, warm: Any) -> None:
+    applied = transform(gain, SLOPE)
+    chunk = Chunk(0, COUNTS, StampClock(np.arange(ROWS)), 0, temperature_mc=warm)
+    largest = np.array([np.abs(values).max() for values in applied.apply(chunk)])
+    reach = applied.reach_g(chunk)
+    assert (largest <= reach).all() and (reach < largest + 0.2).all()
+
+
+@pytest.mark.parametrize("range_g", [None, 0.5, 1.0, 1.2, 1.3, 8.0])
+def test_samples_beyond_the_range_are_counted(range_g: float | None) -> None:
+    applied = transform(LOWER, SLOPE)
+    chunk = Chunk(0, COUNTS, StampClock(np.arange(ROWS)), 0, temperature_mc=WARM)
+    lengths = np.max(np.abs(applied.apply(chunk)), axis=0)
+    expected = 0 if range_g is None else int((lengths > np.float32(range_g)).sum())
+    assert beyond(chunk, applied, range_g) == expected
+    assert beyond(chunk.part(0, 0), applied, range_g) == 0
 
 
 def test_values_of_a_text_are_too_fine_for_a_table() -> None:
