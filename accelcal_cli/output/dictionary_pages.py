@@ -142,11 +142,11 @@ def dictionary_chunk(name: str, of_rows: NDArray[Any], kept: NDArray[Any], level
     """
     kind, stored = PHYSICAL[kept.dtype.name]
     codec = pa.Codec("zstd", compression_level=level)
-    first, first_unpacked = _page(
+    first, first_unpacked = page(
         codec, kept.astype(stored).tobytes(), DICTIONARY_PAGE, 7, _of(len(kept), PLAIN)
     )
     about = [*_of(len(of_rows), RLE_DICTIONARY), (3, I32, RLE), (4, I32, RLE)]
-    second, second_unpacked = _page(codec, _bit_packed(of_rows), DATA_PAGE, 5, about)
+    second, second_unpacked = page(codec, _bit_packed(of_rows), DATA_PAGE, 5, about)
     meta: Struct = [
         (1, I32, kind),
         (2, LIST, (I32, [PLAIN, RLE, RLE_DICTIONARY])),
@@ -157,7 +157,7 @@ def dictionary_chunk(name: str, of_rows: NDArray[Any], kept: NDArray[Any], level
         (PACKED, I64, sum(map(len, first + second))),
         (9, I64, len(MAGIC) + sum(map(len, first))),
         (11, I64, len(MAGIC)),
-        (13, LIST, [_pages(DICTIONARY_PAGE, PLAIN), _pages(DATA_PAGE, RLE_DICTIONARY)]),
+        (13, LIST, [page_counts(DICTIONARY_PAGE, PLAIN), page_counts(DATA_PAGE, RLE_DICTIONARY)]),
     ]
     return ColumnChunk(first + second, meta)
 
@@ -179,8 +179,12 @@ def _of(number: int, encoding: int) -> Struct:
     return [(1, I32, number), (2, I32, encoding)]
 
 
-def _page(codec: Any, data: Any, kind: int, field: int, about: Struct) -> tuple[list[Any], int]:
-    """A page, its head first, and how long it is unpacked."""
+def page(codec: Any, data: Any, kind: int, field: int, about: Struct) -> tuple[list[Any], int]:
+    """A page, its head first, and how long it is unpacked.
+
+    Args:
+        field: of PageHeader, that says more about pages of this kind.
+    """
     packed = codec.compress(data, asbytes=True)  # a buffer of Arrow keeps the memory of the longest result
     head = thrift.written(
         [(1, I32, kind), (2, I32, len(data)), (3, I32, len(packed)), (field, STRUCT, about)]
@@ -188,6 +192,6 @@ def _page(codec: Any, data: Any, kind: int, field: int, about: Struct) -> tuple[
     return [head, packed], len(head) + len(data)
 
 
-def _pages(kind: int, encoding: int) -> Struct:
-    """Statistics: one page of a kind."""
+def page_counts(kind: int, encoding: int) -> Struct:
+    """Statistics of a column: one page of a kind."""
     return [(1, I32, kind), (2, I32, encoding), (3, I32, 1)]

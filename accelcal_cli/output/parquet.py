@@ -29,6 +29,7 @@ from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Rec
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.zones import UNKNOWN, UTC
+from accelcal_cli.output.delta_pages import delta_chunk
 from accelcal_cli.output.dictionary_pages import Places, dictionary_chunk, paired, places
 from accelcal_cli.output.files import output_error
 from accelcal_cli.output.row_groups import MAGIC, ColumnChunk, EncodedGroup, Footer, encoded
@@ -485,7 +486,7 @@ def _made(column: Column, place: Places | None, stored: NDArray[Any]) -> ColumnC
     """A column of a row group whose pages are not pyarrow's; None where they are."""
     if place is not None and column.numbers is not None:
         return dictionary_chunk(column.name, place.of_rows, column.numbers.values(*place.present), LEVEL)
-    return None
+    return delta_chunk(column.name, stored, LEVEL) if pa.types.is_timestamp(column.type) else None
 
 
 def _values_of_stored(column: Column, stored: Mapping[str, NDArray[Any]]) -> NDArray[Any]:

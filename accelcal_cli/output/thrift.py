@@ -84,7 +84,7 @@ def written(fields: Struct) -> bytes:
     data, last = bytearray(), 0
     for number, kind, value in fields:
         step = number - last
-        data += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + _zigzag(number)
+        data += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + zigzag(number)
         data += _value_written(kind, value)
         last = number
     return bytes(data) + b"\0"
@@ -94,7 +94,7 @@ def _value_written(kind: int, value: Any) -> bytes:
     if kind in (TRUE, FALSE):
         return b""
     if kind in WHOLE:
-        return _zigzag(value)
+        return zigzag(value)
     if kind in (LIST, SET):
         return _list_written(value)
     if kind == STRUCT:
@@ -124,5 +124,6 @@ def varint(value: int) -> bytes:
     return bytes([*data, value])
 
 
-def _zigzag(value: int) -> bytes:
+def zigzag(value: int) -> bytes:
+    """A whole number of 64 bits, those near zero in few bytes."""
     return varint(value << 1 ^ value >> 63)
