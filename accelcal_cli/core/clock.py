@@ -14,6 +14,7 @@ import re
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from fractions import Fraction
+from math import gcd
 from typing import Protocol
 
 import numpy as np
@@ -28,6 +29,9 @@ _DAY_S = 86_400
 
 FIRST_US, LAST_US = -62_135_596_800 * MICROSECONDS, 253_402_300_800 * MICROSECONDS - 1
 """The years 1 to 9999, which calendars know; a recording that begins outside them is not read."""
+
+DIVIDED = 1 << 10
+"""Terms of `quotients` that are divided at least: shorter stretches are no faster."""
 
 _CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
 """After which the Gregorian calendar repeats itself."""
@@ -159,9 +163,7 @@ class UniformClock:
         """Times of rows start..stop-1 [us], shape (stop - start,)."""
         step = MICROSECONDS * self.rate.denominator
         base = (self.first_index + start) * step + self.rate.numerator // 2
-        whole, rest = divmod(base, self.rate.numerator)
-        rows = np.arange(stop - start, dtype=np.int64)
-        return self.start_us + whole + (rest + rows * step) // self.rate.numerator
+        return self.start_us + quotients(base, step, self.rate.numerator, stop - start)
 
     def part(self, start: int, stop: int) -> UniformClock:
         """The clock of rows start..stop-1, counted from 0."""
@@ -170,6 +172,22 @@ class UniformClock:
     def shifted(self, by_us: int) -> UniformClock:
         """The clock of the same rows, put forward."""
         return UniformClock(self.start_us + by_us, self.first_index, self.rate)
+
+
+def quotients(first: int, step: int, divisor: int, number: int) -> NDArray[np.int64]:
+    """(first + i step) // divisor for i = 0 to number - 1, of a positive divisor.
+
+    After as many terms as the divisor has beyond what it shares with the step, they come again, plus a whole
+    number: so few are divided.
+    """
+    whole, rest = divmod(first, divisor)
+    period = divisor // gcd(step, divisor)
+    length = min(number, -(-DIVIDED // period) * period)
+    once = whole + (rest + np.arange(length, dtype=np.int64) * step) // divisor
+    if length == number:
+        return once
+    again = np.arange(-(-number // length), dtype=np.int64) * (length * step // divisor)
+    return np.add(once, again[:, np.newaxis]).reshape(-1)[:number]
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +228,8 @@ class PageClock:
             return np.empty(0, np.int64)
         low, last = np.searchsorted(self.first_row, (start, stop - 1), side="right") - 1
         pages = slice(int(low), int(last) + 1)
+        if low == last:
+            return self._of_one(int(low), start, stop - start)
         edges = np.append(self.first_row[pages], stop)
         rows = np.diff(edges)
         longest = int(rows.max())
@@ -229,6 +249,12 @@ class PageClock:
     def shifted(self, by_us: int) -> PageClock:
         """The clock of the same rows, put forward."""
         return PageClock(self.first_row, self.time_us + by_us, self.span_rows, self.span_us)
+
+    def _of_one(self, page: int, start: int, number: int) -> NDArray[np.int64]:
+        """Times of so many rows of one page from row `start` on."""
+        into, rows = start - int(self.first_row[page]), int(self.span_rows[page])
+        span_us = int(self.span_us[page])
+        return quotients(2 * into * span_us + rows, 2 * span_us, 2 * rows, number) + int(self.time_us[page])
 
     def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
         """Times of all rows of pages that hold `rows` rows each, one page after the other.

@@ -313,13 +313,25 @@ def _of_counts(
     """Calibrated values of counts of one axis, whatever the others are."""
     from accelcal_cli.output.parquet import NO_TEMPERATURE_MC
 
-    alone = np.zeros((len(counts), 3), np.int32)
-    alone[:, axis] = counts
     if temperature_mc is None:
-        return transform.apply(_Counts(alone))[axis]
-    warm = transform.apply(_Counts(alone, temperature_mc))[axis]
+        return _of_axis(transform, axis, counts)
+    warm = _of_axis(transform, axis, counts, temperature_mc)
     absent = temperature_mc == NO_TEMPERATURE_MC
-    return np.where(absent, transform.apply(_Counts(alone))[axis], warm) if absent.any() else warm
+    return np.where(absent, _of_axis(transform, axis, counts), warm) if absent.any() else warm
+
+
+def _of_axis(
+    transform: Transform,
+    axis: int,
+    counts: NDArray[np.int32],
+    temperature_mc: NDArray[np.int32] | None = None,
+) -> NDArray[np.float32]:
+    """Calibrated values of one axis where the others have no counts."""
+    alone, memory = np.zeros((len(counts), 3), np.int32), [np.empty(0, np.float32)] * 3
+    alone[:, axis] = counts
+    memory[axis] = np.empty(len(counts), np.float32)
+    transform.apply_into(_Counts(alone, temperature_mc), memory)
+    return memory[axis]
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 from math import floor
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from accelcal_cli.core.clock import (
     StampClock,
     UniformClock,
     iso_time,
+    quotients,
     rate_fraction,
 )
 
@@ -160,3 +162,25 @@ def test_times_beyond_the_calendar_are_written_in_the_expanded_form(time_us: int
     """The last one by hand: 2**62 us are 53 375 995 days and 50 427.387904 s, 146 097 days in 400 years."""
     assert iso_time(time_us, None) == shown
     assert iso_time(time_us, 3600) == f"{shown}+01:00"
+
+
+@given(
+    st.integers(-(1 << 50), 1 << 50),
+    st.integers(-(1 << 31), 1 << 31),
+    st.one_of(st.integers(1, 2000), st.integers(1, 1 << 31)),
+    st.integers(0, 5000),
+)
+def test_quotients_are_those_of_python(first: int, step: int, divisor: int, number: int) -> None:
+    expected = [(first + place * step) // divisor for place in range(number)]
+    assert quotients(first, step, divisor, number).tolist() == expected
+
+
+@given(st.integers(-50, 0), st.integers(1, 200), st.integers(0, 3_000_000), st.data())
+def test_times_of_one_page_are_those_of_several(first: int, rows: int, span_us: int, data: Any) -> None:
+    number = data.draw(st.integers(1, 5000))
+    start = data.draw(st.integers(0, number - 1))
+    clock = PageClock(*(np.array([value]) for value in (first, 7_000_000, rows, span_us)))
+    expected = [
+        7_000_000 + (2 * (row - first) * span_us + rows) // (2 * rows) for row in range(start, number)
+    ]
+    assert clock.times(start, number).tolist() == expected
