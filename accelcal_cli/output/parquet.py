@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import zip_longest
 from pathlib import Path
+from threading import local
 from types import MappingProxyType
 from typing import Any, Protocol, Self, TypeVar
 
@@ -213,20 +214,21 @@ def _or_nan(numbers: NDArray[Any], absent: int, values: NDArray[Any]) -> NDArray
 
 
 class _CalibratedRates:
-    """Angular rates of chunks; those of one chunk are kept until the next comes."""
+    """Angular rates of chunks; of each thread's last chunk they are kept for its other axes."""
 
     def __init__(self, dps_per_lsb: tuple[float, ...], gyroscope: Gyroscope) -> None:
         self._dps_per_lsb, self._gyroscope = dps_per_lsb, gyroscope
-        self._chunk: Chunk | None = None
-        self._held: Axes = []
+        self._last = local()
 
     def values(self, axis: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
         """Of one axis [deg/s]; NaN where a chunk has none."""
         if chunk.gyro_counts is None:
             return np.full(len(chunk), np.nan, np.float32)
-        if self._chunk is not chunk:
-            self._chunk, self._held = chunk, self._calibrated(chunk, chunk.gyro_counts)
-        return self._held[axis]
+        if getattr(self._last, "chunk", None) is not chunk:
+            self._last.rates = self._calibrated(chunk, chunk.gyro_counts)
+            self._last.chunk = chunk
+        rates: Axes = self._last.rates
+        return rates[axis]
 
     def _calibrated(self, chunk: Chunk, counts: NDArray[Any]) -> Axes:
         held = [np.empty(len(chunk), np.float32) for _ in range(3)]

@@ -5,7 +5,10 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,9 +18,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.recording import Recording
+from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
+from accelcal_cli.core.rotations import Bias, Gyroscope
 from accelcal_cli.output import parquet
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.output.parquet import (
@@ -196,3 +201,42 @@ def test_only_whole_numbers_and_times(tmp_path: Path) -> None:
     write(path, whole, [held[0], *held[4:]], [0, rows])
     assert pq.ParquetFile(path).metadata.num_rows == rows
     assert (pq.read_table(path)["time"].cast(pa.int64()).to_numpy() == held[0]).all()
+
+
+def test_angular_rates_of_threads_are_not_mixed_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each thread asks for the axes of its own rows, which are computed once, while the other does."""
+    made, calibrated = [], Gyroscope.calibrated
+
+    def counted(*arguments: Any) -> Any:
+        made.append(1)
+        return calibrated(*arguments)
+
+    bias = Bias((1.0, 2.0, 3.0), None, (0.0, 0.0, 0.0), None, 60.0, 1.0, None, None)
+    verdict = Gyroscope("calibrated", "", 12, scale=((2, 0, 0), (0.5, 1, 0), (0, 0, 1)), bias=bias)
+    facts = Facts(
+        samples=0, first_us=None, last_us=None, rate_hz=None, gaps=(), gaps_omitted=0, problems=(),
+        counts=SampleCounts(), has_temperature=False, has_gyroscope=True, utc_offset_s=None,
+    )  # fmt: skip
+    recording = Recording(Path("a"), "csv", 100.0, 256.0, 0, gyro_dps_per_lsb=(0.1, 0.2, 0.3))
+    rates = columns_of(recording, facts, gyroscope=verdict)[4:7]
+    random, both = np.random.default_rng(1), threading.Barrier(2)
+
+    def chunk() -> Chunk:
+        counts = random.integers(-3000, 3000, (50, 3)).astype(np.int16)
+        return Chunk(0, np.zeros((50, 3), np.int16), StampClock(np.arange(50)), 0, gyro_counts=counts)
+
+    def asked(rows: Chunk) -> list[np.ndarray]:
+        found = []
+        for column in rates:
+            both.wait(10)
+            found.append(column.values(rows, []))
+        return found
+
+    chunks = [chunk() for _ in range(40)]
+    alone = [[column.values(rows, []) for column in rates] for rows in chunks]
+    monkeypatch.setattr(Gyroscope, "calibrated", counted)
+    with ThreadPoolExecutor(2) as pool:
+        beside = list(pool.map(asked, chunks))
+    assert len(made) == len(chunks)
+    for expected, found in zip(alone, beside, strict=True):
+        assert all((a == b).all() for a, b in zip(expected, found, strict=True))
