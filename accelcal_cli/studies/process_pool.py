@@ -230,7 +230,8 @@ def _lost_worker(worker: _Worker) -> Finished:
         retry = name in ("SIGKILL", "SIGTERM", "SIGHUP")
         return Finished(worker.task, fault=f"its process was ended by {name}{reason}", retry=retry)
     if code == NO_THREAD:
-        return Finished(worker.task, fault="no more threads could be started; use fewer --jobs", retry=True)
+        fault = "no more threads could be started; use fewer --jobs"
+        return Finished(worker.task, fault=fault, retry=True, lacking=True)
     return Finished(worker.task, fault=f"its process ended unexpectedly (code {code})")
 
 

@@ -109,12 +109,14 @@ class Finished:
         result: what the work returned; None if the worker ended before that.
         fault: what happened to the worker, else None.
         retry: whether the fault may lie in the machine and not in the task.
+        lacking: whether the machine had not enough of something.
     """
 
     task: Any
     result: Any = None
     fault: str | None = None
     retry: bool = False
+    lacking: bool = False
 
 
 class Executor(Protocol):

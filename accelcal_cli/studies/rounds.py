@@ -21,7 +21,7 @@ from accelcal_cli.studies.dask_client import Cluster, Notify
 from accelcal_cli.studies.dask_worker import WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.process_pool import ProcessPool
 from accelcal_cli.studies.study import Study
-from accelcal_cli.studies.task import BUG, Common, Task, TaskResult, calibrated
+from accelcal_cli.studies.task import BUG, NO_MEMORY, Common, Task, TaskResult, calibrated
 
 PRELOAD = "accelcal_cli.studies.preload"
 MANY = 1 << 20
@@ -174,4 +174,4 @@ def _result(ended: records.Finished) -> TaskResult:
     task: Task = ended.task
     tidy(task)
     message = f"{printable(task.item.source)}: {ended.fault}"
-    return TaskResult(task.failure(BUG, message, again=ended.retry))
+    return TaskResult(task.failure(NO_MEMORY if ended.lacking else BUG, message, again=ended.retry))

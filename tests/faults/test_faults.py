@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.faults.checks import ERRORS, Tried
+from tests.faults.checks import ERRORS, Stage, Tried
 from tests.faults.growing import staged
 from tests.faults.scenarios import SCENARIOS, Scenario
 from tests.faults.shim import SHORT, Fault, Runner
@@ -27,6 +27,7 @@ SOME = {
     "verify": (Fault("open", "EIO", 15), Fault("open", "EIO", 16), Fault("thread", "EAGAIN", 3)),
     "six-pose": (Fault("thread", "EAGAIN", 4),),
     "six-pose folder": (Fault("list", "EIO", 5),),
+    "study shard": (Fault("thread", "EAGAIN", 2),),
     "simulate hdf5": (
         Fault("write", "ENOSPC", 3), Fault("write", "ENOSPC", 9, on=True), Fault("close", "EIO", 3),
     ),
@@ -40,9 +41,11 @@ SOME = {
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_what_fails_costs_nothing_but_the_run(runner: Runner, tmp_path: Path, name: str) -> None:
+def test_what_fails_costs_nothing_but_the_run(
+    request: pytest.FixtureRequest, tmp_path: Path, name: str
+) -> None:
     scenario = next(one for one in SCENARIOS if one.name == name)
-    stage, cells = staged(scenario, tmp_path / "stage", runner), read()
+    stage, cells = _staged(scenario, tmp_path, request), read()
     for fault in SOME[name]:
         struck = stage.strike(fault)
         assert struck.failed, fault
@@ -62,12 +65,17 @@ def test_each_call_of_each_operation(
     request: pytest.FixtureRequest, tmp_path: Path, scenario: Scenario
 ) -> None:
     """What the table says to be never called is not."""
-    runner = request.getfixturevalue("quick_runner" if scenario.quick else "runner")
     tried = Tried()
-    tried.each(staged(scenario, tmp_path / "stage", runner), None)
+    tried.each(_staged(scenario, tmp_path, request), None)
     assert not tried.wrong, "\n".join(tried.wrong)
     known = read()
     assert all(known[place] for place in tried.cells)
+
+
+def _staged(scenario: Scenario, folder: Path, request: pytest.FixtureRequest) -> Stage:
+    """The command, with the runner that its workers are forked by."""
+    runner = request.getfixturevalue("quick_runner" if scenario.quick else "runner")
+    return staged(scenario, folder / "stage", runner)
 
 
 def test_the_table_has_no_empty_cell_and_lacks_nothing() -> None:
