@@ -7,6 +7,7 @@ which do not depend on how the rows were chunked, so that the file's bytes do no
 from __future__ import annotations
 
 import contextlib
+import inspect
 import json
 import os
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
@@ -36,7 +37,9 @@ from accelcal_cli.output.files import output_error
 from accelcal_cli.output.row_groups import MAGIC, ColumnChunk, EncodedGroup, Footer, encoded
 
 ROW_GROUP_ROWS = 1 << 19
-WRITE_BATCH_ROWS = 1 << 16
+
+PAGE_ROWS = 1 << 16
+"""Of single precision 256 kB, up to which zstd looks for shorter repetitions (zstd, clevels.h)."""
 
 LEVEL = 1
 """Of zstd."""
@@ -322,6 +325,13 @@ class Stored:
         return Stored([array[start:stop] for array in self.arrays])
 
 
+def page_options() -> dict[str, int]:
+    """What lets pyarrow end a page after PAGE_ROWS rows of single precision; newer ones limit rows, too."""
+    options = {"write_batch_size": PAGE_ROWS, "data_page_size": 4 * PAGE_ROWS}
+    known = "max_rows_per_page" in inspect.signature(pq.ParquetWriter.__init__).parameters
+    return options | ({"max_rows_per_page": PAGE_ROWS} if known else {})
+
+
 def copied(rows: Stored, memory: Memory) -> None:
     """Fills memory with rows that are stored already."""
     for (_, free), array in zip(memory, rows.arrays, strict=True):
@@ -353,9 +363,9 @@ class ParquetSink:
             "compression": "zstd",
             "compression_level": LEVEL,
             "use_dictionary": False,
-            "write_batch_size": WRITE_BATCH_ROWS,
             "write_statistics": ["time"],
             "store_schema": True,
+            **page_options(),
         }
         self._threads = min(threads, MOST_ENCODERS)
         self._spare = [self._empty_group() for _ in range(self._threads)]

@@ -23,11 +23,12 @@ from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.core.rotations import Bias, Gyroscope
-from accelcal_cli.output import parquet
+from accelcal_cli.output import parquet, thrift
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.output.parquet import (
     NO_RATE,
     NO_TEMPERATURE_MC,
+    PAGE_ROWS,
     Column,
     Numbers,
     ParquetSink,
@@ -158,7 +159,10 @@ def test_fractions_that_repeat_are_written_as_they_are(tmp_path: Path, repeat: i
     held = arrays(100_000, temperature=False, gyroscope=False)
     held[2] = np.repeat(held[2][: 100_000 // repeat], repeat)
     write(tmp_path / "a", columns(temperature=False, gyroscope=False, utc=False), held, [0, 100_000])
-    assert encoding in pq.ParquetFile(tmp_path / "a").metadata.row_group(0).column(2).encodings
+    column = pq.ParquetFile(tmp_path / "a").metadata.row_group(0).column(2)
+    assert encoding in column.encodings
+    page = thrift.read((tmp_path / "a").read_bytes()[column.data_page_offset :])
+    assert thrift.value_of(thrift.value_of(page, 5), 1) == PAGE_ROWS == 65536
 
 
 def test_a_foreign_file_is_refused_and_ours_is_not(tmp_path: Path) -> None:
