@@ -44,7 +44,7 @@ PAGE_ROWS = 1 << 16
 LEVEL = 1
 """Of zstd."""
 
-SAMPLED, MOST_DIFFERENT = 64, 0.6
+SAMPLED, MOST_DIFFERENT = 64, 0.7
 """Of how many rows one is looked at, and the share of different values up to which they repeat."""
 
 FLUSHED_BYTES = 1 << 25
