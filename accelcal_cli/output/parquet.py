@@ -325,13 +325,6 @@ class Stored:
         return Stored([array[start:stop] for array in self.arrays])
 
 
-def page_options() -> dict[str, int]:
-    """What lets pyarrow end a page after PAGE_ROWS rows of single precision; newer ones limit rows, too."""
-    options = {"write_batch_size": PAGE_ROWS, "data_page_size": 4 * PAGE_ROWS}
-    known = "max_rows_per_page" in inspect.signature(pq.ParquetWriter.__init__).parameters
-    return options | ({"max_rows_per_page": PAGE_ROWS} if known else {})
-
-
 def copied(rows: Stored, memory: Memory) -> None:
     """Fills memory with rows that are stored already."""
     for (_, free), array in zip(memory, rows.arrays, strict=True):
@@ -365,7 +358,7 @@ class ParquetSink:
             "use_dictionary": False,
             "write_statistics": ["time"],
             "store_schema": True,
-            **page_options(),
+            **_page_options(),
         }
         self._threads = min(threads, MOST_ENCODERS)
         self._spare = [self._empty_group() for _ in range(self._threads)]
@@ -464,6 +457,13 @@ class ParquetSink:
         self._flushes.close()
         with contextlib.suppress(OSError):
             self._file.close()
+
+
+def _page_options() -> dict[str, int]:
+    """What lets pyarrow end a page after PAGE_ROWS rows of single precision; newer ones limit rows, too."""
+    options = {"write_batch_size": PAGE_ROWS, "data_page_size": 4 * PAGE_ROWS}
+    known = "max_rows_per_page" in inspect.signature(pq.ParquetWriter.__init__).parameters
+    return options | ({"max_rows_per_page": PAGE_ROWS} if known else {})
 
 
 def _groups(portions: Iterator[P]) -> Iterator[list[P]]:
