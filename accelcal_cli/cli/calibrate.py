@@ -17,7 +17,6 @@ from accelcal_cli.cli.options import (
 )
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.cli.report import refuse_page, write_page
-from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
 from accelcal_cli.pipeline.windows import refuse_impossible
 
@@ -39,6 +38,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     terminal, else (or with --tsv) one tab-separated line: path, outcome, model, error before and after in mg
     on held-out postures, error before / after x 100, and the Parquet file.
     """
+    from accelcal_cli.pipeline.calibrate import calibrate  # it takes longer to load than to show --help
+
     jobs = plan(recordings_of(recordings, values), values["output_dir"], values["output"])
     if values["windows"] is not None:
         refuse_impossible(values["windows"], jobs)

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -32,12 +32,12 @@ from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.stated import plain
 from accelcal_cli.studies.discovery import Where
 from accelcal_cli.studies.heartbeat import LEAST_SILENCE_S
-from accelcal_cli.studies.plan import overlooked
 from accelcal_cli.studies.records import FAILED, Item
-from accelcal_cli.studies.run import preview, run
 from accelcal_cli.studies.study import Study, shard
 from accelcal_cli.studies.summary import Summary
-from accelcal_cli.studies.task import TaskResult
+
+if TYPE_CHECKING:
+    from accelcal_cli.studies.task import TaskResult
 
 
 class TerminalObserver:
@@ -170,6 +170,9 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     printed for each recording, as by `calibrate`; with -q only failures and refusals are shown that are new.
     A run that was interrupted is resumed by the same command.
     """
+    from accelcal_cli.studies.plan import overlooked  # what runs a study takes longer to load than --help
+    from accelcal_cli.studies.run import run
+
     study = _study(folders, values)
     if not values["quiet"] and (number := overlooked(study)):
         exit_codes.say(
@@ -262,6 +265,7 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
 
     With -q none.
     """
+    from accelcal_cli.studies.run import preview
 
     def note(text: str) -> None:
         if not values["quiet"]:

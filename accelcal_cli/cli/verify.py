@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -13,7 +13,9 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, chunk_option
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
-from accelcal_cli.verify import ParquetCheck, Verified, VerifyOptions, verify
+
+if TYPE_CHECKING:
+    from accelcal_cli.verify import ParquetCheck, Verified
 
 DIFFERS = 1
 SHOWN_KEYS = 5
@@ -39,6 +41,8 @@ def command(report: Path, recording: Path, **values: Any) -> int:
     version that wrote the report, this version, and the keys that differ. The exit code is 1 if
     anything differs.
     """
+    from accelcal_cli.verify import VerifyOptions, verify  # with pyarrow, which --help does not need
+
     names = ("layout", "poses", "coefficients", "values", "chunk_samples")
     options = VerifyOptions(**{name: values[name] for name in names})
     with progress_bars(recording.name, quiet=values["quiet"]) as bars:

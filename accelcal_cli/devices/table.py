@@ -9,11 +9,9 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from math import floor, isnan, log10, nan
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
@@ -21,6 +19,9 @@ from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.studies.records import FAILED
 from accelcal_cli.studies.summary import PARAMETERS as COLUMNS
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -174,6 +175,9 @@ def read(out: Path, now_s: float) -> Records:
 
 def columns(path: Path) -> dict[str, Any]:
     """The requested columns: lists of text, arrays of numbers (NaN for none)."""
+    import pyarrow as pa  # which --help does not need
+    import pyarrow.parquet as pq
+
     _check_there(path)
     try:
         with path.open("rb") as source, pq.ParquetFile(source, pre_buffer=False) as file:

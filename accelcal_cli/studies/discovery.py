@@ -15,9 +15,6 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
 from accelcal_cli.core.parts import ANY, files_of, is_never, set_of
@@ -73,14 +70,17 @@ def _summary(path: Path) -> bool:
         if not path.is_file():
             return False
         if path.suffix == ".parquet":
-            return list(pq.read_schema(path).names[:2]) == FIRST
+            from accelcal_cli.output.parquet import stored_schema  # with pyarrow, which --help does not need
+
+            schema = stored_schema(path)
+            return schema is not None and schema.names[: len(FIRST)] == FIRST
         if path.suffix == ".ledger":
             return is_ledger(path)
         if path.suffix == ".csv":
             with path.open("rb") as file:
                 return file.readline(4096).startswith(",".join(FIRST).encode() + b",")
         return "recordings" in (load(path) or {})
-    except (OSError, OutputError, ValueError, pa.ArrowException):
+    except (OSError, OutputError, UnreadableError, ValueError):
         return False
 
 

@@ -11,11 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any
-
-import pyarrow as pa
-import pyarrow.json
-import pyarrow.parquet as pq
+from typing import IO, TYPE_CHECKING, Any
 
 from accelcal_cli import __version__
 from accelcal_cli.core.errors import counted, printable
@@ -25,6 +21,9 @@ from accelcal_cli.output import files
 from accelcal_cli.output.files import json_text, replacing, write_text
 from accelcal_cli.output.report import SPHERE_COLUMNS, sphere_columns
 from accelcal_cli.studies.records import FAILED, Item
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 DEVICE = ("model", "serial", "firmware")
 AXES = ("x", "y", "z")
@@ -278,7 +277,10 @@ def write_csv(rows: Sequence[dict[str, Any]], out: Path, name: str) -> None:
 
 def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
     """The rows, some at a time: as text they take ten times the memory."""
-    schema = pa.schema([(column, _kind(column)) for column in COLUMNS])
+    import pyarrow as pa  # which `study --help` does not need
+    import pyarrow.parquet as pq
+
+    schema = pa.schema([pa.field(column, _kind(column)) for column in COLUMNS])
     with pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for first in range(0, len(rows), TOGETHER):
             writer.write_table(_table(rows[first : first + TOGETHER], schema))
@@ -288,12 +290,15 @@ def _write_parquet(rows: list[dict[str, Any]], file: IO[bytes]) -> None:
 
 def _table(rows: list[dict[str, Any]], schema: pa.Schema) -> pa.Table:
     """Read from JSON lines: `pa.array` would load pandas, which takes half a second."""
+    import pyarrow.json
+
     lines = "\n".join(json.dumps({column: row.get(column) for column in COLUMNS}) for row in rows).encode()
     one_block = pyarrow.json.ReadOptions(block_size=len(lines) + 1)
     return pyarrow.json.read_json(BytesIO(lines), one_block, pyarrow.json.ParseOptions(schema))
 
 
-def _kind(name: str) -> pa.DataType:
+def _kind(name: str) -> str:
+    """Arrow's type of a column."""
     if name in TEXT:
-        return pa.string()
-    return pa.int64() if name in WHOLE else pa.float64()
+        return "string"
+    return "int64" if name in WHOLE else "float64"

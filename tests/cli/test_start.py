@@ -117,6 +117,23 @@ def commands(*lines: tuple[str, ...]) -> str:
     return "\n".join(["from accelcal_cli.cli.main import cli", *runs])
 
 
+def test_no_help_waits_for_what_only_running_needs() -> None:
+    loaded = "{name for name in sys.modules if name in ('pyarrow', 'pandas', 'h5py', 'jinja2')}"
+    code = f"""
+from accelcal_cli.cli.main import cli
+for name in cli.list_commands(None):
+    if child := os.fork():
+        assert os.waitpid(child, 0)[1] == 0
+        continue
+    assert cli.main([name, "--help"], "accelcal", standalone_mode=False) == 0
+    print("\\n" + json.dumps([name, *sorted({loaded})]), flush=True)
+    os._exit(0)
+"""
+    found = lists(code)
+    assert len(found) > 10
+    assert [names for names in found if len(names) > 1] == []
+
+
 def calibrating(path: Path, *words: str) -> tuple[str, ...]:
     return ("calibrate", str(path), "-d", str(path.parent / "out"), "-q", "--force", *words)
 
