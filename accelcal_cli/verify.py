@@ -37,6 +37,7 @@ from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
+from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress, sha256
 from accelcal_cli.pipeline.outputs import json_round_trip
 from accelcal_cli.pipeline.pool import PoolCoefficients
@@ -171,8 +172,6 @@ def reproduced(
     if session or document.report["recording"].get("format") == POINTS:
         check_parquet(None, document, values=options.values)
     if isinstance(settings, Settings) and document.report["recording"].get("format") == POINTS:
-        from accelcal_cli.pipeline.fit import fit_points  # pandas is needed for tables of points alone
-
         return fit_points(recording, settings), None
     layout = _unchanged(made_with.layout, recording, options.layout, "layout")
     is_dump = document.report["recording"].get("format") == DUMP

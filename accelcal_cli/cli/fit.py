@@ -13,6 +13,7 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, fitting_options
 from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.given import fitting_settings
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
 from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance
@@ -35,8 +36,6 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     same line as `calibrate`, with the name of the report, if one is written, in place of the Parquet
     file. Nothing is written if the points are refused.
     """
-    from accelcal_cli.pipeline.fit import fit_points  # pandas takes longer to load than all of accelcal
-
     if output is not None:
         refuse_nameless(output)
         refuse_overwriting((output,), (points,))

@@ -14,11 +14,9 @@ import zlib
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import MAX_POINTS, CellCollector, Sums, plausible, shared_weights, to_points
@@ -28,6 +26,9 @@ from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Saturated, Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import Settings
+
+if TYPE_CHECKING:  # pandas takes longer to load than all of accelcal
+    import pandas as pd
 
 LARGEST_G = 100.0
 LARGEST_SPREAD_G = 2 * LARGEST_G
@@ -159,6 +160,8 @@ def _frame(path: Path) -> pd.DataFrame:
 
     The index is the number of the line, or of the row of a Parquet file, from 1.
     """
+    import pandas as pd
+
     try:
         if probe_file(path, ReadOptions()).head.startswith(PARQUET_MAGIC):
             return _parquet(path)
@@ -186,6 +189,8 @@ def _frame(path: Path) -> pd.DataFrame:
 
 def _parquet(path: Path) -> pd.DataFrame:
     """The columns that matter; one that is empty throughout is none."""
+    import pyarrow.parquet as pq
+
     names = pq.read_schema(path).names
     if {"time", "validity"} <= set(names):
         raise UnreadableError(
@@ -229,6 +234,8 @@ def _names(path: Path, columns: list[str]) -> dict[str, str]:
 
 
 def _numbers(path: Path, frame: pd.DataFrame, name: str, largest: float) -> NDArray[np.float64]:
+    import pandas as pd
+
     cells = frame[name] if pd.api.types.is_numeric_dtype(frame[name]) else frame[name].astype(str).str.strip()
     values = pd.to_numeric(cells, errors="coerce").to_numpy(np.float64)
     bad = ~(np.abs(values) <= largest)
