@@ -179,7 +179,7 @@ class Result:
         """
         import pyarrow as pa
 
-        from accelcal_cli.output.parquet import schema_of, values_of
+        from accelcal_cli.output.columns import schema_of, values_of
 
         if self._data.judgement.calibration is None:
             raise UsageError(f"there are no calibrated values: refused: {self.message}", path=self._path)

@@ -22,8 +22,9 @@ from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading
+from accelcal_cli.output.columns import Column, described, schema_of, values_of
 from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import Column, ParquetSource, described, schema_of, stored_schema, values_of
+from accelcal_cli.output.parquet import ParquetSource, stored_schema
 from accelcal_cli.output.report import ReportInput, build, result_json, section, significant, with_new_names
 from accelcal_cli.output.report_reading import (
     Coefficients,

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UsageError, did_you_mean
+from accelcal_cli.core.steps import WIDEST, Steps, joined_steps, steps_of
 
 _EPOCH = datetime(1970, 1, 1)
 WIDEST_OFFSET_H = 14
@@ -136,6 +137,9 @@ class Clock(Protocol):
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
         """Times of rows start..stop-1 [us since 1970, device clock], shape (stop - start,)."""
 
+    def steps(self, start: int, stop: int) -> Steps:
+        """The same times, of at least one row, as the steps between them."""
+
     def part(self, start: int, stop: int) -> Clock:
         """The clock of rows start..stop-1, counted from 0."""
 
@@ -164,6 +168,10 @@ class UniformClock:
         step = MICROSECONDS * self.rate.denominator
         base = (self.first_index + start) * step + self.rate.numerator // 2
         return self.start_us + quotients(base, step, self.rate.numerator, stop - start)
+
+    def steps(self, start: int, stop: int) -> Steps:
+        """The same times, of at least one row, as the steps between them."""
+        return steps_of(self.times(start, stop))
 
     def part(self, start: int, stop: int) -> UniformClock:
         """The clock of rows start..stop-1, counted from 0."""
@@ -200,6 +208,10 @@ class StampClock:
         """Times of rows start..stop-1 [us], shape (stop - start,)."""
         return self.time_us[start:stop]
 
+    def steps(self, start: int, stop: int) -> Steps:
+        """The same times, of at least one row, as the steps between them."""
+        return steps_of(self.times(start, stop))
+
     def part(self, start: int, stop: int) -> StampClock:
         """The clock of rows start..stop-1, counted from 0."""
         return StampClock(self.time_us[start:stop])
@@ -226,18 +238,26 @@ class PageClock:
         """Times of rows start..stop-1 [us], shape (stop - start,)."""
         if stop <= start:
             return np.empty(0, np.int64)
-        low, last = np.searchsorted(self.first_row, (start, stop - 1), side="right") - 1
-        pages = slice(int(low), int(last) + 1)
-        if low == last:
-            return self._of_one(int(low), start, stop - start)
-        edges = np.append(self.first_row[pages], stop)
-        rows = np.diff(edges)
-        longest = int(rows.max())
-        if (rows[:-1] == longest).all() and (self.span_rows[pages] == longest).all():
-            return self._even(pages, longest)[start - int(edges[0]) : stop - int(edges[0])]
-        skipped = start - int(edges[0])
-        rows[0] -= skipped
-        return self._uneven(pages, rows, skipped)
+        pages = self._pages(start, stop)
+        if pages.stop - pages.start == 1:
+            return self._of_one(pages.start, start, stop - start)
+        skipped = start - int(self.first_row[pages.start])
+        rows = self._rows_of_each(pages, stop)
+        if rows is not None:
+            into, which = self._spread(pages, rows)
+            times: NDArray[np.int64] = into[which]
+            times += self.time_us[pages, np.newaxis]
+            return times.reshape(-1)[skipped : skipped + stop - start]
+        on_each = np.diff(np.append(self.first_row[pages], stop))
+        on_each[0] -= skipped
+        return self._uneven(pages, on_each, skipped)
+
+    def steps(self, start: int, stop: int) -> Steps:
+        """The same times, of at least one row, as the steps between them."""
+        pages = self._pages(start, stop)
+        rows = None if pages.stop - pages.start == 1 else self._rows_of_each(pages, stop)
+        steps = None if rows is None or rows == 1 else self._even_steps(pages, rows, start, stop)
+        return steps_of(self.times(start, stop)) if steps is None else steps
 
     def part(self, start: int, stop: int) -> PageClock:
         """The clock of rows start..stop-1, counted from 0: the pages that they lie on."""
@@ -256,8 +276,20 @@ class PageClock:
         span_us = int(self.span_us[page])
         return quotients(2 * into * span_us + rows, 2 * span_us, 2 * rows, number) + int(self.time_us[page])
 
-    def _even(self, pages: slice, rows: int) -> NDArray[np.int64]:
-        """Times of all rows of pages that hold `rows` rows each, one page after the other.
+    def _pages(self, start: int, stop: int) -> slice:
+        """The pages that rows lie on."""
+        low, last = np.searchsorted(self.first_row, (start, stop - 1), side="right") - 1
+        return slice(int(low), int(last) + 1)
+
+    def _rows_of_each(self, pages: slice, stop: int) -> int | None:
+        """How many rows each page has, as if the last went on behind row stop-1; None if not all alike."""
+        rows = np.diff(np.append(self.first_row[pages], stop))
+        longest = int(rows.max())
+        alike = (rows[:-1] == longest).all() and (self.span_rows[pages] == longest).all()
+        return longest if alike else None
+
+    def _spread(self, pages: slice, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """How long after its page's time each of `rows` rows lies, and which line of that is each page's.
 
         Few different spans occur among the pages of a device: each is divided up once.
         """
@@ -265,9 +297,29 @@ class PageClock:
         into = np.outer(spans, 2 * np.arange(rows, dtype=np.int64))
         into += rows
         into //= 2 * rows
-        times: NDArray[np.int64] = into[which]
-        times += self.time_us[pages, np.newaxis]
-        return times.reshape(-1)
+        return into, which
+
+    def _even_steps(self, pages: slice, rows: int, start: int, stop: int) -> Steps | None:
+        """Steps between rows of several pages that have as many each; None if they differ too much."""
+        into, which = self._spread(pages, rows)
+        begins = self.time_us[pages]
+        within, across = np.diff(into), np.diff(begins) - into[which[:-1], -1]
+        least, most = min(within.min(), across.min()), max(within.max(), across.max())
+        if most - least > WIDEST:
+            return None
+        lines = np.zeros(into.shape, np.uint8)
+        lines[:, :-1] = within - least
+        above = lines.take(which, axis=0)
+        above[:-1, -1] = across - least
+        first, last = start - int(self.first_row[pages.start]), stop - 1 - int(self.first_row[pages.stop - 1])
+        wanted = above.reshape(-1)[first : first + stop - start - 1]
+        shorter = wanted.min()
+        return Steps(
+            int(begins[0] + into[which[0], first]),
+            int(begins[-1] + into[which[-1], last]),
+            int(least) + int(shorter),
+            wanted - shorter if shorter else wanted,
+        )
 
     def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:
         """Times of the first `rows[j]` rows of each page j, in the first one after `skipped` others."""
@@ -292,6 +344,14 @@ class JoinedClock:
         before = self.first.times(min(start, self.rows), min(stop, self.rows))
         after = self.second.times(max(start - self.rows, 0), max(stop - self.rows, 0))
         return np.concatenate((before, after))
+
+    def steps(self, start: int, stop: int) -> Steps:
+        """The same times, of at least one row, as the steps between them."""
+        if start >= self.rows:
+            return self.second.steps(start - self.rows, stop - self.rows)
+        if stop <= self.rows:
+            return self.first.steps(start, stop)
+        return joined_steps([self.first.steps(start, self.rows), self.second.steps(0, stop - self.rows)])
 
     def part(self, start: int, stop: int) -> Clock:
         """The clock of rows start..stop-1, counted from 0."""

@@ -24,14 +24,15 @@ import pyarrow.compute as pc
 import pyarrow.csv
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.clock import MICROSECONDS, StampClock
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.rolling import width_for
 from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
 from accelcal_cli.exports.smooth import smoothed
+from accelcal_cli.output.columns import Column
 from accelcal_cli.output.files import output_error, replacing
-from accelcal_cli.output.parquet import SOURCE_ROWS, Column, ParquetSink, Stored, copied, stored_schema
+from accelcal_cli.output.parquet import SOURCE_ROWS, ParquetSink, Stored, copied, stored_schema
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 
 STANDARD_GRAVITY = 9.80665
@@ -320,15 +321,16 @@ def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], writ
     names += [] if written.resampled else [*about.more, "validity"]
     units = {name: (schema.field(name).metadata or {}).get(b"unit", b"").decode() for name in names}
     types = {name: single if name in "xyz" else schema.field(name).type for name in names}
-    columns = [Column(name, units[name], types[name], _never) for name in names]
+    timed = Column.timed("time", units["time"], types["time"])
+    columns = [timed, *(Column(name, units[name], types[name], _never) for name in names[1:])]
     done: dict[str, Any] = {"smoothed": {"samples": about.smoothed}} if about.smoothed else {}
     done |= {"resampled_hz": about.rate_hz} if written.resampled else {}
 
     def stored(rows: Rows) -> Stored:
         written.count(rows)
         x, y, z = np.ascontiguousarray(rows.xyz.T)
-        held = {"time": rows.time_us, "x": x, "y": y, "z": z, "temperature": rows.celsius, **rows.others}
-        return Stored([np.asarray(held[name]) for name in names])
+        held = {"x": x, "y": y, "z": z, "temperature": rows.celsius, **rows.others}
+        return Stored(StampClock(rows.time_us), [np.asarray(held[name]) for name in names[1:]])
 
     with ParquetSink(places[0], output, columns, {**about.said, **done}) as sink:
         for _ in sink.write(map(stored, portions), copied):

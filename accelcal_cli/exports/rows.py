@@ -16,8 +16,9 @@ from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.zones import UTC
+from accelcal_cli.output.columns import described
 from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import ParquetSource, described, stored_schema
+from accelcal_cli.output.parquet import ParquetSource, stored_schema
 from accelcal_cli.output.report import section
 
 NAMES = ("time", "x", "y", "z")

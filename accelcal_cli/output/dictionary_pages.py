@@ -15,12 +15,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.output import thrift
-from accelcal_cli.output.row_groups import MAGIC, PACKED, UNPACKED, ColumnChunk
-from accelcal_cli.output.thrift import BINARY, I32, I64, LIST, STRUCT, Struct
+from accelcal_cli.output.column_chunks import (
+    DATA_PAGE,
+    DICTIONARY_PAGE,
+    FLOAT,
+    INT32,
+    PLAIN,
+    RLE_DICTIONARY,
+    ColumnChunk,
+    chunk_of,
+    pages_of,
+)
 
 MOST_VALUES = 1 << 16
 """Of a dictionary: places take two bytes."""
@@ -34,10 +42,6 @@ MOST_SPAN = 1 << 20
 LEAST_RUN = 8
 """Rows, in the mean, that numbers stay the same for, so that runs are looked at instead of rows."""
 
-DATA_PAGE, DICTIONARY_PAGE = 0, 2
-PLAIN, RLE, RLE_DICTIONARY = 0, 3, 8
-ZSTD = 6
-INT32, FLOAT = 1, 4
 PHYSICAL = {"float32": (FLOAT, "<f4"), "uint8": (INT32, "<i4")}
 """Parquet's type of the values of a type of numpy, and how PLAIN stores them."""
 
@@ -140,26 +144,11 @@ def dictionary_chunk(name: str, of_rows: NDArray[Any], kept: NDArray[Any], level
         kept: the values, in single precision, or as bytes.
         level: of zstd.
     """
-    kind, stored = PHYSICAL[kept.dtype.name]
-    codec = pa.Codec("zstd", compression_level=level)
-    first, first_unpacked = page(
-        codec, kept.astype(stored).tobytes(), DICTIONARY_PAGE, 7, _of(len(kept), PLAIN)
-    )
-    about = [*_of(len(of_rows), RLE_DICTIONARY), (3, I32, RLE), (4, I32, RLE)]
-    second, second_unpacked = page(codec, _bit_packed(of_rows), DATA_PAGE, 5, about)
-    meta: Struct = [
-        (1, I32, kind),
-        (2, LIST, (I32, [PLAIN, RLE, RLE_DICTIONARY])),
-        (3, LIST, (BINARY, [name.encode()])),
-        (4, I32, ZSTD),
-        (5, I64, len(of_rows)),
-        (UNPACKED, I64, first_unpacked + second_unpacked),
-        (PACKED, I64, sum(map(len, first + second))),
-        (9, I64, len(MAGIC) + sum(map(len, first))),
-        (11, I64, len(MAGIC)),
-        (13, LIST, [page_counts(DICTIONARY_PAGE, PLAIN), page_counts(DATA_PAGE, RLE_DICTIONARY)]),
-    ]
-    return ColumnChunk(first + second, meta)
+    physical, stored = PHYSICAL[kept.dtype.name]
+    values = kept.astype(stored).tobytes(), len(kept)
+    first = pages_of(DICTIONARY_PAGE, PLAIN, [values], level)
+    second = pages_of(DATA_PAGE, RLE_DICTIONARY, [(_bit_packed(of_rows), len(of_rows))], level)
+    return chunk_of(name, physical, first + second, len(of_rows))
 
 
 def _bit_packed(of_rows: NDArray[Any]) -> NDArray[np.uint8]:
@@ -172,26 +161,3 @@ def _bit_packed(of_rows: NDArray[Any]) -> NDArray[np.uint8]:
     rows = page[len(head) : len(head) + len(of_rows) * width]
     rows[:] = of_rows.astype(of_rows.dtype.newbyteorder("<"), copy=False).view(np.uint8)
     return page
-
-
-def _of(number: int, encoding: int) -> Struct:
-    """How many values a page has, and their encoding."""
-    return [(1, I32, number), (2, I32, encoding)]
-
-
-def page(codec: Any, data: Any, kind: int, field: int, about: Struct) -> tuple[list[Any], int]:
-    """A page, its head first, and how long it is unpacked.
-
-    Args:
-        field: of PageHeader, that says more about pages of this kind.
-    """
-    packed = codec.compress(data, asbytes=True)  # a buffer of Arrow keeps the memory of the longest result
-    head = thrift.written(
-        [(1, I32, kind), (2, I32, len(data)), (3, I32, len(packed)), (field, STRUCT, about)]
-    )
-    return [head, packed], len(head) + len(data)
-
-
-def page_counts(kind: int, encoding: int) -> Struct:
-    """Statistics of a column: one page of a kind."""
-    return [(1, I32, kind), (2, I32, encoding), (3, I32, 1)]

@@ -1,9 +1,9 @@
 """Row groups of one Parquet file, encoded apart from each other and put under one footer.
 
-pyarrow encodes a row group after the other. Here each is encoded by itself, as a small file in memory, on
-whatever thread is free; columns that are made elsewhere come behind it. The groups are then written one
-behind the other, and the places that the footer of each names are moved to where it lies. Without columns
-from elsewhere the bytes are those that pyarrow writes by itself.
+pyarrow encodes a row group after the other. Here each is put together from its columns on whatever thread is
+free: those that other modules make, and those that pyarrow encodes, as a small file in memory. The groups
+are then written one behind the other, and the places that the footer of each names are moved to where it
+lies. Where pyarrow encodes all columns the bytes are those that it writes by itself.
 
 Source of the fields: parquet-format, parquet.thrift.
 """
@@ -11,7 +11,7 @@ Source of the fields: parquet-format, parquet.thrift.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,81 +19,82 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli.output import thrift
-from accelcal_cli.output.thrift import I64, STRUCT, Struct, value_of
+from accelcal_cli.output.column_chunks import (
+    DATA_OFFSET,
+    DICTIONARY_OFFSET,
+    MAGIC,
+    PACKED,
+    UNPACKED,
+    ColumnChunk,
+)
+from accelcal_cli.output.thrift import I64, LIST, STRUCT, Struct, value_of
 
-MAGIC = b"PAR1"
 TAIL_BYTES = 8
 """Length of the footer, and the magic number again."""
 
 NUM_ROWS, ROW_GROUPS = 3, 4
 """Fields of FileMetaData."""
 
-COLUMNS, GROUP_UNPACKED, GROUP_ROWS, GROUP_OFFSET, GROUP_PACKED, ORDINAL = 1, 2, 3, 5, 6, 7
+COLUMNS, GROUP_UNPACKED, GROUP_ROWS, GROUP_OFFSET, GROUP_PACKED = 1, 2, 3, 5, 6
 CHUNK_OFFSET, META_DATA = 2, 3
-UNPACKED, PACKED = 6, 7
-PAGE_OFFSETS = (9, 10, 11, 14)
-"""Of a RowGroup, a ColumnChunk, its ColumnMetaData: how long it is, and all that says where something is."""
+PAGE_OFFSETS = (DATA_OFFSET, 10, DICTIONARY_OFFSET, 14)
+"""Of a RowGroup, a ColumnChunk, its ColumnMetaData: what is there, and all that says where something is."""
 
 
-@dataclass(frozen=True, slots=True)
-class ColumnChunk:
-    """A column of a row group as bytes.
+@dataclass(frozen=True, slots=True, eq=False)
+class RowGroup:
+    """So many rows, as the columns that hold them, in order."""
 
-    Attributes:
-        meta: its ColumnMetaData, as in a file with nothing else: its parts begin behind MAGIC.
-    """
-
-    parts: list[pa.Buffer | bytes]
-    meta: Struct
-
-
-@dataclass(frozen=True, slots=True)
-class EncodedGroup:
-    """A row group as bytes, and what the footer of a file with nothing else says of it."""
-
-    parts: list[pa.Buffer | bytes]
+    chunks: Sequence[ColumnChunk]
     rows: int
-    fields: Struct
+
+    @property
+    def parts(self) -> list[pa.Buffer | bytes]:
+        """Its bytes."""
+        return [part for chunk in self.chunks for part in chunk.parts]
+
+    def fields(self, at: int) -> Struct:
+        """What the footer says of it where it begins at a byte of the file."""
+        columns, start = [], at
+        for chunk in self.chunks:
+            meta = _moved(chunk.meta, start - len(MAGIC))
+            columns.append([(CHUNK_OFFSET, I64, 0), (META_DATA, STRUCT, meta)])
+            start += value_of(meta, PACKED)
+        return [
+            (COLUMNS, LIST, columns),
+            (GROUP_UNPACKED, I64, sum(value_of(chunk.meta, UNPACKED) for chunk in self.chunks)),
+            (GROUP_ROWS, I64, self.rows),
+            (GROUP_OFFSET, I64, at),
+            (GROUP_PACKED, I64, start - at),
+        ]
 
 
-def encoded(
-    table: pa.RecordBatch, rows: int, made: Mapping[int, ColumnChunk], **options: Any
-) -> EncodedGroup:
-    """Encode one row group.
+def by_pyarrow(table: pa.RecordBatch, **options: Any) -> list[ColumnChunk]:
+    """The columns of a table as pyarrow encodes them in one row group.
 
     Args:
-        table: its columns but those that are made; perhaps none.
-        made: the others, by their place among all.
         options: of `pyarrow.parquet.ParquetWriter`.
     """
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(sink, table.schema, **options) as writer:
         writer.write_batch(table, max(1, table.num_rows))
     whole = sink.getvalue()
-    end, footer = _footer(whole)
-    (group,) = value_of(footer, ROW_GROUPS)
-    fields: Struct = [(n, k, rows if n == GROUP_ROWS else v) for n, k, v in group]
-    parts, at = [whole[len(MAGIC) : end]], end
-    for place, chunk in sorted(made.items()):
-        fields = _with(fields, place, _moved(chunk.meta, PAGE_OFFSETS, at - len(MAGIC)))
-        parts += chunk.parts
-        at += sum(map(len, chunk.parts))
-    return EncodedGroup(parts, rows, fields)
+    (group,) = value_of(_footer(whole), ROW_GROUPS)
+    return [_lifted(whole, value_of(column, META_DATA)) for column in value_of(group, COLUMNS)]
 
 
-def _footer(whole: pa.Buffer) -> tuple[int, Struct]:
-    """Where the footer of a file begins, and what it says."""
+def _lifted(whole: pa.Buffer, meta: Struct) -> ColumnChunk:
+    """A column out of a file."""
+    places = (value_of(meta, DICTIONARY_OFFSET), value_of(meta, DATA_OFFSET))
+    start = min(place for place in places if place)
+    bytes_of_it = whole[start : start + value_of(meta, PACKED)]
+    return ColumnChunk([bytes_of_it], _moved(meta, len(MAGIC) - start))
+
+
+def _footer(whole: pa.Buffer) -> Struct:
+    """What the footer of a file says."""
     (length,) = struct.unpack("<I", whole[len(whole) - TAIL_BYTES : len(whole) - 4].to_pybytes())
-    end = len(whole) - TAIL_BYTES - length
-    return end, thrift.read(whole[end : len(whole) - TAIL_BYTES].to_pybytes())
-
-
-def _with(group: Struct, place: int, meta: Struct) -> Struct:
-    """A row group with one more column."""
-    columns = list(value_of(group, COLUMNS))
-    columns.insert(place, [(CHUNK_OFFSET, I64, 0), (META_DATA, STRUCT, meta)])
-    more = {GROUP_UNPACKED: value_of(meta, UNPACKED), GROUP_PACKED: value_of(meta, PACKED)}
-    return [(n, k, columns if n == COLUMNS else v + more.get(n, 0)) for n, k, v in group]
+    return thrift.read(whole[len(whole) - TAIL_BYTES - length : len(whole) - TAIL_BYTES].to_pybytes())
 
 
 class Footer:
@@ -107,13 +108,13 @@ class Footer:
         sink = pa.BufferOutputStream()
         pq.ParquetWriter(sink, schema, **options).close()
         self.rows = 0
-        self._file = _footer(sink.getvalue())[1]
-        self._groups: list[Struct] = []
+        self._file = _footer(sink.getvalue())
+        self._groups: list[bytes] = []
 
-    def add(self, group: EncodedGroup, at: int) -> None:
-        """Take in the next group, whose first part begins at a byte of the file."""
+    def add(self, group: RowGroup, at: int) -> None:
+        """Take in the next group, which begins at a byte of the file."""
         self.rows += group.rows
-        self._groups.append(shifted(group.fields, at - len(MAGIC), len(self._groups)))
+        self._groups.append(thrift.written(group.fields(at)))
 
     def tail(self) -> bytes:
         """What ends the file."""
@@ -122,18 +123,6 @@ class Footer:
         return data + struct.pack("<I", len(data)) + MAGIC
 
 
-def shifted(group: Struct, by: int, ordinal: int) -> Struct:
-    """A row group that lies so many bytes further, and is this one of its file."""
-
-    def chunk(fields: Struct) -> Struct:
-        moved = _moved(fields, (CHUNK_OFFSET,), by)
-        return [(n, k, _moved(v, PAGE_OFFSETS, by) if n == META_DATA else v) for n, k, v in moved]
-
-    fields = _moved(group, (GROUP_OFFSET,), by)
-    fields = [(n, k, [chunk(one) for one in v] if n == COLUMNS else v) for n, k, v in fields]
-    return [(n, k, ordinal if n == ORDINAL else v) for n, k, v in fields]
-
-
-def _moved(fields: Struct, numbers: tuple[int, ...], by: int) -> Struct:
-    """Places moved; 0 stands for none."""
-    return [(n, k, v + by if n in numbers and v else v) for n, k, v in fields]
+def _moved(meta: Struct, by: int) -> Struct:
+    """A column that lies so many bytes further; 0 stands for no place."""
+    return [(n, k, v + by if n in PAGE_OFFSETS and v else v) for n, k, v in meta]

@@ -19,8 +19,8 @@ import pyarrow.csv as pa_csv
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.recording import Chunk, Closing, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
+from accelcal_cli.output.columns import Axes, Column, columns_of, schema_of, values_of
 from accelcal_cli.output.files import discard, output_error
-from accelcal_cli.output.parquet import Axes, Column, columns_of, schema_of, values_of
 
 ARROW, CSV = "arrow", "csv"
 KINDS = (ARROW, CSV)

@@ -9,9 +9,13 @@ from typing import Any
 
 TRUE, FALSE, I8, I16, I32, I64, DOUBLE, BINARY, LIST, SET, STRUCT = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
 WHOLE = (I16, I32, I64)
+ONE_BYTE = [bytes([value]) for value in range(128)]
 
 Struct = list[tuple[int, int, Any]]
-"""Fields: identifier, type, value. A list is a pair of type and values, or just structures."""
+"""Fields: identifier, type, value. A list is a pair of type and values, or just structures.
+
+To be written, a structure may be its bytes.
+"""
 
 
 def read(data: bytes) -> Struct:
@@ -81,47 +85,65 @@ class _Reader:
 
 def written(fields: Struct) -> bytes:
     """The bytes of a structure."""
-    data, last = bytearray(), 0
+    data = bytearray()
+    _write_struct(data, fields)
+    return bytes(data)
+
+
+def _write_struct(data: bytearray, fields: Struct | bytes) -> None:
+    if isinstance(fields, bytes):
+        data += fields
+        return
+    last = 0
     for number, kind, value in fields:
         step = number - last
-        data += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + zigzag(number)
-        data += _value_written(kind, value)
+        if 0 < step < 16:
+            data.append(step << 4 | kind)
+        else:
+            data.append(kind)
+            data += zigzag(number)
+        _write_value(data, kind, value)
         last = number
-    return bytes(data) + b"\0"
+    data.append(0)
 
 
-def _value_written(kind: int, value: Any) -> bytes:
-    if kind in (TRUE, FALSE):
-        return b""
+def _write_value(data: bytearray, kind: int, value: Any) -> None:
     if kind in WHOLE:
-        return zigzag(value)
-    if kind in (LIST, SET):
-        return _list_written(value)
-    if kind == STRUCT:
-        return written(value)
-    data: bytes = value
-    return data if kind in (I8, DOUBLE) else varint(len(data)) + data
+        data += zigzag(value)
+    elif kind == STRUCT:
+        _write_struct(data, value)
+    elif kind in (LIST, SET):
+        _write_list(data, value)
+    elif kind == BINARY:
+        data += varint(len(value)) + value
+    elif kind not in (TRUE, FALSE):
+        data += value
 
 
-def _list_written(value: Any) -> bytes:
+def _write_list(data: bytearray, value: Any) -> None:
     kind, values = (STRUCT, value) if isinstance(value, list) else value
-    head = (
-        bytes([len(values) << 4 | kind])
-        if len(values) < 15
-        else bytes([15 << 4 | kind]) + varint(len(values))
-    )
+    if len(values) < 15:
+        data.append(len(values) << 4 | kind)
+    else:
+        data.append(15 << 4 | kind)
+        data += varint(len(values))
     if kind in (TRUE, FALSE):
-        return head + bytes(values)
-    return head + b"".join(_value_written(kind, one) for one in values)
+        data += bytes(values)
+        return
+    for one in values:
+        _write_value(data, kind, one)
 
 
 def varint(value: int) -> bytes:
     """A whole number that is not negative, seven bits a byte (ULEB128)."""
+    if value < 128:
+        return ONE_BYTE[value]
     data = bytearray()
     while value > 127:
         data.append(value & 127 | 128)
         value >>= 7
-    return bytes([*data, value])
+    data.append(value)
+    return bytes(data)
 
 
 def zigzag(value: int) -> bytes:

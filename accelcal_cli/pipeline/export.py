@@ -21,7 +21,8 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
-    from accelcal_cli.output.parquet import Column, Memory, Numbers, ParquetSink
+    from accelcal_cli.output.columns import Column, Numbers
+    from accelcal_cli.output.parquet import Memory, ParquetSink
 
 BLOCK_ROWS = 1 << 14
 
@@ -251,17 +252,17 @@ def beyond(chunk: Chunk, transform: Transform, range_g: float | None) -> int:
 
 def columns_of(data: ReportInput) -> list[Column]:
     """The columns of a result's Parquet file."""
-    from accelcal_cli.output import parquet
+    from accelcal_cli.output.columns import columns_of, not_calibrated
 
     applied = transform_of(data)
     axes = numbers_of_axes(applied, data.facts.has_temperature)
-    columns = parquet.columns_of(data.recording, data.facts, axes, data.gyroscope)
-    return columns if data.judgement.calibration is not None else parquet.not_calibrated(columns)
+    columns = columns_of(data.recording, data.facts, axes, data.gyroscope)
+    return columns if data.judgement.calibration is not None else not_calibrated(columns)
 
 
 def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Numbers]:
     """The whole numbers that calibrated values follow from: steps, or the counts of one axis."""
-    from accelcal_cli.output.parquet import TEMPERATURE, Numbers
+    from accelcal_cli.output.columns import TEMPERATURE, Numbers
 
     steps = transform.steps_per_g
     if steps is not None and steps <= FINEST:
@@ -311,7 +312,7 @@ def _of_counts(
     temperature_mc: NDArray[np.int32] | None = None,
 ) -> NDArray[np.float32]:
     """Calibrated values of counts of one axis, whatever the others are."""
-    from accelcal_cli.output.parquet import NO_TEMPERATURE_MC
+    from accelcal_cli.output.columns import NO_TEMPERATURE_MC
 
     if temperature_mc is None:
         return _of_axis(transform, axis, counts)

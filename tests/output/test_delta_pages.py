@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.output.delta_pages import BLOCK, CACHED, delta_chunk
-from accelcal_cli.output.row_groups import MAGIC, Footer, encoded
+from accelcal_cli.core.steps import CACHED, steps_of
+from accelcal_cli.output.column_chunks import MAGIC
+from accelcal_cli.output.delta_pages import BLOCK, delta_chunk
+from accelcal_cli.output.row_groups import Footer, RowGroup
 
 SCHEMA = pa.schema([pa.field("time", pa.timestamp("us"), False)])
 OPTIONS: dict[str, Any] = {"compression": "zstd"}
@@ -22,10 +24,9 @@ LENGTHS = [1, 2, 3, 127, BLOCK, BLOCK + 1, BLOCK + 2, CACHED, CACHED + 1, CACHED
 
 def file_of(times: np.ndarray[Any, Any]) -> bytes:
     """A file of nothing but times."""
-    made = delta_chunk("time", times, 1)
+    made = delta_chunk("time", steps_of(times), 1)
     assert made is not None
-    nothing = pa.record_batch([], schema=pa.schema([]))
-    group, footer = encoded(nothing, len(times), {0: made}, **OPTIONS), Footer(SCHEMA, **OPTIONS)
+    group, footer = RowGroup([made], len(times)), Footer(SCHEMA, **OPTIONS)
     footer.add(group, len(MAGIC))
     return MAGIC + b"".join(bytes(part) for part in group.parts) + footer.tail()
 
@@ -90,7 +91,6 @@ def test_other_differences_are_left_to_pyarrow(at: int) -> None:
     steps = np.full(2 * CACHED + 1, 10_000)
     steps[at] += 255
     times = NOON + np.concatenate([[0], np.cumsum(steps)])
-    assert delta_chunk("time", times, 1) is not None
+    assert delta_chunk("time", steps_of(times), 1) is not None
     steps[at] += 1
-    assert delta_chunk("time", NOON + np.concatenate([[0], np.cumsum(steps)]), 1) is None
-    assert delta_chunk("time", times[:0], 1) is None
+    assert delta_chunk("time", steps_of(NOON + np.concatenate([[0], np.cumsum(steps)])), 1) is None

@@ -13,8 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.output.column_chunks import MAGIC, ColumnChunk
 from accelcal_cli.output.dictionary_pages import MOST_VALUES, dictionary_chunk, paired, places
-from accelcal_cli.output.row_groups import MAGIC, ColumnChunk, Footer, encoded
+from accelcal_cli.output.row_groups import Footer, RowGroup, by_pyarrow
 
 SCHEMA = pa.schema([pa.field("n", pa.int64(), False), pa.field("v", pa.float32(), False)])
 
@@ -22,7 +23,8 @@ SCHEMA = pa.schema([pa.field("n", pa.int64(), False), pa.field("v", pa.float32()
 def in_file(made: ColumnChunk, rows: int) -> bytes:
     """A file of a counter and one made column."""
     counter = pa.record_batch([pa.array(np.arange(rows))], schema=pa.schema([SCHEMA.field("n")]))
-    group, footer = encoded(counter, rows, {1: made}, compression="zstd"), Footer(SCHEMA, compression="zstd")
+    group = RowGroup([*by_pyarrow(counter, compression="zstd"), made], rows)
+    footer = Footer(SCHEMA, compression="zstd")
     footer.add(group, len(MAGIC))
     return MAGIC + b"".join(bytes(part) for part in group.parts) + footer.tail()
 

@@ -24,22 +24,14 @@ from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.core.rotations import Bias, Gyroscope
 from accelcal_cli.output import parquet, thrift
+from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, Column, Numbers, columns_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
-from accelcal_cli.output.parquet import (
-    NO_RATE,
-    NO_TEMPERATURE_MC,
-    PAGE_ROWS,
-    Column,
-    Numbers,
-    ParquetSink,
-    Stored,
-    columns_of,
-    copied,
-)
+from accelcal_cli.output.float_pages import PAGE_ROWS
+from accelcal_cli.output.parquet import ParquetSink, Stored, copied
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
-    """As a sink takes them: temperatures in thousandths of a degree, rates in counts."""
+    """Times, and what else a sink takes: temperatures in thousandths of a degree, rates in counts."""
     random = np.random.RandomState(3)
     held = [1_700_000_000_000_000 + 10_000 * np.arange(number, dtype=np.int64)]
     held += [random.randn(number).astype(np.float32) for _ in range(3)]
@@ -70,7 +62,8 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
 
 def write(path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
     with ParquetSink(path, path, kept, {"a": 1}, threads) as sink:
-        portions = (Stored(held).part(start, stop) for start, stop in itertools.pairwise(edges))
+        rows = Stored(StampClock(held[0]), held[1:])
+        portions = (rows.part(start, stop) for start, stop in itertools.pairwise(edges))
         assert all(filled for filled in sink.write(portions, copied)) == bool(edges[-1])
         sink.close()
 

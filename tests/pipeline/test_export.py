@@ -9,7 +9,7 @@ import pytest
 
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.recording import Chunk
-from accelcal_cli.output.parquet import NO_TEMPERATURE_MC
+from accelcal_cli.output.columns import NO_TEMPERATURE_MC
 from accelcal_cli.pipeline.export import Transform, beyond, numbers_of_axes
 
 ROWS = 20_000
