@@ -17,6 +17,9 @@ from accelcal_cli.output.column_chunks import MAGIC, ColumnChunk
 from accelcal_cli.output.dictionary_pages import MOST_VALUES, dictionary_chunk, paired, places
 from accelcal_cli.output.row_groups import Footer, RowGroup, by_pyarrow
 
+DICTIONARY_PAGE, DATA_PAGE = b"\x15\x04", b"\x15\x00"
+"""How pages begin: field 1, an integer, is the kind, 2 or 0 (parquet.thrift, zigzag)."""
+
 SCHEMA = pa.schema([pa.field("n", pa.int64(), False), pa.field("v", pa.float32(), False)])
 
 
@@ -43,8 +46,11 @@ def written(numbers: np.ndarray[Any, Any]) -> bytes:
 )
 def test_pyarrow_reads_what_was_written(numbers: list[int], times: int, kind: type) -> None:
     rows: np.ndarray[Any, Any] = np.repeat(np.array(numbers, kind), times)
-    read = pq.read_table(pa.BufferReader(written(rows)))["v"].to_numpy()
-    assert (read == (rows / 8).astype(np.float32)).all()
+    data = written(rows)
+    assert (pq.read_table(pa.BufferReader(data))["v"].to_numpy() == (rows / 8).astype(np.float32)).all()
+    column = pq.ParquetFile(pa.BufferReader(data)).metadata.row_group(0).column(1)
+    kinds = [data[at : at + 2] for at in (column.dictionary_page_offset, column.data_page_offset)]
+    assert kinds == [DICTIONARY_PAGE, DATA_PAGE]
 
 
 @pytest.mark.parametrize("rows", [1, 7, 8, 9, 524_288])
