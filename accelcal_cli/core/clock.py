@@ -304,7 +304,8 @@ class PageClock:
         into, which = self._spread(pages, rows)
         begins = self.time_us[pages]
         within, across = np.diff(into), np.diff(begins) - into[which[:-1], -1]
-        least, most = min(within.min(), across.min()), max(within.max(), across.max())
+        least = min(int(within.min()), int(across.min()))
+        most = max(int(within.max()), int(across.max()))
         if most - least > WIDEST:
             return None
         lines = np.zeros(into.shape, np.uint8)
@@ -313,12 +314,12 @@ class PageClock:
         above[:-1, -1] = across - least
         first, last = start - int(self.first_row[pages.start]), stop - 1 - int(self.first_row[pages.stop - 1])
         wanted = above.reshape(-1)[first : first + stop - start - 1]
-        shorter = wanted.min()
+        shorter = int(wanted.min())
         return Steps(
             int(begins[0] + into[which[0], first]),
             int(begins[-1] + into[which[-1], last]),
-            int(least) + int(shorter),
-            wanted - shorter if shorter else wanted,
+            least + shorter,
+            wanted - np.uint8(shorter) if shorter else wanted,
         )
 
     def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:

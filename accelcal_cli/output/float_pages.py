@@ -33,13 +33,13 @@ def float_chunk(name: str, values: NDArray[np.float32], level: int) -> ColumnChu
     Args:
         level: of zstd.
     """
-    encoding = PLAIN if repeats(values) else BYTE_STREAM_SPLIT
+    encoding = PLAIN if _repeats(values) else BYTE_STREAM_SPLIT
     parts = [values[start : start + PAGE_ROWS] for start in range(0, max(1, len(values)), PAGE_ROWS)]
     data = [(_split(part) if encoding else part.view(np.uint8), len(part)) for part in parts]
     return chunk_of(name, FLOAT, pages_of(DATA_PAGE, encoding, data, level), len(values))
 
 
-def repeats(values: NDArray[np.float32]) -> bool:
+def _repeats(values: NDArray[np.float32]) -> bool:
     """Whether values repeat, which the codec finds; else only their high bytes are alike, and compress better
     side by side.
     """

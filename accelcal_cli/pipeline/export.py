@@ -252,12 +252,12 @@ def beyond(chunk: Chunk, transform: Transform, range_g: float | None) -> int:
 
 def columns_of(data: ReportInput) -> list[Column]:
     """The columns of a result's Parquet file."""
-    from accelcal_cli.output.columns import columns_of, not_calibrated
+    from accelcal_cli.output import columns
 
     applied = transform_of(data)
     axes = numbers_of_axes(applied, data.facts.has_temperature)
-    columns = columns_of(data.recording, data.facts, axes, data.gyroscope)
-    return columns if data.judgement.calibration is not None else not_calibrated(columns)
+    found = columns.columns_of(data.recording, data.facts, axes, data.gyroscope)
+    return found if data.judgement.calibration is not None else columns.not_calibrated(found)
 
 
 def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Numbers]:

@@ -101,6 +101,13 @@ def test_those_of_pages_that_are_full(
     asked(clock, min(one, first + last), min(other, first + last))
 
 
+def test_those_of_pages_of_damaged_times() -> None:
+    """Steps that differ by more than 64 bits hold: 2**62 forward and back again."""
+    times = np.array([0, 1 << 62, 0, 100], np.int64)
+    clock = PageClock(np.arange(0, 8, 2), times, np.full(4, 2), np.full(4, 20))
+    asked(clock, 0, 7)
+
+
 @given(
     st.sampled_from([Fraction(100), Fraction(857, 10), Fraction(7), Fraction(1, 3)]),
     st.lists(st.integers(0, 30_000), min_size=1, max_size=9),
