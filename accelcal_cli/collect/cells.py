@@ -15,30 +15,28 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, coarser, group_of
+from accelcal_cli.collect.cell_points import Sums, numbers_of, points_of, shared_weights
+from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, group_of
 from accelcal_cli.collect.previous import PreviousPosture
 from accelcal_cli.collect.saturation import Saturation
 from accelcal_cli.core.course import Course
-from accelcal_cli.core.fixed import ONE, rounded_quotient
+from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import (
-    WEIGHT_ONE,
     Fates,
     PointSet,
     Role,
     Saturated,
-    TemperatureScale,
     Windows,
 )
 from accelcal_cli.core.settings import Settings
 
-MAX_POINTS = 4096
 MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
 """Cells of all blocks of time, and blocks; if there are more, blocks are twice as long."""
 
@@ -52,70 +50,6 @@ NEARLY_CONSTANT_SHARE = 10
 
 NEAR_G = 0.05
 """So near to where an axis saturates, breath and noise may have taken samples of a still window beyond."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sums:
-    """One point before its division: sums over `samples` samples of `windows` windows.
-
-    Attributes:
-        previous: sums of what was measured in the posture before; None where it is not known.
-    """
-
-    windows: int
-    samples: int
-    xyz: tuple[int, int, int]
-    temperature_mc: int = 0
-    previous: tuple[int, int, int] | None = None
-
-
-def to_points(
-    sums: Sequence[Sums], weights: Sequence[int], lsb_per_g: float | Fraction, *, temperature: bool
-) -> PointSet:
-    """Means in fixed-point g; temperatures scaled to a power-of-two span about their mean."""
-    scale = Fraction(lsb_per_g)
-    one, lsb = ONE * scale.denominator, scale.numerator
-    xyz = [[rounded_quotient(axis * one, item.samples * lsb) for axis in item.xyz] for item in sums]
-    windows = np.array([item.windows for item in sums], np.int64)
-    shares = np.array(weights, np.int64)
-    places = np.array(xyz, np.int64).reshape(-1, 3)
-    held = PointSet(places, shares, windows, previous=_previous(sums, one, lsb))
-    if not temperature or not sums:
-        return held
-    means = [rounded_quotient(item.temperature_mc, item.samples) for item in sums]
-    reference = rounded_quotient(sum(w * t for w, t in zip(weights, means, strict=True)), sum(weights))
-    span = _span_c(max(abs(mean - reference) for mean in means))
-    tau = [
-        rounded_quotient((item.temperature_mc - reference * item.samples) * ONE, item.samples * 1000 * span)
-        for item in sums
-    ]
-    temperatures = TemperatureScale(reference, float(span))
-    return replace(held, tau=np.array(tau, np.int64), temperature=temperatures)
-
-
-def _previous(sums: Sequence[Sums], one: int, lsb: int) -> NDArray[np.int64] | None:
-    """Means of the postures before, in fixed-point g; None where one is not known."""
-    known = [(item.previous, item.samples) for item in sums if item.previous is not None]
-    if len(known) < len(sums):
-        return None
-    rows = [[rounded_quotient(axis * one, samples * lsb) for axis in total] for total, samples in known]
-    return np.array(rows, np.int64).reshape(-1, 3)
-
-
-def shared_weights(groups: Sequence[tuple[int, ...]], windows: Sequence[int]) -> list[int]:
-    """Weights of cells: each group counts as one point, shared by its cells' numbers of windows."""
-    totals: dict[tuple[int, ...], int] = defaultdict(int)
-    for group, number in zip(groups, windows, strict=True):
-        totals[group] += number
-    pairs = zip(groups, windows, strict=True)
-    return [max(1, rounded_quotient(number * WEIGHT_ONE, totals[group])) for group, number in pairs]
-
-
-def _span_c(largest_mc: int) -> int:
-    span = 1
-    while largest_mc >= 2000 * span:
-        span *= 2
-    return span
 
 
 def norms_g(windows: Windows, lsb_per_g: float) -> NDArray[np.float64]:
@@ -251,16 +185,14 @@ class CellCollector:
             course: what puts a sensor right that changed, in units of local gravity; blocks of time as in
                 their middle.
         """
-        cells, halvings = self._bounded()
-        ordered = sorted(cells.items())
-        weights = shared_weights([group_of(key) for key, _ in ordered], [value[0] for _, value in ordered])
-        scale = Fraction(self.lsb_per_g)
+        cells, scale = self._fitted(), Fraction(self.lsb_per_g)
         if course is not None:
-            cells, scale = self._along(course, halvings), scale * scale.denominator * ONE
-        sums = [_sums(cells[key]) for key, _ in ordered]
-        return to_points(sums, weights, scale, temperature=self.temperature)
+            along, scale = self._along(course), scale * scale.denominator * ONE
+            cells = {key: along[key] for key in cells}
+        sums = {key: _sums(value) for key, value in cells.items()}
+        return points_of(sums, _shared, scale, temperature=self.temperature)[1]
 
-    def _along(self, course: Course, halvings: int) -> dict[Key, Value]:
+    def _along(self, course: Course) -> dict[Key, Value]:
         """The cells with sums put right, in whole parts of a count."""
         scale, real = Fraction(self.lsb_per_g), self._constants_are_real()
         found: dict[Key, Value] = {}
@@ -272,8 +204,7 @@ class CellCollector:
                     for total, stretch, shift in zip(sums[:3], *course.at(middle), strict=True)
                 ]
                 before = [total * scale.denominator * ONE for total in sums[4:]]
-                cell = tuple(part >> halvings for part in key[:CONSTANT])
-                add_sums(found, cell, [windows, samples, *right, sums[3], *before])
+                add_sums(found, key[:CONSTANT], [windows, samples, *right, sums[3], *before])
         return found
 
     def timed(self) -> list[tuple[int, Sums]]:
@@ -306,8 +237,7 @@ class CellCollector:
         constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
         keys = self._keys(windows.select(near_1_g), constant)[:, :CONSTANT]
         _, left_out = self._settled()
-        cells, halvings = self._bounded()
-        number = {key: index for index, key in enumerate(sorted(cells))}
+        number = numbers_of(self._fitted())
         unbelieved = (constant & (not self._constants_are_real())).tolist()
         for place, key, never_changed in zip(near_1_g.tolist(), keys.tolist(), unbelieved, strict=True):
             if never_changed:
@@ -315,17 +245,13 @@ class CellCollector:
             elif tuple(key) in left_out:
                 role[place] = left_out[tuple(key)]
             else:
-                role[place], point[place] = Role.FIT, number[tuple(part >> halvings for part in key)]
+                role[place], point[place] = Role.FIT, number[tuple(key)]
         return Fates(role, point)
 
-    def _bounded(self) -> tuple[dict[Key, Value], int]:
-        """The cells that make points, and how often they were made twice as wide to be so few."""
+    def _fitted(self) -> dict[Key, Value]:
+        """The cells that make points."""
         cells, left_out = self._settled()
-        cells = {key: value for key, value in cells.items() if key not in left_out}
-        halvings = 0
-        while len(cells) > MAX_POINTS:
-            cells, halvings = coarser(cells), halvings + 1
-        return cells, halvings
+        return {key: value for key, value in cells.items() if key not in left_out}
 
     def _settled(self) -> tuple[dict[Key, Value], dict[Key, Role]]:
         """The cells of windows that were measured, and the role of those of them that make no points."""
@@ -371,6 +297,11 @@ def _step(spreads: dict[int, int]) -> int:
     if len(ordered) < 2:
         return 0
     return min(b - a for a, b in pairwise(ordered) if (b - a) * 64 >= ordered[1])
+
+
+def _shared(ordered: Sequence[tuple[Key, Sums]]) -> list[int]:
+    """Weights of cells, by their numbers of windows."""
+    return shared_weights([group_of(key) for key, _ in ordered], [sums.windows for _, sums in ordered])
 
 
 def _sums(value: Value) -> Sums:

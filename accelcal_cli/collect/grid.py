@@ -109,11 +109,3 @@ def add_sums(cells: dict[Key, Value], key: Key, value: Value) -> None:
 def group_of(key: Key) -> Key:
     """The 2 x 2 x 2 cells that a cell is one of."""
     return tuple(part >> 1 for part in key[:TEMPERATURE])
-
-
-def coarser(cells: dict[Key, Value]) -> dict[Key, Value]:
-    """Cells of twice the width, in space and in temperature."""
-    wider: dict[Key, Value] = {}
-    for key, value in cells.items():
-        add_sums(wider, (*group_of(key), key[TEMPERATURE] >> 1), value)
-    return wider

@@ -14,7 +14,8 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cells import Sums, plausible, to_points
+from accelcal_cli.collect.cell_points import Sums, to_points
+from accelcal_cli.collect.cells import plausible
 from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Windows
 from accelcal_cli.core.settings import Settings
 

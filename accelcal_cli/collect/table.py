@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 import warnings
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
@@ -19,7 +20,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cells import MAX_POINTS, CellCollector, Sums, plausible, shared_weights, to_points
+from accelcal_cli.collect.cell_points import MAX_POINTS, Sums, points_of, shared_weights, to_points
+from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.formats import ReadOptions, probe_file
@@ -127,8 +129,20 @@ def table_of(frame: pd.DataFrame, path: Path) -> Table:
         _refuse_rows(path, frame, weight <= 0, f"{names['weight']} above zero")
     if "posture" in names:
         _refuse_rows(path, frame, frame[names["posture"]].to_numpy(str) == "", names["posture"])
-        posture = np.unique(frame[names["posture"]].to_numpy(str), return_inverse=True)[1].astype(np.int64)
+        posture = _postures(path, frame[names["posture"]].to_numpy(str))
     return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
+
+
+def _postures(path: Path, names: NDArray[Any]) -> NDArray[np.int64]:
+    """The number of each row's posture."""
+    found, number = np.unique(names, return_inverse=True)
+    if len(found) > MAX_POINTS:
+        raise UnreadableError(
+            f"names {len(found)} postures, and at most {MAX_POINTS} points are fitted",
+            path=path,
+            hint="leave out the column posture",
+        )
+    return number.astype(np.int64)
 
 
 def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[np.float64]) -> Table:
@@ -304,19 +318,10 @@ def _kept_apart(
     table: Table, lsb_per_g: float, settings: Settings, *, temperature: bool
 ) -> tuple[PointSet, NDArray[np.int64] | None]:
     """Cells within postures; wider ones where there would be too many."""
-    width: float = settings.cells_per_g
-    shares = _shares(table)
-    while True:
-        keys = _keys(table, lsb_per_g, width, temperature=temperature)
-        cells = _cells(table, shares, keys)
-        if len(cells) <= MAX_POINTS:
-            break
-        width = width / 2
-    ordered = sorted(cells.items())
-    weights = _group_weights(ordered) if table.weight is None else _own_weights(ordered)
-    points = to_points([sums for _, sums in ordered], weights, lsb_per_g, temperature=temperature)
-    label = None if table.posture is None else np.array([key[0] for key, _ in ordered], np.int64)
-    return points, label
+    keys = _keys(table, lsb_per_g, settings.cells_per_g, temperature=temperature)
+    weigh = _group_weights if table.weight is None else _own_weights
+    found, points = points_of(_cells(table, _shares(table), keys), weigh, lsb_per_g, temperature=temperature)
+    return points, None if table.posture is None else np.array([key[0] for key in found], np.int64)
 
 
 def _shares(table: Table) -> NDArray[np.int64]:
@@ -329,7 +334,7 @@ def _shares(table: Table) -> NDArray[np.int64]:
     return np.asarray(np.maximum(1, relative))
 
 
-def _keys(table: Table, lsb_per_g: float, cells_per_g: float, *, temperature: bool) -> NDArray[np.int64]:
+def _keys(table: Table, lsb_per_g: float, cells_per_g: int, *, temperature: bool) -> NDArray[np.int64]:
     """(n, 5): posture, cell, degree C."""
     keys = np.zeros((len(table), 5), np.int64)
     scale = Fraction(lsb_per_g).limit_denominator(1000) / Fraction(cells_per_g)
@@ -355,13 +360,13 @@ def _cells(table: Table, shares: NDArray[np.int64], keys: NDArray[np.int64]) -> 
     }
 
 
-def _own_weights(ordered: list[tuple[Key, Sums]]) -> list[int]:
+def _own_weights(ordered: Sequence[tuple[Key, Sums]]) -> list[int]:
     """As given; a point of mean weight counts as one."""
     total = sum(sums.samples for _, sums in ordered)
     return [max(1, rounded_quotient(s.samples * len(ordered) * WEIGHT_ONE, total)) for _, s in ordered]
 
 
-def _group_weights(ordered: list[tuple[Key, Sums]]) -> list[int]:
+def _group_weights(ordered: Sequence[tuple[Key, Sums]]) -> list[int]:
     """Each 2 x 2 x 2 group of cells of one posture counts as one point, as in `cells`."""
     groups = [(key[0], *(part >> 1 for part in key[1:4])) for key, _ in ordered]
     return shared_weights(groups, [sums.windows for _, sums in ordered])

@@ -13,7 +13,8 @@ from itertools import accumulate, pairwise
 from math import isfinite
 from typing import Any
 
-from accelcal_cli.collect.cells import MAX_BLOCKS, MAX_POINTS
+from accelcal_cli.collect.cell_points import MAX_POINTS
+from accelcal_cli.collect.cells import MAX_BLOCKS
 
 Value = float | None
 Column = list[Value]

@@ -286,59 +286,6 @@ def test_the_histogram_of_spreads_stays_small_and_is_exact_for_small_ones() -> N
     assert len(numbers) < len(spreads) // 4
 
 
-def many_cells(temperatures: range = range(20_000, 21_000, 1000)) -> Windows:
-    index = np.arange(600) + 0.5
-    z, turn = 1 - index / 300, 10.166407 * index
-    ring = np.sqrt(1 - z * z)
-    g = np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
-    sums = np.repeat(np.rint(g * 256 * LENGTH).astype(np.int64), len(temperatures), axis=0)
-    warm = np.tile(np.array(temperatures) * LENGTH, 600)
-    return windows(LENGTH, sums.tolist(), temperature_sums=warm.tolist())
-
-
-@pytest.mark.parametrize("limit", [599, 200, 60, 8])
-def test_too_many_cells_are_made_coarser_and_lose_no_window(
-    limit: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    items = many_cells()
-    fine = collected(items).points()
-    assert len(fine) == 600
-    monkeypatch.setattr(cells, "MAX_POINTS", limit)
-    coarse = collected(items).points()
-    assert 8 <= len(coarse) <= limit
-    assert coarse.windows.sum() == fine.windows.sum() == 600
-    totals = [(points.xyz * points.windows[:, None]).sum(axis=0) for points in (fine, coarse)]
-    assert (abs(totals[0] - totals[1]) <= 600).all(), "sums are kept but for the rounding of the means"
-
-
-def test_merged_collectors_are_made_coarser_like_the_batch(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cells, "MAX_POINTS", 100)
-    items = many_cells()
-    odd = np.arange(600) % 2 == 1
-    merged = collected(items.select(odd))
-    merged.merge(collected(items.select(~odd)))
-    assert plain(merged.points()) == plain(collected(items).points())
-
-
-def test_making_cells_coarser_ends_with_any_number_of_temperatures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Eight octants and 600 whole degrees are more than the 4096 points that are allowed."""
-    rounds = 0
-
-    def counted(held: dict[tuple[int, ...], list[int]]) -> dict[tuple[int, ...], list[int]]:
-        nonlocal rounds
-        rounds += 1
-        assert rounds < 40, "cells are made coarser without end"
-        return coarser(held)
-
-    coarser = cells.coarser
-    monkeypatch.setattr(cells, "coarser", counted)
-    corners = [(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    sums = [[148 * LENGTH * part for part in corner] for corner in corners for _ in range(600)]
-    warm = [LENGTH * 1000 * degree for _ in corners for degree in range(600)]
-    points = collected(windows(LENGTH, sums, temperature_sums=warm), temperature=True).points()
-    assert len(points) <= cells.MAX_POINTS
-
-
 @given(wear(30), st.booleans())
 def test_the_unit_of_the_counts_does_not_matter(items: Windows, temperature: bool) -> None:
     sums, spread = items.sums << 16, items.spread << 16

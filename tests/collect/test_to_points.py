@@ -9,7 +9,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.collect.cells import Sums, to_points
+from accelcal_cli.collect.cell_points import Sums, to_points
 from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.points import TemperatureScale
 
