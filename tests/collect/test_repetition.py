@@ -78,6 +78,17 @@ def test_what_may_be_chance_stays(batch: int) -> None:
     assert once(twice, batch) == (twice.first_sample.tolist(), 0)
 
 
+@pytest.mark.parametrize("batch", [1, 7, 4096])
+def test_a_window_of_its_own_within_a_copy_makes_two_of_it(batch: int) -> None:
+    one, other = measured(60), measured(9, seed=2)
+    first, second = one.select(np.arange(1, 20)), one.select(np.arange(21, 41))
+    own = other.select(np.array([3]))
+    twice = played((one, 0), (first, 90_000), (own, 99_500), (second, 100_500))
+    assert once(twice, batch) == (twice.first_sample.tolist(), 0)
+    whole = played((one, 0), (first, 90_000), (second, 100_000))
+    assert once(whole, batch)[1] == len(first) + len(second) - 1, "one, the last, never changes"
+
+
 def test_a_recording_played_twice_gives_what_it_gives_once(tmp_path: Path, capsys: Capture) -> None:
     counts = still_counts(directions(60))
     reports = []
