@@ -118,7 +118,8 @@ class PaperCollector:
         self.fit = SubsetCollector(lsb_per_g, most, least)
         self.control = SubsetCollector(lsb_per_g, most, least)
         self._limits = (least, most) if least < most else (most,)
-        self._distance = Fraction(str(settings.min_distance_g)) * Fraction(lsb_per_g)
+        distance = Fraction(str(settings.min_distance_g)) * Fraction(lsb_per_g)
+        self._distance = distance.numerator, distance.denominator
         self._taken: list[Mean] = []
         self._role: dict[int, Role] = {}
         """Of the windows that were taken, by their first sample."""
@@ -137,8 +138,10 @@ class PaperCollector:
         columns = (near_1_g.first_sample, near_1_g.samples, near_1_g.sums)
         for first_sample, samples, (x, y, z) in zip(*(column.tolist() for column in columns), strict=True):
             mean = (samples, (x, y, z))
+            if not self._differs(mean):
+                continue
             role, subset = self._place(mean)
-            if subset is not None and self._differs(mean):
+            if subset is not None:
                 subset.append(Sums(1, *mean))
                 self._taken.append(mean)
                 self._role[first_sample] = role
@@ -187,7 +190,8 @@ class PaperCollector:
 
     def _near(self, one: Mean, other: Mean) -> bool:
         """Whether two means are less than the distance apart, in exact integers."""
-        (samples, sums), (others, other_sums) = one, other
-        apart = sum((a * others - b * samples) ** 2 for a, b in zip(sums, other_sums, strict=True))
-        limit = self._distance.numerator * samples * others
-        return apart * self._distance.denominator**2 < limit * limit
+        (samples, (x, y, z)), (others, (u, v, w)) = one, other
+        squares = (x * others - u * samples) ** 2 + (y * others - v * samples) ** 2
+        squares += (z * others - w * samples) ** 2
+        numerator, denominator = self._distance
+        return squares * denominator**2 < (numerator * samples * others) ** 2

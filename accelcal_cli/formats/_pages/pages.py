@@ -381,9 +381,8 @@ class HeldChannels:
         }
 
     def _filled(self, name: str, measured: NDArray[Any]) -> NDArray[Any]:
-        known = measured != MISSING
-        if not known.all():
-            source = np.maximum.accumulate(np.where(known, np.arange(len(measured)), -1))
+        if measured.min() <= MISSING:
+            source = np.maximum.accumulate(np.where(measured != MISSING, np.arange(len(measured)), -1))
             last = measured.dtype.type(self._last[name])
             measured = np.where(source < 0, last, measured[source])
         self._last[name] = int(measured[-1])
