@@ -480,9 +480,10 @@ class Thermometer:
 
     def temperature_mc(self, raw: NDArray[np.uint16]) -> NDArray[np.int32]:
         """Thousandths of a degree C of temperature words, rounded to the nearest; MISSING at either end."""
-        scaled = (raw & TEMPERATURE_MASK).astype(np.int32) * self.slope
+        word = raw & TEMPERATURE_MASK
+        scaled = word.astype(np.int32) * self.slope
         measured = (scaled + self.divisor // 2) // self.divisor - np.int32(self.zero)
-        ends = np.isin(raw & TEMPERATURE_MASK, NO_SENSOR)
+        ends = (word == NO_SENSOR[0]) | (word == NO_SENSOR[1])
         return np.where(ends, np.int32(MISSING), measured) if ends.any() else measured
 
     @property
