@@ -50,4 +50,7 @@ def _repeats(values: NDArray[np.float32]) -> bool:
 
 def _split(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """The first bytes of all values, then the second ones, and so on."""
-    return np.ascontiguousarray(values.view(np.uint8).reshape(-1, 4).T).reshape(-1)
+    bits, split = values.view(np.uint32), np.empty((4, len(values)), np.uint8)
+    for place, row in enumerate(split):
+        np.right_shift(bits, 8 * place, out=row, casting="unsafe")
+    return split.reshape(-1)
