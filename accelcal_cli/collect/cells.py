@@ -40,6 +40,9 @@ from accelcal_cli.core.settings import Settings
 MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
 """Cells of all blocks of time, and blocks; if there are more, blocks are twice as long."""
 
+ONE_DEGREE, MOST_DEGREES = 3, 1 << 12
+"""So often are blocks doubled before the degrees C of cells are with them; more than thermometers tell."""
+
 LEADING_BITS = 8
 FAR_MC, FAR_DEVIATIONS = 40_000, 10
 """Temperatures [thousandths of a degree C] further than this from the median of the windows, and than so
@@ -132,7 +135,9 @@ class CellCollector:
         self.saturation = Saturation()
         self._previous = PreviousPosture()
         border = Fraction(lsb_per_g).limit_denominator(1000)
-        self._cells = Cells(Grid(border, settings.cells_per_g, temperature))
+        self._cells = Cells(Grid(border, settings.cells_per_g, int(temperature)))
+        self._doubled = 0
+        """How often blocks of time were."""
 
     def add(self, windows: Windows) -> None:
         """Take still windows in."""
@@ -152,12 +157,27 @@ class CellCollector:
         for key, value in _summed(keys, values):
             add_sums(self._cells, key, value)
         while self.block_samples and self._too_many(int(windows.first_sample[-1])):
-            self._cells = self._cells.with_blocks(lambda block: block >> 1)
-            self.block_samples *= 2
+            self._double()
 
     def _too_many(self, last_sample: int) -> bool:
-        """Whether blocks of time have to be longer; windows come in the order of time."""
-        return len(self._cells) > MAX_TIMED or last_sample // self.block_samples >= MAX_BLOCKS
+        """Whether there are too many cells or blocks of time, and fewer if they are made wider.
+
+        Windows come in the order of time.
+        """
+        blocks, degrees = last_sample // self.block_samples, self._cells.grid.degrees
+        fewer = blocks > 0 or 0 < degrees < MOST_DEGREES
+        return blocks >= MAX_BLOCKS or (len(self._cells) > MAX_TIMED and fewer)
+
+    def _double(self) -> None:
+        """Make blocks of time longer, and later cells wider in temperature, too.
+
+        Always in the same order, so that it does not matter how many windows come at a time.
+        """
+        self._cells = self._cells.with_blocks(lambda block: block >> 1)
+        self.block_samples *= 2
+        self._doubled += 1
+        if self._doubled > ONE_DEGREE:
+            self._cells = self._cells.with_degrees(2 * self._cells.grid.degrees)
 
     def forget_first_block(self) -> None:
         """Forget the windows of the first block of time; the next one becomes the first."""
@@ -171,8 +191,11 @@ class CellCollector:
         self.implausible += other.implausible
         self.spreads.merge(other.spreads)
         self.saturation.merge(other.saturation)
-        for key, value in other._cells.items():
-            add_sums(self._cells, (*key[:3], key[3] * self.temperature, key[CONSTANT], 0), value)
+        degrees = max(self._cells.grid.degrees, other._cells.grid.degrees) if self.temperature else 0
+        if degrees != self._cells.grid.degrees:
+            self._cells = self._cells.with_degrees(degrees)
+        for key, value in other._cells.with_degrees(degrees).items():
+            add_sums(self._cells, (*key[:BLOCK], 0), value)
 
     def orientations(self) -> int:
         """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -28,12 +28,12 @@ class Grid:
     Attributes:
         lsb_per_g: counts in 1 g.
         cells_per_g: cells in 1 g on each axis.
-        temperature: whether cells are of one degree C.
+        degrees: of temperature that a cell is wide [degrees C], a power of two; 0: all of them.
     """
 
     lsb_per_g: Fraction
     cells_per_g: int
-    temperature: bool
+    degrees: int
 
     def keys(self, samples: NDArray[Any], sums: NDArray[Any], heat: NDArray[Any]) -> NDArray[np.int64]:
         """Of means, the cells that they lie in, (m, 4).
@@ -45,8 +45,8 @@ class Grid:
         keys = np.zeros((len(samples), TEMPERATURE + 1), np.int64)
         g = samples[:, np.newaxis] * self.lsb_per_g.numerator
         keys[:, :TEMPERATURE] = sums * (self.cells_per_g * self.lsb_per_g.denominator) // g
-        if self.temperature:
-            keys[:, TEMPERATURE] = heat // (samples * 1000)
+        if self.degrees:
+            keys[:, TEMPERATURE] = heat // (samples * 1000 * self.degrees)
         return keys
 
 
@@ -90,6 +90,14 @@ class Cells(dict[Key, Value]):
         for key, value in self.items():
             if (block := number(key[BLOCK])) >= 0:
                 add_sums(made, (*key[:BLOCK], block), value)
+        return made
+
+    def with_degrees(self, degrees: int) -> Cells:
+        """The same by cells that are as wide in temperature or wider; 0: all of it in one."""
+        made = Cells(replace(self.grid, degrees=degrees))
+        for key, value in self.items():
+            degree = key[TEMPERATURE] * self.grid.degrees // degrees if degrees else 0
+            add_sums(made, (*key[:TEMPERATURE], degree, *key[CONSTANT:]), value)
         return made
 
 

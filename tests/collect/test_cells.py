@@ -359,6 +359,75 @@ def test_blocks_become_longer_where_there_are_too_many(
     assert sum(one.windows for _, one in held.timed()) == len(items)
 
 
+def roaming(number: int, seed: int) -> Windows:
+    """Windows of 8 samples, 450 an hour, each in a posture and at a temperature of its own."""
+    random = np.random.default_rng(seed)
+    g = random.standard_normal((number, 3))
+    g /= np.sqrt((g**2).sum(axis=1))[:, None]
+    sums = np.rint(g * 256 * LENGTH).astype(np.int64).tolist()
+    warm = random.integers(15_000 * LENGTH, 40_000 * LENGTH, number)
+    made = windows(np.full(number, LENGTH), sums, np.ones((number, 3), np.int64), warm)
+    return replace(made, first_sample=LENGTH * np.arange(number))
+
+
+@pytest.mark.parametrize("temperature", [False, True])
+@pytest.mark.parametrize("most", [20, 200, 1000, 3000])
+def test_a_wrist_that_is_everywhere_at_all_temperatures_comes_to_an_end(
+    monkeypatch: pytest.MonkeyPatch, most: int, temperature: bool
+) -> None:
+    """Blocks become longer, cells warmer; more orientations than cells may be are all kept, in one block."""
+    monkeypatch.setattr(cells, "MAX_TIMED", most)
+    items = roaming(3000, seed=3)
+    alone = collected(items)
+    found = []
+    for parts in (1, 7, 60):
+        held = CellCollector(256.0, DEFAULT, temperature=temperature, block_samples=360)
+        for part in np.array_split(np.arange(len(items)), parts):
+            held.add(items.select(part))
+        assert sum(one.windows for _, one in held.timed()) == len(items)
+        assert held.points().windows.sum() == len(items)
+        found.append((held.block_samples, held.timed(), plain(held.points())))
+    assert found[0] == found[1] == found[2]
+    if most < len(alone.points()):
+        assert {block for block, _ in held.timed()} == {0}
+        assert held.points().xyz.tolist() == alone.points().xyz.tolist(), "in two temperatures, if at all"
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_collectors_of_unlike_degrees_are_merged_as_the_wider_one(
+    monkeypatch: pytest.MonkeyPatch, first: int
+) -> None:
+    items = roaming(400, seed=4)
+    narrow = collected(items.select(np.arange(200)), temperature=True)
+    monkeypatch.setattr(cells, "MAX_TIMED", 150)
+    wide = CellCollector(256.0, DEFAULT, temperature=True, block_samples=3600)
+    wide.add(items.select(np.arange(200, 400)))
+    merged = collector(temperature=True)
+    for part in ((narrow, wide), (wide, narrow))[first]:
+        merged.merge(part)
+    alone = collected(items).points()
+    assert merged.points().xyz.tolist() == alone.xyz.tolist(), "the wider one holds all temperatures together"
+    assert merged.points().windows.tolist() == alone.windows.tolist()
+
+
+@pytest.mark.parametrize(("hours", "degrees"), [(15, [20, 21, 22, 23]), (30, [20, 22]), (60, [20])])
+def test_cells_are_of_more_degrees_where_blocks_are_of_many_hours(
+    monkeypatch: pytest.MonkeyPatch, hours: int, degrees: list[int]
+) -> None:
+    """Blocks of 8 hours, and one degree; of 16, and two; of 32, and four."""
+    monkeypatch.setattr(cells, "MAX_BLOCKS", 2)
+    held = CellCollector(256.0, DEFAULT, temperature=True, block_samples=3600)
+    items = rested(hours, postures=1)
+    warm = (20_500 + 1000 * (np.arange(len(items)) % 4)) * LENGTH
+    items = replace(items, sums=np.abs(items.sums), temperature_sums=warm)
+    held.add(items)
+    points = held.points()
+    assert points.tau is not None and points.temperature is not None
+    celsius = points.temperature.reference_mc / 1000 + points.tau / ONE * points.temperature.span_c
+    width = 4 // len(degrees)
+    assert celsius.tolist() == pytest.approx([degree + width / 2 for degree in degrees], abs=0.01)
+
+
 def test_a_pool_has_no_blocks_of_time() -> None:
     held, merged = CellCollector(256.0, DEFAULT, temperature=False, block_samples=3600), collector()
     held.add(rested(3))

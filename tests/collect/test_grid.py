@@ -40,7 +40,7 @@ def again(cells: Cells) -> Cells:
 )  # fmt: skip
 def test_the_place_of_a_cell_is_that_of_its_mean(means: list[Any], temperature: bool) -> None:
     """Each window goes to a cell by the definition; a cell holds the sums of several of them."""
-    cells = Cells(Grid(SCALE, 20, temperature))
+    cells = Cells(Grid(SCALE, 20, int(temperature)))
     for counts, samples, milli, constant, block in means:
         sums = [value * samples + samples // 2 for value in counts]
         place = [value * 20 // (SCALE * samples) for value in sums]
@@ -70,7 +70,7 @@ def test_a_collector_comes_back_as_it_was(temperature: bool, items: Windows) -> 
 
 
 def test_the_first_block_is_forgotten_and_the_next_one_is_the_first() -> None:
-    grid = Grid(SCALE, 20, temperature=False)
+    grid = Grid(SCALE, 20, degrees=0)
     value = [1, 8, 2000, 0, 0, 0, 0, 0, 0]
     cells = Cells(grid)
     for block in (0, 1, 2):
