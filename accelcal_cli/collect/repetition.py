@@ -134,9 +134,8 @@ class _LastPlaces:
         """Take in a sorted part that is later than all others."""
         while self._parts and len(self._parts[-1][0]) <= 2 * len(keys):
             earlier, where = self._parts.pop()
-            keys, places = np.concatenate([earlier, keys]), np.concatenate([where, places])
-            order = np.argsort(keys, kind="stable")
-            keys, places = keys[order], places[order]
+            at = np.searchsorted(earlier, keys, side="right")
+            keys, places = np.insert(earlier, at, keys), np.insert(where, at, places)
         if len(keys):
             self._parts.append((keys, places))
 
