@@ -1,17 +1,18 @@
 """Cells as points of a fit: their means and weights, and wider cells where there would be too many.
 
-A long recording fills thousands of cells. Those of one orientation at several temperatures are joined first:
-what depends linearly on temperature is, in the mean, what it is at the mean temperature. The mean of several
-orientations is not one of them: it lies inside the sphere, by how much they spread, and is moved out again.
+A long recording fills thousands of cells. Those of one orientation at several temperatures are joined
+first, up to 8 degrees C, which leaves a fit the contrasts that it needs: what depends linearly on temperature
+is, in the mean, what it is at the mean temperature. The mean of several orientations is not one of them: it
+lies inside the sphere, by how much they spread. It is moved out, away from raw zero, which is right but for
+the product of that with the offset: of 0.1 g, to 0.1 mg in cells of 0.1 g, to 0.3 mg in those of 0.2 g.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import product
 from math import isqrt
 
 import numpy as np
@@ -23,8 +24,11 @@ from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale
 
 MAX_POINTS = 4096
 
-SPACE_DOUBLINGS, HEAT_DOUBLINGS = 6, 6
-"""Of 0.05 g and a degree C: an axis then has two cells, and so have temperatures that a wrist sees."""
+HEAT_DOUBLINGS, ALL_DEGREES = 3, 12
+"""Of a degree C: as long as there is another way, and where there is none."""
+
+HARMLESS_SPACE, MOST_SPACE = 2, 12
+"""Doublings of a cell's sides: up to which moving means out is as good as that, and up to which cells are."""
 
 Vector = tuple[int, int, int]
 
@@ -50,7 +54,7 @@ Weigh = Callable[[Sequence[tuple[Key, Sums]]], Sequence[int]]
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """How often the width of cells is doubled, in space and in temperature; beyond the most, all are one."""
+    """How often the width of cells is doubled, in space and in temperature."""
 
     space: int = 0
     heat: int = 0
@@ -58,16 +62,13 @@ class Width:
     def of(self, key: Key) -> Key:
         """The wider cell that a cell is part of; its last four numbers say where it lies."""
         *first, x, y, z, degree = key
-        if self.space > SPACE_DOUBLINGS:
-            return *first, 0, 0, 0, 0
         return *first, x >> self.space, y >> self.space, z >> self.space, degree >> self.heat
 
 
 def points_of(
-    cells: Mapping[Key, Sums], weigh: Weigh, lsb_per_g: float | Fraction, *, temperature: bool
+    cells: Mapping[Key, Sums], width: Width, weigh: Weigh, lsb_per_g: float | Fraction, *, temperature: bool
 ) -> tuple[list[Key], PointSet]:
-    """The cells, as wide as they have to be, and one point for each; in the order of their coordinates."""
-    width = _width_for(cells)
+    """Cells made so wide, and one point for each; in the order of their coordinates."""
     parts = defaultdict[Key, list[Sums]](list)
     for key, sums in cells.items():
         parts[width.of(key)].append(sums)
@@ -78,20 +79,26 @@ def points_of(
     return [key for key, _ in ordered], points
 
 
-def numbers_of(cells: Collection[Key]) -> dict[Key, int]:
+def numbers_of(cells: Collection[Key], width: Width) -> dict[Key, int]:
     """The number of the point of `points_of` that each cell is part of."""
-    width = _width_for(cells)
     number = {key: index for index, key in enumerate(sorted({*map(width.of, cells)}))}
     return {key: number[width.of(key)] for key in cells}
 
 
-def _width_for(cells: Collection[Key]) -> Width:
+def width_for(cells: Collection[Key]) -> Width:
     """The narrowest that leaves few enough cells, else the widest."""
     if len(cells) <= MAX_POINTS:
         return Width()
-    widths = (Width(*doubled) for doubled in product(range(SPACE_DOUBLINGS + 1), range(HEAT_DOUBLINGS + 1)))
-    few = (width for width in widths if len({*map(width.of, cells)}) <= MAX_POINTS)
-    return next(few, Width(SPACE_DOUBLINGS + 1))
+    few = (width for width in _widths() if len({*map(width.of, cells)}) <= MAX_POINTS)
+    return next(few, Width(MOST_SPACE, ALL_DEGREES))
+
+
+def _widths() -> Iterator[Width]:
+    """From narrow to wide."""
+    for space in range(MOST_SPACE + 1):
+        yield from (Width(space, heat) for heat in range(HEAT_DOUBLINGS + 1))
+        if space >= HARMLESS_SPACE:
+            yield Width(space, ALL_DEGREES)
 
 
 def _added(parts: Sequence[Sums]) -> Sums:

@@ -3,10 +3,10 @@
 A wrist rests for hours in a few postures; one mean per cell of the raw acceleration space keeps
 all orientations and bounds the memory. Cells are cubes of about 0.05 g (the mean of a wider cell
 lies inside the sphere by the square of its spread: 0.1 g cells leave a bias of 0.03 mg on simulated
-days, 0.05 g cells none that shows). Each group of 2 x 2 x 2 cells counts as one point, shared by its
-cells in proportion to their windows, so that frequent postures do not outweigh rare ones. Where
-temperature is used, cells are split by whole degrees C too; and they are kept apart by blocks of
-time, so that a sensor that changes can be seen.
+days, 0.05 g cells none that shows, and 0.2 mg where windows fill them evenly). Each group of 2 x 2 x 2
+cells counts as one point, shared by its cells in proportion to their windows, so that frequent postures
+do not outweigh rare ones. Where temperature is used, cells are split by whole degrees C too (by more where
+there are too many); and they are kept apart by blocks of time, so that a sensor that changes can be seen.
 
 All sums are integers: adding windows in batches of any size, or merging collectors, gives the same result.
 """
@@ -22,7 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cell_points import Sums, numbers_of, points_of, shared_weights
+from accelcal_cli.collect.cell_points import Sums, numbers_of, points_of, shared_weights, width_for
 from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, group_of
 from accelcal_cli.collect.previous import PreviousPosture
 from accelcal_cli.collect.saturation import Saturation
@@ -40,8 +40,9 @@ from accelcal_cli.core.settings import Settings
 MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
 """Cells of all blocks of time, and blocks; if there are more, blocks are twice as long."""
 
-ONE_DEGREE, MOST_DEGREES = 3, 1 << 12
-"""So often are blocks doubled before the degrees C of cells are with them; more than thermometers tell."""
+ONE_BLOCK, MOST_DEGREES = 1 << 40, 1 << 12
+"""Samples and degrees C that no recording goes beyond. Where one block has too many cells, time is not kept,
+and cells are made wider in temperature."""
 
 LEADING_BITS = 8
 FAR_MC, FAR_DEVIATIONS = 40_000, 10
@@ -136,8 +137,6 @@ class CellCollector:
         self._previous = PreviousPosture()
         border = Fraction(lsb_per_g).limit_denominator(1000)
         self._cells = Cells(Grid(border, settings.cells_per_g, int(temperature)))
-        self._doubled = 0
-        """How often blocks of time were."""
 
     def add(self, windows: Windows) -> None:
         """Take still windows in."""
@@ -156,28 +155,26 @@ class CellCollector:
         values = np.column_stack([np.ones_like(samples), samples, windows.sums, heat, before])
         for key, value in _summed(keys, values):
             add_sums(self._cells, key, value)
-        while self.block_samples and self._too_many(int(windows.first_sample[-1])):
-            self._double()
+        self._limit(int(windows.first_sample[-1]))
 
-    def _too_many(self, last_sample: int) -> bool:
-        """Whether there are too many cells or blocks of time, and fewer if they are made wider.
+    def _limit(self, last_sample: int = 0) -> None:
+        """Make blocks of time longer, or else cells wider in temperature, where there are too many of them.
 
-        Windows come in the order of time.
+        Windows come in the order of time; however many come at a time, it ends in the same way.
         """
-        blocks, degrees = last_sample // self.block_samples, self._cells.grid.degrees
-        fewer = blocks > 0 or 0 < degrees < MOST_DEGREES
-        return blocks >= MAX_BLOCKS or (len(self._cells) > MAX_TIMED and fewer)
-
-    def _double(self) -> None:
-        """Make blocks of time longer, and later cells wider in temperature, too.
-
-        Always in the same order, so that it does not matter how many windows come at a time.
-        """
-        self._cells = self._cells.with_blocks(lambda block: block >> 1)
-        self.block_samples *= 2
-        self._doubled += 1
-        if self._doubled > ONE_DEGREE:
-            self._cells = self._cells.with_degrees(2 * self._cells.grid.degrees)
+        while True:
+            blocks = last_sample // self.block_samples if self.block_samples else 0
+            degrees = self._cells.grid.degrees
+            if blocks < MAX_BLOCKS and len(self._cells) <= MAX_TIMED:
+                return
+            if blocks:
+                self._cells = self._cells.with_blocks(lambda block: block >> 1)
+                self.block_samples *= 2
+            elif 0 < degrees < MOST_DEGREES:
+                self._cells = self._cells.with_degrees(2 * degrees)
+                self.block_samples = self.block_samples and ONE_BLOCK
+            else:
+                return
 
     def forget_first_block(self) -> None:
         """Forget the windows of the first block of time; the next one becomes the first."""
@@ -196,6 +193,7 @@ class CellCollector:
             self._cells = self._cells.with_degrees(degrees)
         for key, value in other._cells.with_degrees(degrees).items():
             add_sums(self._cells, (*key[:BLOCK], 0), value)
+        self._limit()
 
     def orientations(self) -> int:
         """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""
@@ -209,11 +207,12 @@ class CellCollector:
                 their middle.
         """
         cells, scale = self._fitted(), Fraction(self.lsb_per_g)
+        width = width_for(cells)
         if course is not None:
             along, scale = self._along(course), scale * scale.denominator * ONE
             cells = {key: along[key] for key in cells}
         sums = {key: _sums(value) for key, value in cells.items()}
-        return points_of(sums, _shared, scale, temperature=self.temperature)[1]
+        return points_of(sums, width, _shared, scale, temperature=self.temperature)[1]
 
     def _along(self, course: Course) -> dict[Key, Value]:
         """The cells with sums put right, in whole parts of a count."""
@@ -260,7 +259,8 @@ class CellCollector:
         constant = windows.spread[near_1_g].max(axis=1, initial=0) == 0
         keys = self._keys(windows.select(near_1_g), constant)[:, :CONSTANT]
         _, left_out = self._settled()
-        number = numbers_of(self._fitted())
+        fitted = self._fitted()
+        number = numbers_of(fitted, width_for(fitted))
         unbelieved = (constant & (not self._constants_are_real())).tolist()
         for place, key, never_changed in zip(near_1_g.tolist(), keys.tolist(), unbelieved, strict=True):
             if never_changed:

@@ -21,6 +21,8 @@ class PreviousPosture:
 
     def __init__(self) -> None:
         self._leader: Vector | None = None
+        self._cell: tuple[int, ...] | None = None
+        """Of the last window."""
         self._last: Vector = (0, 0, 0)
         self._before: Vector | None = None
 
@@ -33,12 +35,15 @@ class PreviousPosture:
             cell: (m, c) small whole numbers; windows with the same ones measure the same direction.
         """
         means = windows.sums // windows.samples[:, np.newaxis]
-        starts = np.flatnonzero((np.diff(cell, axis=0, prepend=cell[:1] - 1) != 0).any(axis=1))
+        held = cell[:1] - 1 if self._cell is None else [self._cell]
+        fresh = (np.diff(cell, axis=0, prepend=held) != 0).any(axis=1)
+        starts = np.flatnonzero(np.append(True, fresh[1:]))
         ends = np.append(starts[1:], len(windows))
+        self._cell = tuple(cell[-1].tolist())
         before = means.copy()
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
             first, last = means[start].tolist(), means[end - 1].tolist()
-            if self._leader is None or not _alike(self._leader, first):
+            if self._leader is None or (fresh[start] and not _alike(self._leader, first)):
                 self._before = None if self._leader is None else self._last
                 self._leader = first
             self._last = last

@@ -27,7 +27,7 @@ _SEED, _PRIME = np.uint64(0xCBF29CE484222325), np.uint64(0x100000001B3)
 
 
 class Repetitions:
-    """Takes still windows in the order of time; keeps 32 bytes of each.
+    """Takes still windows in the order of time; keeps 32 bytes of each that changes.
 
     Attributes:
         windows: how many were left out.

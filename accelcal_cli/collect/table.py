@@ -20,7 +20,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cell_points import MAX_POINTS, Sums, points_of, shared_weights, to_points
+from accelcal_cli.collect.cell_points import (
+    HARMLESS_SPACE,
+    MAX_POINTS,
+    Sums,
+    points_of,
+    shared_weights,
+    to_points,
+    width_for,
+)
 from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.fixed import ONE, rounded_quotient
@@ -129,20 +137,8 @@ def table_of(frame: pd.DataFrame, path: Path) -> Table:
         _refuse_rows(path, frame, weight <= 0, f"{names['weight']} above zero")
     if "posture" in names:
         _refuse_rows(path, frame, frame[names["posture"]].to_numpy(str) == "", names["posture"])
-        posture = _postures(path, frame[names["posture"]].to_numpy(str))
+        posture = np.unique(frame[names["posture"]].to_numpy(str), return_inverse=True)[1].astype(np.int64)
     return Table(np.rint(g * FLOAT_LSB_PER_G).astype(np.int64), temperature_mc, weight, posture)
-
-
-def _postures(path: Path, names: NDArray[Any]) -> NDArray[np.int64]:
-    """The number of each row's posture."""
-    found, number = np.unique(names, return_inverse=True)
-    if len(found) > MAX_POINTS:
-        raise UnreadableError(
-            f"names {len(found)} postures, and at most {MAX_POINTS} points are fitted",
-            path=path,
-            hint="leave out the column posture",
-        )
-    return number.astype(np.int64)
 
 
 def _windows(path: Path, frame: pd.DataFrame, names: dict[str, str], g: NDArray[np.float64]) -> Table:
@@ -290,8 +286,12 @@ class Given:
     saturated: Saturated = ()
 
 
-def given_points(table: Table, settings: Settings) -> Given:
-    """Points of a table's rows, in units of local gravity."""
+def given_points(table: Table, settings: Settings, path: Path | None = None) -> Given:
+    """Points of a table's rows, in units of local gravity; errors speak of `path`.
+
+    Raises:
+        UnreadableError: its postures hold too many directions.
+    """
     lsb_per_g = table.lsb_per_g * float(settings.gravity.local_g())
     near = plausible(windows_of(table), lsb_per_g, settings)
     kept = table.select(near)
@@ -301,7 +301,7 @@ def given_points(table: Table, settings: Settings) -> Given:
         collector.add(windows_of(kept))
         points, label, saturated = collector.points(), None, collector.saturated()
     else:
-        points, label = _kept_apart(kept, lsb_per_g, settings, temperature=temperature)
+        points, label = _kept_apart(kept, lsb_per_g, settings, path, temperature=temperature)
         saturated = ()
     return Given(points, label, _rows(kept, lsb_per_g, points), int((~near).sum()), saturated)
 
@@ -315,12 +315,19 @@ def windows_of(table: Table) -> Windows:
 
 
 def _kept_apart(
-    table: Table, lsb_per_g: float, settings: Settings, *, temperature: bool
+    table: Table, lsb_per_g: float, settings: Settings, path: Path | None, *, temperature: bool
 ) -> tuple[PointSet, NDArray[np.int64] | None]:
     """Cells within postures; wider ones where there would be too many."""
     keys = _keys(table, lsb_per_g, settings.cells_per_g, temperature=temperature)
     weigh = _group_weights if table.weight is None else _own_weights
-    found, points = points_of(_cells(table, _shares(table), keys), weigh, lsb_per_g, temperature=temperature)
+    cells = _cells(table, _shares(table), keys)
+    if (width := width_for(cells)).space > HARMLESS_SPACE:
+        raise UnreadableError(
+            f"points to {len(cells)} directions in its postures, too many for {MAX_POINTS} points of a fit",
+            path=path,
+            hint="leave out the column posture",
+        )
+    found, points = points_of(cells, width, weigh, lsb_per_g, temperature=temperature)
     return points, None if table.posture is None else np.array([key[0] for key in found], np.int64)
 
 

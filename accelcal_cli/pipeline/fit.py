@@ -54,7 +54,7 @@ def fit_frame(frame: pd.DataFrame, settings: Settings) -> dict[str, Any]:
 
 
 def _report(table: Table, settings: Settings, path: Path, digest: str, size: int) -> dict[str, Any]:
-    given = given_points(table, settings)
+    given = given_points(table, settings, path)
     fitter = fitting(settings)
     why_none = NOT_NEAR if given.implausible else NO_POINTS
     verdict = judge(given.points, fitter, why_none, given.label, given.saturated)

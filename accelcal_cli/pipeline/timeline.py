@@ -82,8 +82,10 @@ class Timeline(Observer):
         np.add.at(self._sums[:, _STILL_SAMPLES], block, windows.samples)
 
     def rows(self, block_samples: int) -> TimeRows:
-        """What was found, in blocks of so many samples (a power of two times the first length) or more."""
-        while self.block_samples < block_samples:
+        """What was found, in blocks of so many samples (a power of two times the first length) or more, or in
+        one block.
+        """
+        while self.block_samples < min(block_samples, self._samples):
             self._longer()
         number = -(-self._samples // self.block_samples)
         sums, spread = self._sums[:number].copy(), (self._high - self._low)[:number]

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from accelcal_cli.collect import cell_points
-from accelcal_cli.collect.cell_points import MAX_POINTS, Sums, points_of
+from accelcal_cli.collect.cell_points import MAX_POINTS, Sums, Width, points_of, width_for
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Windows
@@ -73,7 +73,9 @@ def test_two_directions_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
         (0, 1, 0, 0): Sums(1, 2, (512, 0, 0), 2 * 20_000, (2 * 64, 0, 0)),
         (1, 0, 0, 0): Sums(1, 1, (0, 256, 0), 26_000, (4 * 64, 0, 0)),
     }
-    keys, points = points_of(cells, lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=True)
+    keys, points = points_of(
+        cells, width_for(cells), lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=True
+    )
     assert keys == [(0, 0, 0, 0)]
     assert points.xyz_g()[0] == pytest.approx(np.array([2, 1, 0]) / np.sqrt(5), abs=4 / ONE)
     assert points.windows.tolist() == [2]
@@ -82,16 +84,40 @@ def test_two_directions_by_hand(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_temperatures_are_joined_before_orientations(monkeypatch: pytest.MonkeyPatch) -> None:
-    """16 whole degrees, 20 to 35: joined by 2, 4, 8, 16, 32 and 64."""
+    """16 whole degrees, 20 to 35: joined by 2, 4 and 8."""
     items = many_cells(range(20_500, 36_500, 1000))
     held = collected(items, temperature=True)
     alone = plain(collected(items).points())[0]
-    for limit, degrees in ((16, 16), (15, 8), (7, 4), (3, 3), (2, 2), (1, 1)):
+    for limit, degrees in ((16, 16), (15, 8), (7, 4), (3, 3)):
         monkeypatch.setattr(cell_points, "MAX_POINTS", limit * NUMBER)
         points = held.points()
         assert len(points) == degrees * NUMBER
         assert points.windows.sum() == 16 * NUMBER
         assert points.xyz[::degrees].tolist() == alone
+    monkeypatch.setattr(cell_points, "MAX_POINTS", 3 * NUMBER - 1)
+    assert len({tuple(key[:3]) for key in wide_keys(items)}) < NUMBER, "eight degrees are the most"
+
+
+def wide_keys(items: Windows) -> list[tuple[int, ...]]:
+    """Cells as wide as they have to be, of windows at 20 to 35 degrees."""
+    sums = (items.sums * 20 // (256 * LENGTH)).tolist()
+    cells = {(*place, 20 + n % 16): Sums(1, 1, (0, 0, 256)) for n, place in enumerate(sums)}
+    width = width_for(cells)
+    assert width.heat <= cell_points.HEAT_DOUBLINGS
+    return [*{width.of(key) for key in cells}]
+
+
+def test_slopes_stay_known_where_each_direction_has_all_temperatures(tmp_path: Path, capsys: Capture) -> None:
+    """2000 directions, each 20 times between 16 and 36 degrees: too many cells, of one mean temperature."""
+    random = np.random.default_rng(5)
+    warm = random.uniform(16, 36, 40_000)
+    slopes = np.array([0.001, -0.001, 0.0005])
+    g = np.repeat(sphere(2000), 20, axis=0) - np.outer(warm - 26, slopes)
+    table = tmp_path / "warm.csv"
+    np.savetxt(table, np.column_stack([g, warm]), "%.7f", ",", header="x,y,z,temperature_c", comments="")
+    report = json.loads(run(capsys, "fit", table, "--json").out)
+    assert report["calibration"]["model"] == "9T"
+    assert report["calibration"]["temperature"]["slope_g_per_c"] == pytest.approx(slopes, abs=2e-5)
 
 
 def test_merged_collectors_are_made_wider_like_the_batch(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,12 +141,20 @@ def test_many_temperatures_end_as_few_enough_points() -> None:
 
 def test_what_lies_apart_for_other_reasons_stays_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numbers before the last four, as of postures, keep cells apart, however wide these become."""
-    monkeypatch.setattr(cell_points, "MAX_POINTS", 2)
-    sums = np.rint(sphere(20) * 256).astype(int).tolist()
+    monkeypatch.setattr(cell_points, "MAX_POINTS", 100)
+    sums = np.rint(sphere(200) * 256).astype(int).tolist()
     cells = {(n % 2, *(v // 13 for v in g), n): Sums(1, 1, (g[0], g[1], g[2])) for n, g in enumerate(sums)}
-    keys, points = points_of(cells, lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=False)
-    assert keys == [(0, 0, 0, 0, 0), (1, 0, 0, 0, 0)]
-    assert points.windows.tolist() == [10, 10]
+    width = width_for(cells)
+    keys, points = points_of(cells, width, lambda held: [WEIGHT_ONE] * len(held), 256.0, temperature=False)
+    assert 16 < len(keys) <= 100, "16 would be octants"
+    first = np.array([key[0] for key in keys]) == 0
+    assert points.windows[first].sum() == points.windows[~first].sum() == 100
+
+
+def test_the_widest_cells_are_taken_where_all_are_too_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cell_points, "MAX_POINTS", 3)
+    cells = [(posture, 0, 0, 0, 0) for posture in range(9)]
+    assert width_for(cells) == Width(cell_points.MOST_SPACE, cell_points.ALL_DEGREES)
 
 
 @pytest.mark.parametrize("temperature", [False, True])
@@ -148,12 +182,23 @@ def test_a_wrist_that_was_everywhere_is_calibrated_as_well(
     assert error_mg.mean() < 0.2
 
 
-def test_more_postures_than_points_are_refused_in_one_line(tmp_path: Path, capsys: Capture) -> None:
-    rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n}" for n, (x, y, z) in enumerate(sphere(MAX_POINTS + 1).tolist())]
+@pytest.mark.parametrize(("postures", "each"), [(MAX_POINTS + 1, 1), (600, 30), (300, 30), (100, 100)])
+def test_postures_that_hold_too_many_directions_are_refused_in_one_line(
+    postures: int, each: int, tmp_path: Path, capsys: Capture
+) -> None:
+    """Their means would lie far inside the sphere; moved out, they would be those of a perfect sensor."""
     table = tmp_path / "many.csv"
+    g = sphere(postures * each) * [0.98, 1.02, 1.01] + [0.02, -0.03, 0.01]
+    rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n % postures}" for n, (x, y, z) in enumerate(g.tolist())]
     table.write_text("\n".join(["x,y,z,posture", *rows]) + "\n")
     done = run(capsys, "fit", table)
-    said = "names 4097 postures, and at most 4096 points are fitted; leave out the column posture"
-    assert (done.code, done.err) == (3, f"accelcal: {table}: {said}\n")
-    table.write_text("\n".join(["x,y,z,posture", *rows[:-1]]) + "\n")
+    said = "directions in its postures, too many for 4096 points of a fit; leave out the column posture\n"
+    assert done.code == 3 and done.err.endswith(said) and done.err.count("\n") == 1
+    assert done.err.startswith(f"accelcal: {table}: points to ")
+
+
+def test_as_many_postures_as_points_are_fitted(tmp_path: Path, capsys: Capture) -> None:
+    rows = [f"{x:.6f},{y:.6f},{z:.6f},p{n}" for n, (x, y, z) in enumerate(sphere(MAX_POINTS).tolist())]
+    table = tmp_path / "many.csv"
+    table.write_text("\n".join(["x,y,z,posture", *rows]) + "\n")
     assert json.loads(run(capsys, "fit", table, "--json").out)["fit"]["points"] == MAX_POINTS

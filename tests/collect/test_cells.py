@@ -375,7 +375,7 @@ def roaming(number: int, seed: int) -> Windows:
 def test_a_wrist_that_is_everywhere_at_all_temperatures_comes_to_an_end(
     monkeypatch: pytest.MonkeyPatch, most: int, temperature: bool
 ) -> None:
-    """Blocks become longer, cells warmer; more orientations than cells may be are all kept, in one block."""
+    """Blocks become longer, cells wider in temperature; more orientations are all kept, in one block."""
     monkeypatch.setattr(cells, "MAX_TIMED", most)
     items = roaming(3000, seed=3)
     alone = collected(items)
@@ -391,6 +391,40 @@ def test_a_wrist_that_is_everywhere_at_all_temperatures_comes_to_an_end(
     if most < len(alone.points()):
         assert {block for block, _ in held.timed()} == {0}
         assert held.points().xyz.tolist() == alone.points().xyz.tolist(), "in two temperatures, if at all"
+
+
+def busy() -> Windows:
+    """100 orientations at 16 temperatures."""
+    sums = np.repeat(roaming(100, seed=8).sums, 16, axis=0)
+    warm = np.tile(np.arange(16_500, 32_500, 1000) * LENGTH, 100)
+    return windows(LENGTH, sums.tolist(), temperature_sums=warm.tolist())
+
+
+def test_a_busy_beginning_ends_in_one_block_however_its_windows_come(monkeypatch: pytest.MonkeyPatch) -> None:
+    """100 orientations at 16 temperatures in four hours, then one posture for thirty."""
+    monkeypatch.setattr(cells, "MAX_TIMED", 500)
+    calm = rested(30, postures=1)
+    calm = replace(calm, sums=np.abs(calm.sums), temperature_sums=np.full(len(calm), 20_500 * LENGTH))
+    items = joined_windows([busy(), calm])
+    items = replace(items, first_sample=LENGTH * np.arange(len(items)))
+    found = []
+    for parts in (1, 13, 200):
+        held = CellCollector(256.0, DEFAULT, temperature=True, block_samples=3600)
+        for part in np.array_split(np.arange(len(items)), parts):
+            held.add(items.select(part))
+        found.append((held.block_samples, held.timed(), plain(held.points())))
+    assert found[0] == found[1] == found[2]
+    assert {block for block, _ in held.timed()} == {0}
+
+
+def test_a_pool_of_too_many_cells_is_what_their_windows_give_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cells, "MAX_TIMED", 1000)
+    items = busy()
+    merged = collector(temperature=True)
+    for part in np.array_split(np.arange(len(items)), 3):
+        merged.merge(collected(items.select(part), temperature=True))
+    assert plain(merged.points()) == plain(collected(items, temperature=True).points())
+    assert len(merged.points()) <= 1000
 
 
 @pytest.mark.parametrize("first", [0, 1])
@@ -410,22 +444,14 @@ def test_collectors_of_unlike_degrees_are_merged_as_the_wider_one(
     assert merged.points().windows.tolist() == alone.windows.tolist()
 
 
-@pytest.mark.parametrize(("hours", "degrees"), [(15, [20, 21, 22, 23]), (30, [20, 22]), (60, [20])])
-def test_cells_are_of_more_degrees_where_blocks_are_of_many_hours(
-    monkeypatch: pytest.MonkeyPatch, hours: int, degrees: list[int]
-) -> None:
-    """Blocks of 8 hours, and one degree; of 16, and two; of 32, and four."""
-    monkeypatch.setattr(cells, "MAX_BLOCKS", 2)
-    held = CellCollector(256.0, DEFAULT, temperature=True, block_samples=3600)
-    items = rested(hours, postures=1)
-    warm = (20_500 + 1000 * (np.arange(len(items)) % 4)) * LENGTH
-    items = replace(items, sums=np.abs(items.sums), temperature_sums=warm)
-    held.add(items)
-    points = held.points()
-    assert points.tau is not None and points.temperature is not None
-    celsius = points.temperature.reference_mc / 1000 + points.tau / ONE * points.temperature.span_c
-    width = 4 // len(degrees)
-    assert celsius.tolist() == pytest.approx([degree + width / 2 for degree in degrees], abs=0.01)
+def test_a_table_of_windows_gives_the_points_of_their_recording(monkeypatch: pytest.MonkeyPatch) -> None:
+    """However many blocks and degrees were joined along the recording."""
+    items = roaming(3000, seed=6)
+    for most in (1 << 15, 2500, 1000):
+        monkeypatch.setattr(cells, "MAX_TIMED", most)
+        held = CellCollector(256.0, DEFAULT, temperature=True, block_samples=360)
+        held.add(items)
+        assert plain(held.points()) == plain(collected(items, temperature=True).points()), most
 
 
 def test_a_pool_has_no_blocks_of_time() -> None:

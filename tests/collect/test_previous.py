@@ -52,9 +52,24 @@ def test_it_is_the_last_window_of_the_posture_before(batch: int) -> None:
     parts = [means[start : start + batch] for start in range(0, len(means), batch)]
     cells = [np.floor(part / 100).astype(np.int64) for part in parts]
     found = np.concatenate([one.of(windows(part), cell) for part, cell in zip(parts, cells, strict=True)])
+    at_once = PreviousPosture().of(windows(means), np.concatenate(cells))
+    assert found.tolist() == at_once.tolist()
     within = np.abs(found - by_definition(means)).max(axis=1)
     assert (within <= 20).all(), "cells are runs of windows whose first and last are looked at"
     assert (within == 0).mean() > 0.9
+
+
+def test_a_run_in_one_cell_goes_on_in_the_next_batch() -> None:
+    """Windows at 60, 0.5, 13 and 16.8 degrees and at 90: the third and fourth are of the second's cell."""
+    angles = np.radians([60, 0.5, 13.0, 16.8, 90])
+    means = np.rint(1000 * np.stack([np.sin(angles), 0 * angles, np.cos(angles)], axis=1))
+    cells = np.array([[0], [1], [1], [1], [2]])
+    whole = PreviousPosture().of(windows(means), cells).tolist()
+    for cut in range(1, 5):
+        one = PreviousPosture()
+        parts = [one.of(windows(means[part]), cells[part]).tolist() for part in (slice(cut), slice(cut, 5))]
+        assert parts[0] + parts[1] == whole
+    assert whole[4] == means[3].tolist()
 
 
 def fixed(vector: list[int]) -> list[int]:
