@@ -127,8 +127,10 @@ class ChangeSearch:
         """Look for a change about a calibration."""
         means = self._means
         stretch = means.block // _stretch_blocks(means)
-        if means.hours() < 2 * LEAST_H or len(set(stretch.tolist())) < LEAST_STRETCHES:
+        if means.hours() < 2 * LEAST_H:
             return Change("none", "the recording is too short to show a change")
+        if len(set(stretch.tolist())) < LEAST_STRETCHES:
+            return Change("none", "too few stretches of time are known apart to show a change")
         self._design = design = Design(means, found, stretch)
         still = design.errors_mg(None)
         alarms = []

@@ -134,6 +134,15 @@ def test_what_is_too_short_is_said(hours: int) -> None:
     assert "too short" in str(found.unchecked)
 
 
+def test_a_long_recording_in_one_block_is_not_called_short() -> None:
+    """As where there are too many orientations and temperatures to be kept apart along time."""
+    long = means(step, hours=48)
+    joined = TimedMeans(0 * long.block, long.mean_g, None, 1 << 40, float(1 << 40) / HOUR_SAMPLES)
+    found = find_change(joined, calibration())
+    assert (found.kind, found.holdout) == ("none", None)
+    assert found.unchecked == "too few stretches of time are known apart to show a change"
+
+
 def test_nothing_at_all_is_too_short() -> None:
     empty = TimedMeans(np.zeros(0, np.int64), np.zeros((0, 3)), None, HOUR_SAMPLES, 1.0)
     assert find_change(empty, calibration()).unchecked is not None
