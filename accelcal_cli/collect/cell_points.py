@@ -24,8 +24,8 @@ from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale
 
 MAX_POINTS = 4096
 
-HEAT_DOUBLINGS, ALL_DEGREES = 3, 12
-"""Of a degree C: as long as there is another way, and where there is none."""
+FEW_DEGREES, ALL_DEGREES = 8, 1 << 12
+"""Of temperature that are joined as long as there is another way, and where there is none [degrees C]."""
 
 HARMLESS_SPACE, MOST_SPACE = 2, 12
 """Doublings of a cell's sides: up to which moving means out is as good as that, and up to which cells are."""
@@ -54,15 +54,16 @@ Weigh = Callable[[Sequence[tuple[Key, Sums]]], Sequence[int]]
 
 @dataclass(frozen=True, slots=True)
 class Width:
-    """How often the width of cells is doubled, in space and in temperature."""
+    """How often the sides of cells are doubled, and how many of their degrees are joined."""
 
     space: int = 0
-    heat: int = 0
+    degrees: int = 1
 
     def of(self, key: Key) -> Key:
         """The wider cell that a cell is part of; its last four numbers say where it lies."""
         *first, x, y, z, degree = key
-        return *first, x >> self.space, y >> self.space, z >> self.space, degree >> self.heat
+        warm = 0 if self.degrees == ALL_DEGREES else degree // self.degrees
+        return *first, x >> self.space, y >> self.space, z >> self.space, warm
 
 
 def points_of(
@@ -85,18 +86,23 @@ def numbers_of(cells: Collection[Key], width: Width) -> dict[Key, int]:
     return {key: number[width.of(key)] for key in cells}
 
 
-def width_for(cells: Collection[Key]) -> Width:
-    """The narrowest that leaves few enough cells, else the widest."""
+def width_for(cells: Collection[Key], degrees: int = 1) -> Width:
+    """The narrowest that leaves few enough cells, else the widest.
+
+    Args:
+        degrees: of temperature that cells are wide [degrees C].
+    """
     if len(cells) <= MAX_POINTS:
         return Width()
-    few = (width for width in _widths() if len({*map(width.of, cells)}) <= MAX_POINTS)
+    few = (width for width in _widths(degrees) if len({*map(width.of, cells)}) <= MAX_POINTS)
     return next(few, Width(MOST_SPACE, ALL_DEGREES))
 
 
-def _widths() -> Iterator[Width]:
+def _widths(degrees: int) -> Iterator[Width]:
     """From narrow to wide."""
+    joined = [number for number in (1, 2, 4, 8) if number * max(1, degrees) <= FEW_DEGREES]
     for space in range(MOST_SPACE + 1):
-        yield from (Width(space, heat) for heat in range(HEAT_DOUBLINGS + 1))
+        yield from (Width(space, number) for number in joined or [1])
         if space >= HARMLESS_SPACE:
             yield Width(space, ALL_DEGREES)
 

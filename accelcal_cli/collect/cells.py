@@ -22,7 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cell_points import Sums, numbers_of, points_of, shared_weights, width_for
+from accelcal_cli.collect.cell_points import Sums, Width, numbers_of, points_of, shared_weights, width_for
 from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, group_of
 from accelcal_cli.collect.previous import PreviousPosture
 from accelcal_cli.collect.saturation import Saturation
@@ -207,7 +207,7 @@ class CellCollector:
                 their middle.
         """
         cells, scale = self._fitted(), Fraction(self.lsb_per_g)
-        width = width_for(cells)
+        width = self._width(cells)
         if course is not None:
             along, scale = self._along(course), scale * scale.denominator * ONE
             cells = {key: along[key] for key in cells}
@@ -260,7 +260,7 @@ class CellCollector:
         keys = self._keys(windows.select(near_1_g), constant)[:, :CONSTANT]
         _, left_out = self._settled()
         fitted = self._fitted()
-        number = numbers_of(fitted, width_for(fitted))
+        number = numbers_of(fitted, self._width(fitted))
         unbelieved = (constant & (not self._constants_are_real())).tolist()
         for place, key, never_changed in zip(near_1_g.tolist(), keys.tolist(), unbelieved, strict=True):
             if never_changed:
@@ -275,6 +275,10 @@ class CellCollector:
         """The cells that make points."""
         cells, left_out = self._settled()
         return {key: value for key, value in cells.items() if key not in left_out}
+
+    def _width(self, cells: dict[Key, Value]) -> Width:
+        """How wide cells have to be."""
+        return width_for(cells, self._cells.grid.degrees)
 
     def _settled(self) -> tuple[dict[Key, Value], dict[Key, Role]]:
         """The cells of windows that were measured, and the role of those of them that make no points."""

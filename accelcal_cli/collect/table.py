@@ -323,9 +323,10 @@ def _kept_apart(
     cells = _cells(table, _shares(table), keys)
     if (width := width_for(cells)).space > HARMLESS_SPACE:
         raise UnreadableError(
-            f"points to {len(cells)} directions in its postures, too many for {MAX_POINTS} points of a fit",
+            f"holds {len(cells)} combinations of posture, direction and temperature, "
+            f"and a fit takes at most {MAX_POINTS} points",
             path=path,
-            hint="leave out the column posture",
+            hint="leave out the column posture, or average rows that are alike",
         )
     found, points = points_of(cells, width, weigh, lsb_per_g, temperature=temperature)
     return points, None if table.posture is None else np.array([key[0] for key in found], np.int64)

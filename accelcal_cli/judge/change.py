@@ -129,8 +129,10 @@ class ChangeSearch:
         stretch = means.block // _stretch_blocks(means)
         if means.hours() < 2 * LEAST_H:
             return Change("none", "the recording is too short to show a change")
+        if means.blocks() == 1:
+            return Change("none", "it holds too many orientations and temperatures to look at it along time")
         if len(set(stretch.tolist())) < LEAST_STRETCHES:
-            return Change("none", "too few stretches of time are known apart to show a change")
+            return Change("none", "the device was still in too few stretches of time to show a change")
         self._design = design = Design(means, found, stretch)
         still = design.errors_mg(None)
         alarms = []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cells import MAX_BLOCKS
+from accelcal_cli.collect.cells import MAX_BLOCKS, ONE_BLOCK
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.points import Calibration, PointSet, TimedMeans, Windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
@@ -82,10 +82,8 @@ class Timeline(Observer):
         np.add.at(self._sums[:, _STILL_SAMPLES], block, windows.samples)
 
     def rows(self, block_samples: int) -> TimeRows:
-        """What was found, in blocks of so many samples (a power of two times the first length) or more, or in
-        one block.
-        """
-        while self.block_samples < min(block_samples, self._samples):
+        """What was found, in blocks of so many samples (a power of two times the first length) or more."""
+        while self.block_samples < block_samples:
             self._longer()
         number = -(-self._samples // self.block_samples)
         sums, spread = self._sums[:number].copy(), (self._high - self._low)[:number]
@@ -198,14 +196,17 @@ def along_time(
     """
     procedure, settings = method.procedure, data.settings.method
     assert isinstance(procedure, TimedCellProcedure) and isinstance(settings, Settings)
-    rows = timeline.rows(procedure.collector.block_samples)
+    in_time = procedure.collector.block_samples < ONE_BLOCK
+    rows = timeline.rows(procedure.collector.block_samples if in_time else 0)
     samples = [block * rows.block_samples for block in range(len(rows))]
     judged = data.judgement
     return QualityInput(
         data=data,
         rows=rows,
         begun_us=[procedure.begun_us(sample) for sample in samples],
-        errors=_block_errors(procedure.means(), rows.block_samples, judged.calibration, settings),
+        errors=_block_errors(procedure.means(), rows.block_samples, judged.calibration, settings)
+        if in_time
+        else {},
         points=_point_errors(raw, posture, procedure, data),
         folds=settings.folds if judged.trials and judged.holdout is not None else None,
         convergence=_convergence(procedure.result(), data),

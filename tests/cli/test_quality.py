@@ -16,6 +16,7 @@ import pandas as pd
 import pytest
 from jsonschema import Draft202012Validator
 
+from accelcal_cli.collect import cells
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.output.quality import BlockErrors, PointErrors, QualityInput, dumps_quality, quality_json
 from accelcal_cli.pipeline.calibrate import RecordingRun
@@ -391,6 +392,25 @@ def test_short_recordings_say_what_was_not_checked(tmp_path: Path, capsys: Captu
     ran, found = checked(capsys, path)
     assert (ran.code, found["state"]) == (0, "holds")
     assert "not checked along time: the recording is too short to show a change" in found["message"]
+
+
+def test_hours_are_told_where_windows_are_not_kept_apart_by_them(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """More orientations and temperatures than are kept: errors are not known by hours, all the rest is."""
+    monkeypatch.setattr(cells, "MAX_TIMED", 300)
+    path = tmp_path / "day.cwa"
+    run(capsys, "simulate", path, "--format", "cwa", "--days", 1, "--rate", 12.5, "--seed", 3, "-q")
+    assert run(capsys, "calibrate", path, "--report-only", "--html", "-q").code == 0
+    report = json.loads((tmp_path / "day.calibration.json").read_text())
+    assert report["change"]["unchecked"] == (
+        "it holds too many orientations and temperatures to look at it along time"
+    )
+    found = document(tmp_path / "day.quality.json")
+    rows = found["rows"]
+    assert len(rows["start"]) == 24 and sum(rows["samples"]) == 86_400 * 25 // 2
+    assert rows["before_mg"] == {"mean": [None] * 24, "p95": [None] * 24}
+    assert (tmp_path / "day.html").exists()
 
 
 def test_few_postures_cannot_tell(day: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -140,7 +140,7 @@ def test_a_long_recording_in_one_block_is_not_called_short() -> None:
     joined = TimedMeans(0 * long.block, long.mean_g, None, 1 << 40, float(1 << 40) / HOUR_SAMPLES)
     found = find_change(joined, calibration())
     assert (found.kind, found.holdout) == ("none", None)
-    assert found.unchecked == "too few stretches of time are known apart to show a change"
+    assert found.unchecked == "it holds too many orientations and temperatures to look at it along time"
 
 
 def test_nothing_at_all_is_too_short() -> None:
