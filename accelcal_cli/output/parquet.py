@@ -276,7 +276,10 @@ def _values_of_stored(column: Column, stored: Mapping[str, NDArray[Any]]) -> NDA
 
 
 class ParquetSource:
-    """Reads a calibrated recording back, in portions of any number of rows."""
+    """Reads a calibrated recording back, in portions of any number of rows.
+
+    What pyarrow reads ahead it keeps to the end, and its threads, where one cannot start, end the process.
+    """
 
     def __init__(self, path: Path, columns: Sequence[str] | None = None) -> None:
         """Open a file.
@@ -290,14 +293,14 @@ class ParquetSource:
         self.path = path
         with contextlib.ExitStack() as stack:
             try:
-                self._file = pq.ParquetFile(stack.enter_context(path.open("rb")))
+                self._file = pq.ParquetFile(stack.enter_context(path.open("rb")), pre_buffer=False)
             except (OSError, pa.ArrowException) as error:
                 raise self._unreadable(error) from error
             self._open = stack.pop_all()
         schema = self._file.schema_arrow
         self.names: list[str] = schema.names if columns is None else list(columns)
         self.rows: int = self._file.metadata.num_rows
-        self._batches = self._file.iter_batches(SOURCE_ROWS, columns=self.names)
+        self._batches = self._file.iter_batches(SOURCE_ROWS, columns=self.names, use_threads=False)
         self._rest = [_values(pa.array([], schema.field(name).type)) for name in self.names]
 
     def other_column(self, schema: pa.Schema) -> str | None:

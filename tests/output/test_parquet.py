@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import subprocess
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -237,3 +239,29 @@ def test_angular_rates_of_threads_are_not_mixed_up(monkeypatch: pytest.MonkeyPat
     assert len(made) == len(chunks)
     for expected, found in zip(alone, beside, strict=True):
         assert all((a == b).all() for a, b in zip(expected, found, strict=True))
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
+def test_reading_back_holds_a_row_group_or_two_and_starts_no_thread(tmp_path: Path) -> None:
+    """Eight row groups of 6 MB, which hardly get shorter."""
+    path, rows = tmp_path / "a.parquet", 8 * parquet.ROW_GROUP_ROWS
+    held = arrays(rows, temperature=False, gyroscope=False)
+    write(path, columns(temperature=False, gyroscope=False, utc=False), held, [0, rows])
+    program = """
+import os, sys
+from pathlib import Path
+import pyarrow as pa
+from accelcal_cli.output.parquet import ParquetSource
+threads, rows = set(os.listdir("/proc/self/task")), 0  # the allocator has one
+with ParquetSource(Path(sys.argv[1])) as source:
+    while len(taken := source.take(1 << 16)[0]):
+        assert set(os.listdir("/proc/self/task")) == threads
+        rows += len(taken)
+print(rows, pa.default_memory_pool().max_memory())
+"""
+    words = [sys.executable, "-c", program, str(path)]
+    done = subprocess.run(words, check=True, capture_output=True, text=True)
+    taken, peak = map(int, done.stdout.split())
+    assert taken == rows
+    assert path.stat().st_size > 40_000_000
+    assert peak < 20_000_000
