@@ -197,7 +197,7 @@ class CellCollector:
 
     def orientations(self) -> int:
         """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""
-        return len({group_of(key) for key in self._cells})
+        return self._cells.orientations()
 
     def points(self, course: Course | None = None) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates.

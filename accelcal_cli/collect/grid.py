@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -51,7 +52,7 @@ class Grid:
 
 
 class Cells(dict[Key, Value]):
-    """Sums by cell.
+    """Sums by cell; none is ever taken away.
 
     In a file they are means and what each division left, which are short: the mean of what lies in a cell
     lies there, too, so that its place need not be kept.
@@ -64,6 +65,8 @@ class Cells(dict[Key, Value]):
     def __init__(self, grid: Grid, means: Columns | NDArray[np.int64] = (), left: Columns = ()) -> None:
         super().__init__()
         self.grid = grid
+        self._groups: set[Key] = set()
+        self._grouped = 0
         if len(left) and len(left[0]):
             self._fill(np.array(means, object), np.array(left, object))
 
@@ -83,6 +86,12 @@ class Cells(dict[Key, Value]):
         rows = [(key[CONSTANT], key[BLOCK], *mean) for key, (mean, _) in zip(self, divided, strict=True)]
         left = [list(column) for column in zip(*(rest for _, rest in divided), strict=True)]
         return self.grid, np.array(rows, np.int64).T, left
+
+    def orientations(self) -> int:
+        """How many groups of 2 x 2 x 2 cells hold windows; cells that were looked at before are not again."""
+        self._groups.update(map(group_of, islice(self, self._grouped, None)))
+        self._grouped = len(self)
+        return len(self._groups)
 
     def with_blocks(self, number: Callable[[int], int]) -> Cells:
         """The same by other blocks of time, without those whose new number is below 0."""

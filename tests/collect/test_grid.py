@@ -55,6 +55,7 @@ def test_the_place_of_a_cell_is_that_of_its_mean(means: list[Any], temperature: 
         back = again(held)
         assert list(back.items()) == list(held.items())
         assert back.grid == held.grid
+        assert back.orientations() == held.orientations()
 
 
 @pytest.mark.parametrize("temperature", [False, True])
@@ -77,3 +78,12 @@ def test_the_first_block_is_forgotten_and_the_next_one_is_the_first() -> None:
         add_sums(cells, (19, 0, 0, 0, 0, block), value)
     assert [key[5] for key in cells.with_blocks(lambda block: block - 1)] == [0, 1]
     assert cells.with_blocks(lambda block: block >> 1)[19, 0, 0, 0, 0, 0] == [2 * one for one in value]
+
+
+@given(st.lists(st.tuples(*[st.integers(-3, 3)] * 4), max_size=40), st.integers(0, 40))
+def test_orientations_that_were_counted_before_are_counted_once(keys: list[Any], looked: int) -> None:
+    cells = Cells(Grid(SCALE, 20, degrees=1))
+    for number, (x, y, z, degree) in enumerate(keys, 1):
+        add_sums(cells, (x, y, z, degree, 0, 0), [1, 8, 2000, 0, 0, 0, 0, 0, 0])
+        if number >= looked:
+            assert cells.orientations() == len({(x // 2, y // 2, z // 2) for x, y, z, _ in keys[:number]})
