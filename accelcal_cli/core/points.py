@@ -66,8 +66,8 @@ class Windows:
     def __len__(self) -> int:
         return len(self.first_sample)
 
-    def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Windows:
-        """The windows of a mask, or of these numbers."""
+    def select(self, which: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Windows:
+        """The windows of a mask, of these numbers, or of a slice."""
         return Windows(**cut_columns(self, self.__dataclass_fields__, which))
 
 

@@ -7,8 +7,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
 from math import isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,12 +22,7 @@ from accelcal_cli.core.course import Course
 from accelcal_cli.core.points import Calibration, Fates, Role, Windows
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.zones import UTC
-from accelcal_cli.output.files import (
-    csv_text,
-    open_plain,
-    replacing,
-    write_text,
-)
+from accelcal_cli.output.files import open_plain, replacing, write_csv
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -42,6 +38,9 @@ COLUMNS = (
     "counts_per_g", "role", "point", "posture", "fold", "raw_g", "calibrated_g",
 )  # fmt: skip
 AXES = "xyz"
+
+WRITTEN_AT_ONCE = 1 << 16
+"""Windows; as columns and as text they take up to a kB each."""
 
 Floats = NDArray[np.float64]
 
@@ -66,6 +65,18 @@ class WindowTable:
     fold: NDArray[np.int64]
     calibration: Calibration | None
     utc_offset_s: int | None
+
+    def parts(self, number: int) -> Iterator[WindowTable]:
+        """The same, so many windows at a time; an empty one if there are none."""
+        for start in range(0, max(1, len(self.windows)), number):
+            here = slice(start, start + number)
+            yield replace(
+                self,
+                windows=self.windows.select(here),
+                fates=Fates(self.fates.role[here], self.fates.point[here]),
+                posture=self.posture[here],
+                fold=self.fold[here],
+            )
 
     def columns(self) -> dict[str, NDArray[Any]]:
         """All columns, (m,) each, by name; NaN, and a negative whole number, stand for none."""
@@ -140,12 +151,16 @@ def write_windows(table: WindowTable, path: Path, metadata: dict[str, Any]) -> N
     Raises:
         OutputError: the file cannot be written.
     """
+    parts = table.parts(WRITTEN_AT_ONCE)
     if path.suffix.lower() == ".csv":
-        columns = table.columns()
-        cells = [_cells(table, columns, name) for name in COLUMNS]
-        write_text(path, csv_text(COLUMNS, zip(*cells, strict=True)))
+        write_csv(path, COLUMNS, (row for part in parts for row in _rows(part)))
     else:
-        _write_parquet(table, path, metadata)
+        _write_parquet(parts, path, metadata)
+
+
+def _rows(table: WindowTable) -> Iterator[tuple[object, ...]]:
+    columns = table.columns()
+    return zip(*(_cells(table, columns, name) for name in COLUMNS), strict=True)
 
 
 def _cells(table: WindowTable, columns: dict[str, NDArray[Any]], name: str) -> Sequence[object]:
@@ -157,13 +172,20 @@ def _cells(table: WindowTable, columns: dict[str, NDArray[Any]], name: str) -> S
     return values if name in TEXT else [None if isnan(value) else value for value in values]
 
 
-def _write_parquet(table: WindowTable, path: Path, metadata: dict[str, Any]) -> None:
+def _write_parquet(parts: Iterator[WindowTable], path: Path, metadata: dict[str, Any]) -> None:
     # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
     import pyarrow.parquet as pq
 
-    described = arrow(table).replace_schema_metadata({METADATA_KEY: json.dumps(metadata).encode()})
-    with replacing(path) as temporary, temporary.open("wb") as file:
-        pq.write_table(described, file, compression="zstd")
+    about = {METADATA_KEY: json.dumps(metadata).encode()}
+    tables = (arrow(part).replace_schema_metadata(about) for part in parts)
+    first = next(tables)
+    with (
+        replacing(path) as temporary,
+        temporary.open("wb") as file,
+        pq.ParquetWriter(file, first.schema, compression="zstd") as writer,
+    ):
+        for table in chain([first], tables):
+            writer.write_table(table)
 
 
 def arrow(table: WindowTable) -> pa.Table:

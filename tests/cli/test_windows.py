@@ -10,6 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from accelcal_cli.output import windows as output
 from accelcal_cli.pipeline.calibrate import OwnCalibration
 from tests.cli.run import Ran, assert_one_line, exit_code, run
 from tests.recordings import LSB_PER_G, RATE_HZ, directions, good_csv, good_raw, still_counts, write_raw
@@ -280,3 +281,20 @@ def test_of_a_recording_that_changes_meanwhile_none_are_written(
     ran, _ = made(capsys, path, tmp_path / "all.csv")
     assert ran.code == 3 and not (tmp_path / "all.csv").exists()
     assert_one_line(ran, "changed while it was read")
+
+
+@pytest.mark.parametrize("number", [1, 100])
+def test_the_table_does_not_depend_on_how_many_are_written_at_once(
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    path, tables = good_raw(tmp_path), []
+    for name, at_once in (("whole", output.WRITTEN_AT_ONCE), ("parts", number)):
+        monkeypatch.setattr(output, "WRITTEN_AT_ONCE", at_once)
+        for suffix in ("csv", "parquet"):
+            tables.append(tmp_path / f"{name}.{suffix}")
+            made(capsys, path, tables[-1], "--report-only", "--force")
+    assert tables[0].read_bytes() == tables[2].read_bytes()
+    whole, parts = (pq.ParquetFile(table) for table in (tables[1], tables[3]))
+    assert parts.read().equals(whole.read(), check_metadata=True)
+    assert whole.num_row_groups == 1
+    assert parts.num_row_groups == -(-whole.metadata.num_rows // number) > 1
