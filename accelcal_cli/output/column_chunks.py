@@ -13,8 +13,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from accelcal_cli.output import thrift
-from accelcal_cli.output.thrift import BINARY, I32, I64, LIST, STRUCT, Struct
+from accelcal_cli.core import thrift
+from accelcal_cli.core.thrift import BINARY, I32, I64, LIST, STRUCT, Struct
 
 MAGIC = b"PAR1"
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.output import thrift
+from accelcal_cli.core import thrift
 from accelcal_cli.output.column_chunks import (
     DATA_PAGE,
     DICTIONARY_PAGE,

@@ -18,7 +18,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from accelcal_cli.output import thrift
+from accelcal_cli.core import thrift
+from accelcal_cli.core.thrift import I64, LIST, STRUCT, Struct, value_of
 from accelcal_cli.output.column_chunks import (
     DATA_OFFSET,
     DICTIONARY_OFFSET,
@@ -27,7 +28,6 @@ from accelcal_cli.output.column_chunks import (
     UNPACKED,
     ColumnChunk,
 )
-from accelcal_cli.output.thrift import I64, LIST, STRUCT, Struct, value_of
 
 TAIL_BYTES = 8
 """Length of the footer, and the magic number again."""

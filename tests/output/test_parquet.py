@@ -20,12 +20,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from accelcal_cli.core import thrift
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.core.rotations import Bias, Gyroscope
-from accelcal_cli.output import parquet, thrift
+from accelcal_cli.output import parquet
 from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, Column, Numbers, columns_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.output.float_pages import PAGE_ROWS

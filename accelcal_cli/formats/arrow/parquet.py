@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -19,6 +20,7 @@ from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printabl
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated, Chunk, Reader
+from accelcal_cli.core.thrift import Struct, read, value_of
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.channels import Marks
@@ -43,6 +45,15 @@ FARTHEST_ROWS = 1 << 22
 
 LARGEST_TEXT, MOST_ENTRIES = 100_000_000, 2_000_000
 """Bytes of a text, and entries of a list, in the footer."""
+
+TAIL_BYTES = 8
+"""Length of the footer, and the magic number again."""
+
+MOST_LOOKED_AT = 1 << 20
+"""Bytes of a footer that tell where row groups begin; a longer one is not read for that."""
+
+ROW_GROUPS, COLUMNS, META_DATA, DATA_OFFSET, DICTIONARY_OFFSET = 4, 1, 3, 9, 11
+"""Fields of the footer, of a row group, of a column and of its metadata (parquet-format, parquet.thrift)."""
 
 REFUSED = "refused"
 LONGEST_WORD, LARGEST_MG = 40, 1e6
@@ -103,6 +114,7 @@ class ParquetTable(Table):
 
     def __init__(self, path: Path, file: Any, again: Any, pool: Executor | None) -> None:
         self.path, self._again, self._pool = path, again, pool
+        self._begins: list[int | None] | None = None
         self._metadata = file.metadata
         schema = file.schema_arrow
         groups = [
@@ -174,11 +186,31 @@ class ParquetTable(Table):
 
     def _offset(self, group: int) -> int | None:
         """Byte at which the first column of a row group begins."""
-        try:
-            column = self._metadata.row_group(group).column(0)
-            return int(column.dictionary_page_offset or column.data_page_offset)
-        except ARROW_ERRORS:
-            return None
+        if self._begins is None:
+            self._begins = _begins(self.path)
+        return self._begins[group] if group < len(self._begins) else None
+
+
+def _begins(path: Path) -> list[int | None]:
+    """Bytes at which row groups begin, as far as the footer tells; pyarrow, asked for one, may abort."""
+    try:
+        with path.open("rb") as file:
+            file.seek(-TAIL_BYTES, os.SEEK_END)
+            length = int.from_bytes(file.read(4), "little")
+            if length > MOST_LOOKED_AT:
+                return []
+            file.seek(-TAIL_BYTES - length, os.SEEK_END)
+            footer = read(file.read(length))
+        return [_begin(value_of(group, COLUMNS)[0]) for group in value_of(footer, ROW_GROUPS)]
+    except (OSError, LookupError, TypeError, ValueError, RecursionError):
+        return []
+
+
+def _begin(column: Struct) -> int | None:
+    """Byte of a column's first page."""
+    meta = value_of(column, META_DATA)
+    place = value_of(meta, DICTIONARY_OFFSET) or value_of(meta, DATA_OFFSET)
+    return place if isinstance(place, int) else None
 
 
 def _section(text: bytes) -> dict[str, Any]:

@@ -14,12 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from accelcal_cli.core import thrift
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.arrow import PARQUET
-from tests.cli.run import exit_code, run
+from tests.cli.run import exit_code, run, run_process
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read, even_times
 from tests.formats.make_hdf5 import read as read_of
@@ -429,3 +430,23 @@ def test_any_damage_gives_rows_or_an_error_of_ours(tmp_path: Path) -> None:
             read(path, format="parquet")
         except AccelcalError as error:
             assert str(path) in str(error)
+
+
+@pytest.mark.parametrize("column", [0, 1], ids=["time", "x"])
+def test_a_footer_at_which_pyarrow_aborts_costs_a_row_group(path: Path, column: int) -> None:
+    """Asked where a column begins whose sizes speak of levels that it has not, it ends the process."""
+    pq.write_table(table(values(600), even_times(600, 50.0)), path, row_group_size=200)
+    begin = pq.read_metadata(path).row_group(1).column(0).dictionary_page_offset
+    data = path.read_bytes()
+    length = int.from_bytes(data[-8:-4], "little")
+    footer = thrift.read(data[-8 - length : -8])
+    meta = thrift.value_of(thrift.value_of(thrift.value_of(footer, 4)[1], 1)[column], 3)
+    levels = (2, thrift.LIST, (thrift.I64, [0] * 4))
+    meta[:] = [*(field for field in meta if field[0] < 16), (16, thrift.STRUCT, [levels])]
+    made = thrift.written(footer)
+    path.write_bytes(data[: -8 - length] + made + len(made).to_bytes(4, "little") + data[-4:])
+    ran = run_process("calibrate", path, "-d", path.parent, "--report-only", "--json", "-q")
+    assert ran.code == 4, ran.err
+    (problem,) = json.loads(ran.out)["file_health"]["problems"]
+    assert (problem["code"], problem["sample"], problem["count"]) == ("bad_page", 200, 200)
+    assert problem["byte_offset"] == begin

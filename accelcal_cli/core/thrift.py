@@ -19,7 +19,7 @@ To be written, a structure may be its bytes.
 
 
 def read(data: bytes) -> Struct:
-    """The structure that begins a text of bytes."""
+    """The structure that begins a text of bytes; raises IndexError beyond its end."""
     return _Reader(data).struct()
 
 
@@ -70,6 +70,8 @@ class _Reader:
 
     def _bytes(self, count: int) -> bytes:
         self._at += count
+        if self._at > len(self._data):
+            raise IndexError
         return self._data[self._at - count : self._at]
 
     def _varint(self) -> int:
