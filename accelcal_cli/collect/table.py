@@ -273,7 +273,7 @@ class Given:
 
     Attributes:
         points: the points to fit, cells of orientation.
-        label: (n,) the table's own postures, or None.
+        label: (n,) number of each one's posture in the table, or None; of those with points, from 0 on.
         rows: each plausible row as a point of its own, for errors over windows.
         implausible: rows whose length is nowhere near 1 g.
         saturated: axes that measure nothing beyond a value.
@@ -329,7 +329,10 @@ def _kept_apart(
             hint="leave out the column posture, or average rows that are alike",
         )
     found, points = points_of(cells, width, weigh, lsb_per_g, temperature=temperature)
-    return points, None if table.posture is None else np.array([key[0] for key in found], np.int64)
+    if table.posture is None:
+        return points, None
+    _, label = np.unique([key[0] for key in found], return_inverse=True)
+    return points, label.astype(np.int64)
 
 
 def _shares(table: Table) -> NDArray[np.int64]:

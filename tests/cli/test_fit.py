@@ -159,3 +159,19 @@ def test_static_poses_of_an_xsens_leave_less_than_a_fifth_of_a_milli_g(
     report = json.loads(run(capsys, "fit", path, "--json").out)
     assert report["calibration"]["model"] == "9"
     assert report["holdout"]["after_mg"]["mean"] < 0.2
+
+
+def test_a_posture_without_plausible_rows_is_as_if_it_were_not_there(tmp_path: Path, capsys: Capture) -> None:
+    random, found = np.random.RandomState(1), []
+    table = [
+        (*(1.02 * one + 0.02 + 0.001 * random.randn(3)), f"p{pose:02}")
+        for pose, one in enumerate(directions(40))
+        for _ in range(3)
+    ]
+    far = [(3.0, 0.0, 0.0, "p07b")] * 3
+    for name, held in (("without", table), ("with", table[:24] + far + table[24:])):
+        path = tmp_path / f"{name}.csv"
+        path.write_text("x,y,z,posture\n" + "".join(f"{x},{y},{z},{pose}\n" for x, y, z, pose in held))
+        found.append(json.loads(run(capsys, "fit", path, "--json").out))
+    for key in ("outcome", "calibration", "sphere_mg", "holdout", "misfits", "coverage", "models_tried"):
+        assert found[0][key] == found[1][key], key
