@@ -1,6 +1,6 @@
 """Structures of Thrift's compact protocol, which the heads of Parquet's pages and its footer are.
 
-Source: Apache Thrift, thrift-compact-protocol.md. What the fields mean is in parquet-format, parquet.thrift.
+Sources: Apache Thrift, thrift-compact-protocol.md; parquet-format, parquet.thrift, for what the fields mean.
 """
 
 from __future__ import annotations
@@ -10,6 +10,14 @@ from typing import Any
 TRUE, FALSE, I8, I16, I32, I64, DOUBLE, BINARY, LIST, SET, STRUCT = 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 12
 WHOLE = (I16, I32, I64)
 ONE_BYTE = [bytes([value]) for value in range(128)]
+WIDEST = 64
+"""Bits of a whole number."""
+
+TAIL_BYTES = 8
+"""What ends a Parquet file: the length of its footer in four bytes, and the magic number again."""
+
+ROW_GROUPS, COLUMNS, META_DATA, DATA_OFFSET, DICTIONARY_OFFSET = 4, 1, 3, 9, 11
+"""Fields of the footer, of a row group, of a column and, twice, of its ColumnMetaData."""
 
 Struct = list[tuple[int, int, Any]]
 """Fields: identifier, type, value. A list is a pair of type and values, or just structures.
@@ -19,7 +27,12 @@ To be written, a structure may be its bytes.
 
 
 def read(data: bytes) -> Struct:
-    """The structure that begins a text of bytes; raises IndexError beyond its end."""
+    """The structure that begins a text of bytes.
+
+    Raises:
+        IndexError: it does not end before they do.
+        ValueError: a whole number has more than 64 bits.
+    """
     return _Reader(data).struct()
 
 
@@ -78,6 +91,8 @@ class _Reader:
         value = shift = 0
         while (byte := self._byte()) & 128:
             value, shift = value | (byte & 127) << shift, shift + 7
+            if shift >= WIDEST:
+                raise ValueError
         return value | byte << shift
 
     def _whole(self) -> int:

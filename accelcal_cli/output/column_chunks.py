@@ -14,7 +14,16 @@ from typing import Any
 import pyarrow as pa
 
 from accelcal_cli.core import thrift
-from accelcal_cli.core.thrift import BINARY, I32, I64, LIST, STRUCT, Struct
+from accelcal_cli.core.thrift import (
+    BINARY,
+    DATA_OFFSET,
+    DICTIONARY_OFFSET,
+    I32,
+    I64,
+    LIST,
+    STRUCT,
+    Struct,
+)
 
 MAGIC = b"PAR1"
 
@@ -26,8 +35,8 @@ INT32, INT64, FLOAT = 1, 2, 4
 PLAIN, RLE, DELTA_BINARY_PACKED, RLE_DICTIONARY, BYTE_STREAM_SPLIT = 0, 3, 5, 8, 9
 ZSTD = 6
 
-UNPACKED, PACKED, DATA_OFFSET, DICTIONARY_OFFSET = 6, 7, 9, 11
-"""Of ColumnMetaData: how long a column is, and where its pages lie."""
+UNPACKED, PACKED = 6, 7
+"""Of ColumnMetaData: how long a column is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

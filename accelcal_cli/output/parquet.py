@@ -278,7 +278,8 @@ def _values_of_stored(column: Column, stored: Mapping[str, NDArray[Any]]) -> NDA
 class ParquetSource:
     """Reads a calibrated recording back, in portions of any number of rows.
 
-    What pyarrow reads ahead it keeps to the end, and its threads, where one cannot start, end the process.
+    pyarrow neither reads ahead, since it would keep all of that to the end, nor starts threads, since it may
+    end the process where one cannot start.
     """
 
     def __init__(self, path: Path, columns: Sequence[str] | None = None) -> None:

@@ -19,24 +19,26 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from accelcal_cli.core import thrift
-from accelcal_cli.core.thrift import I64, LIST, STRUCT, Struct, value_of
-from accelcal_cli.output.column_chunks import (
+from accelcal_cli.core.thrift import (
+    COLUMNS,
     DATA_OFFSET,
     DICTIONARY_OFFSET,
-    MAGIC,
-    PACKED,
-    UNPACKED,
-    ColumnChunk,
+    I64,
+    LIST,
+    META_DATA,
+    ROW_GROUPS,
+    STRUCT,
+    TAIL_BYTES,
+    Struct,
+    value_of,
 )
+from accelcal_cli.output.column_chunks import MAGIC, PACKED, UNPACKED, ColumnChunk
 
-TAIL_BYTES = 8
-"""Length of the footer, and the magic number again."""
+NUM_ROWS = 3
+"""Of FileMetaData."""
 
-NUM_ROWS, ROW_GROUPS = 3, 4
-"""Fields of FileMetaData."""
-
-COLUMNS, GROUP_UNPACKED, GROUP_ROWS, GROUP_OFFSET, GROUP_PACKED = 1, 2, 3, 5, 6
-CHUNK_OFFSET, META_DATA = 2, 3
+GROUP_UNPACKED, GROUP_ROWS, GROUP_OFFSET, GROUP_PACKED = 2, 3, 5, 6
+CHUNK_OFFSET = 2
 PAGE_OFFSETS = (DATA_OFFSET, 10, DICTIONARY_OFFSET, 14)
 """Of a RowGroup, a ColumnChunk, its ColumnMetaData: what is there, and all that says where something is."""
 

@@ -34,6 +34,12 @@ def test_a_structure_that_is_cut_short_is_none(length: int) -> None:
         thrift.read(BYTES[:length])
 
 
+def test_a_whole_number_has_64_bits() -> None:
+    assert thrift.read(b"\x16" + b"\xff" * 9 + b"\x01\x00") == [(1, thrift.I64, -(1 << 63))]
+    with pytest.raises(ValueError):
+        thrift.read(b"\x16" + b"\xff" * 1000 + b"\x01\x00")
+
+
 def test_a_list_that_claims_more_than_there_is_ends() -> None:
     with pytest.raises(IndexError):
         thrift.read(bytes([0x19, 0xF7, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F]))

@@ -20,7 +20,17 @@ from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printabl
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated, Chunk, Reader
-from accelcal_cli.core.thrift import Struct, read, value_of
+from accelcal_cli.core.thrift import (
+    COLUMNS,
+    DATA_OFFSET,
+    DICTIONARY_OFFSET,
+    META_DATA,
+    ROW_GROUPS,
+    TAIL_BYTES,
+    Struct,
+    read,
+    value_of,
+)
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.channels import Marks
@@ -46,14 +56,8 @@ FARTHEST_ROWS = 1 << 22
 LARGEST_TEXT, MOST_ENTRIES = 100_000_000, 2_000_000
 """Bytes of a text, and entries of a list, in the footer."""
 
-TAIL_BYTES = 8
-"""Length of the footer, and the magic number again."""
-
-MOST_LOOKED_AT = 1 << 20
-"""Bytes of a footer that tell where row groups begin; a longer one is not read for that."""
-
-ROW_GROUPS, COLUMNS, META_DATA, DATA_OFFSET, DICTIONARY_OFFSET = 4, 1, 3, 9, 11
-"""Fields of the footer, of a row group, of a column and of its metadata (parquet-format, parquet.thrift)."""
+MOST_LOOKED_AT = 1 << 22
+"""Bytes of a footer, read for where row groups begin (2 s); of a longer one that is not told."""
 
 REFUSED = "refused"
 LONGEST_WORD, LARGEST_MG = 40, 1e6
@@ -192,7 +196,7 @@ class ParquetTable(Table):
 
 
 def _begins(path: Path) -> list[int | None]:
-    """Bytes at which row groups begin, as far as the footer tells; pyarrow, asked for one, may abort."""
+    """Bytes at which row groups begin, as far as the footer tells; pyarrow, asked for it, may abort."""
     try:
         with path.open("rb") as file:
             file.seek(-TAIL_BYTES, os.SEEK_END)
