@@ -38,10 +38,10 @@ def checked(values: Fixed, what: str, limit: int = LIMIT) -> Fixed:
 
 
 def narrow(values: Fixed, bits: int = FRACTION_BITS) -> Fixed:
-    """Drop `bits` fraction bits, rounding half up."""
-    narrowed = values + (1 << (bits - 1))
-    narrowed >>= bits
-    return narrowed
+    """Drop `bits` fraction bits of the values in their place, rounding half up."""
+    values += 1 << (bits - 1)
+    values >>= bits
+    return values
 
 
 def to_fixed(value: Fraction | float) -> int:

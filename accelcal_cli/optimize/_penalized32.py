@@ -26,6 +26,7 @@ from accelcal_cli.core.points import (
 )
 from accelcal_cli.optimize._objective32 import (
     COLUMNS,
+    ENTRIES,
     LEAST_SCALE,
     RISE_TOLERANCE_BITS,
     ROWS,
@@ -50,8 +51,8 @@ def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Mo
 
     Sums of integers, so that it does not depend on the order of the points.
     """
-    a, u = state.calibrated[:, 0], state.shifted[:, 0]
-    k = np.array(parameters, np.int64)
+    a, u, k = state.calibrated[:, 0], state.shifted[:, 0], np.array(parameters, np.int64)
+    entries = [index for index in model.free if index < ENTRIES]
     back = np.stack(
         [
             narrow(k[0] * a[0] + k[3] * a[1] + k[4] * a[2]),
@@ -59,11 +60,10 @@ def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Mo
             narrow(k[2] * a[2]),
         ]
     )
-    rows = [narrow(a[ROWS] * u[COLUMNS]), back]
-    if stack.tau is not None:
+    rows = [narrow(a[[ROWS[entry] for entry in entries]] * u[[COLUMNS[entry] for entry in entries]]), back]
+    if stack.tau is not None and model.has_temperature:
         rows.append(narrow(back * stack.tau[0]))
-    every = narrow(np.concatenate(rows), FRACTION_BITS - JACOBIAN_BITS - 1)
-    free = every[[index for index in model.free if index < len(every)]]
+    free = narrow(np.concatenate(rows), FRACTION_BITS - JACOBIAN_BITS - 1)
     sums = ((free * stack.weights[0]) @ free.T).tolist()
     unit = stack.weight[0] << 2 * JACOBIAN_BITS
     return [[value / unit for value in row] for row in sums]
@@ -83,21 +83,21 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
         raise DivergedError("no point has any weight")
     stack = stacked((points,))
     here, stop = _at(stack, start, penalty), "iterations"
-    seen, places = set[tuple[int, ...]](), [start]
+    seen, places, around = set[tuple[int, ...]](), [start], curvature(stack, here.state, start, model)
     while len(seen) < MAX_NEWTON_STEPS and stop == "iterations":
         seen.add(here.parameters)
-        step = _newton_step(stack, here, model, penalty)
+        step = _newton_step(stack, here, around, model, penalty)
         there = _lower(stack, here, step, penalty)
         if there is None:
             stop = "step within rounding"
         else:
             here, stop = there, "a circle within rounding" if there.parameters in seen else stop
             places.append(here.parameters)
+            around = curvature(stack, here.state, here.parameters, model)
     if min(here.parameters[:3]) < LEAST_SCALE:
         raise DivergedError("an axis collapsed: the points do not determine its scale")
     mean_square = cost(stack, here.state)[0] / (stack.weight[0] << 2 * FRACTION_BITS)
     found = Fit(here.parameters, len(seen), stop, Operations(), tuple(places))
-    around = curvature(stack, here.state, here.parameters, model)
     return PenalizedFit(model, found, mean_square, tuple(tuple(row) for row in around))
 
 
@@ -135,13 +135,19 @@ def _lower(stack: Stack, here: _Place, step: list[int], penalty: Penalty) -> _Pl
     return None
 
 
-def _newton_step(stack: Stack, here: _Place, model: Model, penalty: Penalty) -> list[int]:
-    """What a Gauss-Newton step takes off the parameters; zeros if the gradient's last bits make as much."""
+def _newton_step(
+    stack: Stack, here: _Place, around: list[list[float]], model: Model, penalty: Penalty
+) -> list[int]:
+    """What a Gauss-Newton step takes off the parameters; zeros if the gradient's last bits make as much.
+
+    Args:
+        around: the curvature there.
+    """
     parameters, weight = here.parameters, stack.weight[0]
     (slope,) = gradients(stack, here.state, [list(parameters)], model.free)
     away = zip(parameters, penalty.centre, penalty.strength, strict=True)
     pull = [2 * strength * (value - centre) for value, centre, strength in away]
-    around = curvature(stack, here.state, parameters, model)
+    around = [list(row) for row in around]
     for place, index in enumerate(model.free):
         around[place][place] += penalty.strength[index] * WEIGHT_ONE / (weight << PENALTY_BITS)
     try:
