@@ -45,6 +45,9 @@ STILL_SECONDS = 10
 START_US = 1_709_510_400_000_000
 """2024-03-04T00:00:00."""
 
+LARGEST_SEED = 4_000_000_000
+"""Other seeds are made from it, by adding up to 5 000 011; the generator takes them up to 2**32 - 1."""
+
 Floats = NDArray[np.float64]
 
 

@@ -15,7 +15,7 @@ from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.formats import named_encoder
 from accelcal_cli.pipeline.simulate import simulate
-from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset, draw_gyroscope
+from accelcal_cli.simulate import LARGEST_SEED, Plan, Sensor, draw_gain_and_offset, draw_gyroscope
 
 
 @click.command("simulate")
@@ -25,9 +25,9 @@ from accelcal_cli.simulate import Plan, Sensor, draw_gain_and_offset, draw_gyros
 @click.option("--days", type=Positive(), default=1.0, show_default=True, help="Length in days.")
 @click.option("--rate", "rate_hz", type=Positive(), default=100.0, show_default=True, metavar="HZ",
               help="Sampling rate.")  # fmt: skip
-@click.option("--seed", type=click.IntRange(0), default=1, show_default=True,
+@click.option("--seed", type=click.IntRange(0, LARGEST_SEED), default=1, show_default=True,
               help="Seed for movement and noise.")  # fmt: skip
-@click.option("--truth", type=click.IntRange(0),
+@click.option("--truth", type=click.IntRange(0, LARGEST_SEED),
               help="Seed for the sensor's errors.  [default: that of --seed]")  # fmt: skip
 @click.option("--errors", type=Within(0, 100), default=1.0, show_default=True,
               help="Factor applied to all sensor errors; 0 for a perfect sensor.")  # fmt: skip

@@ -66,6 +66,16 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path, capsys: Capture) -> 
             assert one.read_bytes() == two.read_bytes(), one
 
 
+@pytest.mark.parametrize("option", ["--seed", "--truth"])
+def test_the_largest_seed_is_taken_and_the_next_one_told(
+    tmp_path: Path, capsys: Capture, option: str
+) -> None:
+    words = ("simulate", tmp_path / "a", "--format", "hdf5", "--gyro", "--days", 0.003, "-q", option)
+    assert run(capsys, *words, 4_000_000_000).code == 0
+    ran = run(capsys, *words, 4_000_000_001)
+    assert ran.code == 2 and "is not in the range 0<=x<=4000000000" in ran.err
+
+
 def test_existing_files_are_kept_without_force(tmp_path: Path, capsys: Capture) -> None:
     run(capsys, "simulate", tmp_path / "a", *SMALL)
     ran = run(capsys, "simulate", tmp_path / "a", *SMALL)

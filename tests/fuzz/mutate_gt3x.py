@@ -310,11 +310,17 @@ def mutant(random: Random) -> Mutant:
     return Mutant(data, f"{what} {how}", truth(joined, applied) if known and once else None, options)
 
 
-def truth(log: bytes, applied: dict[str, object] | None) -> Truth:
-    """Rows of all whole records of a log in which nothing but whole records looks like one."""
+def truth(log: bytes, applied: dict[str, object] | None) -> Truth | None:
+    """Rows of all whole records of a log in which nothing but whole records looks like one.
+
+    A record of a kind that none is given was found in noise by chance: nobody can tell where the next one
+    begins.
+    """
     place, parts, left_over = 0, [], 0
     while place < len(log):
         size = record_bytes(log, place)
+        if size and log[place + 1] not in (*KINDS, ACTIVITY3):
+            return None
         if size:
             parts.append(record_rows(log[place : place + size]))
         else:

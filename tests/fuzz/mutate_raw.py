@@ -20,6 +20,7 @@ ROWS = 480
 RATE = 50
 START_S = 1_709_510_400
 LARGEST_G = 100.0
+UNUSED_FRAMES = 8
 TYPES = {"int8": "b", "int16": "h", "int24": "", "int32": "i", "float32": "f", "uint16": "H", "uint8": "B"}
 SIZES = {"int8": 1, "int16": 2, "int24": 3, "int32": 4, "float32": 4, "uint16": 2, "uint8": 1}
 NUMBERS = (
@@ -270,7 +271,8 @@ def odd_field(random: Random) -> str:
 def truth(plan: Plan, data: bytes) -> Truth | None:
     """Rows of whole pages whose checksum is right, or of all whole frames of a stream.
 
-    What erased memory without a checksum means, nobody can tell, nor what floats do that are none.
+    Eight or more frames of FF at the end of a page are none. What erased memory without a checksum means,
+    nobody can tell, nor what floats do that are none.
     """
     body = data[plan.header :]
     if not plan.page:
@@ -279,17 +281,25 @@ def truth(plan: Plan, data: bytes) -> Truth | None:
         return Truth(rows, rows) if usual and b"\xff" * plan.frame not in body else None
     parts = [body[at : at + plan.page] for at in range(0, len(body), plan.page)]
     sound = [len(part) == plan.page and checks(plan, part) for part in parts]
-    rows = together([page_rows(plan, part) for part, right in zip(parts, sound, strict=True) if right])
+    pages = [part for part, right in zip(parts, sound, strict=True) if right]
+    rows = together([page_rows(plan, page) for page in pages])
     bad = sum(bool(part.strip(b"\xff")) and not right for part, right in zip(parts, sound, strict=True))
     if plan.kind == "float32" and not (np.abs(rows) < LARGEST_G).all():
         return None
     if plan.crc:
-        return Truth(rows, rows, bad)
+        return Truth(together([used_rows(plan, page) for page in pages]), rows, bad)
     return Truth(rows[(rows != frame_rows(plan, b"\xff" * plan.frame)).any(axis=1)], rows, bad)
 
 
 def page_rows(plan: Plan, part: bytes) -> np.ndarray:
     return frame_rows(plan, part[12 : 12 + plan.page_rows * plan.frame])
+
+
+def used_rows(plan: Plan, part: bytes) -> np.ndarray:
+    """Rows of a page without those that were never written."""
+    rows, frames = page_rows(plan, part), part[12 : 12 + plan.page_rows * plan.frame]
+    used = -(-len(frames.rstrip(b"\xff")) // plan.frame)
+    return rows[:used] if plan.page_rows - used >= UNUSED_FRAMES else rows
 
 
 def checks(plan: Plan, part: bytes) -> bool:
