@@ -53,6 +53,15 @@ def test_arrays_of_all_layouts(path: Path, accel: np.ndarray, packed: bool) -> N
     assert found.same_as(read(path, 7))
 
 
+def test_a_signalling_nan_is_a_missing_value_and_no_warning(path: Path) -> None:
+    accel = values().astype("f4")
+    accel.view("u4")[3] = 0x7FA00000
+    write(path, {"time": TIMES / 1e6, "accel": accel, "fs": 50.0}, packed=False)
+    found, rest = read(path), np.arange(len(accel)) != 3
+    assert (found.g == values()[rest]).all()
+    assert [problem.count for problem in found.problems] == [1]
+
+
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_what_numpy_writes(path: Path, save: Any) -> None:
     columns = {f"acc_{name}": values()[:, axis] for axis, name in enumerate("xyz")}
