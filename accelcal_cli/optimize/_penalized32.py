@@ -50,6 +50,9 @@ def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Mo
     """Weighted mean of J^T J of one set of points, J = d(|a|^2 - 1)/dp of the model's free parameters.
 
     Sums of integers, so that it does not depend on the order of the points.
+
+    Args:
+        model: one with offsets, as all but "0" have.
     """
     a, u, k = state.calibrated[:, 0], state.shifted[:, 0], np.array(parameters, np.int64)
     entries = [index for index in model.free if index < ENTRIES]

@@ -319,7 +319,7 @@ def truth(log: bytes, applied: dict[str, object] | None) -> Truth | None:
     place, parts, left_over = 0, [], 0
     while place < len(log):
         size = record_bytes(log, place)
-        if size and log[place + 1] not in (*KINDS, ACTIVITY3):
+        if size and log[place + 1] not in KINDS:
             return None
         if size:
             parts.append(record_rows(log[place : place + size]))

@@ -133,7 +133,7 @@ def _scale(source: Source) -> tuple[Scale, tuple[str, ...]]:
 
 def _some_values(source: Source) -> NDArray[np.float64]:
     """Values (n, 3) from all over the table."""
-    with np.errstate(invalid="ignore"):  # signalling NaN
+    with np.errstate(over="ignore", invalid="ignore"):
         parts = [description.spread_rows(source.table, item).astype(np.float64) for item in source.group]
     rows = min(map(len, parts))
     return np.concatenate([part[:rows] for part in parts], axis=1)

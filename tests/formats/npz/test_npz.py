@@ -53,9 +53,14 @@ def test_arrays_of_all_layouts(path: Path, accel: np.ndarray, packed: bool) -> N
     assert found.same_as(read(path, 7))
 
 
-def test_a_signalling_nan_is_a_missing_value_and_no_warning(path: Path) -> None:
-    accel = values().astype("f4")
-    accel.view("u4")[3] = 0x7FA00000
+@pytest.mark.parametrize("kind", ["f4", "longdouble"])
+def test_a_value_that_is_no_double_is_left_out_and_gives_no_warning(path: Path, kind: str) -> None:
+    """A signalling NaN, and a number beyond the largest double."""
+    accel = values().astype(kind)
+    if kind == "f4":
+        accel.view("u4")[3] = 0x7FA00000
+    else:
+        accel[3, 0] = np.finfo(float).max * accel.dtype.type(2)
     write(path, {"time": TIMES / 1e6, "accel": accel, "fs": 50.0}, packed=False)
     found, rest = read(path), np.arange(len(accel)) != 3
     assert (found.g == values()[rest]).all()
