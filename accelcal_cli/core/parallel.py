@@ -1,8 +1,8 @@
 """The one place where threads are started.
 
-`prefetch` takes the items of an iterator ahead of their use, `parallel_map` and `parallel_pull` work on
-several items at a time, `background_call` makes one call beside the work of a block, `BackgroundCalls`
-several, one after another, and `thread_pool` is there for what fits none of them.
+`prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a time,
+`background_call` makes one call beside the work of a block, `BackgroundCalls` several, one after another, and
+`thread_pool` is there for what fits none of them.
 Results come in the order of the items, whatever the number of threads.
 """
 
@@ -70,18 +70,13 @@ class _Guarded:
 
     def __init__(self, items: Iterator[object]) -> None:
         self._items = items
-        self._number = -1
         self._lock = Lock()
         self._closed = False
 
     def next(self) -> object:
-        return self.numbered()[1]
-
-    def numbered(self) -> tuple[int, object]:
-        """The next item, _END if there is none, and how many came before it."""
+        """The next item, _END if there is none."""
         with self._lock:
-            self._number += 1
-            return self._number, _END if self._closed else next(self._items, _END)
+            return _END if self._closed else next(self._items, _END)
 
     def close(self) -> None:
         """Close the iterator, once nobody uses it."""
@@ -128,44 +123,6 @@ def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> It
         yield failed
 
 
-def parallel_pull(work: Callable[[T], R], items: Iterator[T], threads: int) -> Generator[R]:
-    """The work's results, in the order of the items, which the threads that work take themselves, one at a
-    time: while one takes an item, the others work.
-
-    What taking an item or working on it raises is raised here. Closing this closes the iterator.
-
-    Args:
-        threads: how many may work at a time; with one, each item is taken when its result is asked for.
-    """
-    if threads < 2:
-        yield from map(work, items)
-        return
-    source = _Guarded(items)
-    with ThreadPoolExecutor(threads, thread_name_prefix="parallel-pull") as pool:
-        waiting: deque[Future[list[tuple[int, R]]]] = deque()
-        results, number = dict[int, R](), 0
-        try:
-            for _ in range(threads + 1):
-                waiting.append(pool.submit(_pulled, work, source))
-            while waiting:
-                for place, result in waiting.popleft().result():
-                    waiting.append(pool.submit(_pulled, work, source))
-                    results[place] = result
-                while number in results:
-                    yield results.pop(number)
-                    number += 1
-        finally:
-            for future in waiting:
-                future.cancel()
-            source.close()
-
-
-def _pulled(work: Callable[[T], R], source: _Guarded) -> list[tuple[int, R]]:
-    """The number of the next item and the work's result; nothing if there is none."""
-    number, item = source.numbered()
-    return [] if item is _END else [(number, work(cast(T, item)))]
-
-
 @contextmanager
 def background_call(name: str, call: Callable[..., R], *arguments: Any) -> Iterator[Future[R]]:
     """A call made on a thread of this name beside the work of the block, which ends after it."""
@@ -181,14 +138,26 @@ class BackgroundCalls:
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
         self._waiting: deque[Future[Any]] = deque()
 
+    def __len__(self) -> int:
+        """Calls whose results were not taken yet."""
+        return len(self._waiting)
+
     def submit(self, call: Callable[..., Any], *arguments: Any) -> None:
         """Give a call to be made later."""
         self._waiting.append(self._thread.submit(call, *arguments))
 
+    def ready(self) -> bool:
+        """Whether the first of the calls that are left has been made."""
+        return self._waiting[0].done()
+
+    def take(self) -> Any:
+        """The result of the first of the calls that are left, waited for; raises what it raised."""
+        return self._waiting.popleft().result()
+
     def wait(self, most: int = 0) -> None:
         """Wait until no more than `most` calls are left; raises what one of the others raised."""
-        while len(self._waiting) > most:
-            self._waiting.popleft().result()
+        while len(self) > most:
+            self.take()
 
     def close(self) -> None:
         """End the thread, once all calls are made."""

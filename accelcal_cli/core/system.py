@@ -43,6 +43,9 @@ _OURS: list[bool] = []
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What OpenMP, OpenBLAS and MKL ask for, in this process and those it starts."""
 
+ALLOCATOR = "JE_ARROW_MALLOC_CONF", "background_thread:false"
+"""What Arrow's jemalloc asks for (jemalloc(3)), and that it should start no thread."""
+
 
 def workers(recordings: int) -> int:
     """Workers for so many recordings: at least one, at most what CPUs and memory allow."""
@@ -237,10 +240,12 @@ def process_is_ours() -> bool:
 
 
 def hold_to_one_thread() -> None:
-    """Let matrix products take one thread each; to be called before numpy is loaded.
+    """Let libraries start no threads; to be called before they are loaded.
 
-    By default they take one for every CPU, which wait for each other spinning: what they took from the
-    thread that encodes, half a second of a week's recording, the small products here never gave back.
-    One thread also adds in the same order on every machine.
+    By default matrix products take one for every CPU, which wait for each other spinning: what they took from
+    the thread that encodes, half a second of a week's recording, the small products here never gave back.
+    One thread also adds in the same order on every machine. Arrow's allocator has one that tidies up, beside
+    which the process could not be forked.
     """
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
+    os.environ.setdefault(*ALLOCATOR)

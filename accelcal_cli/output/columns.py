@@ -9,7 +9,6 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from threading import local
 from types import MappingProxyType
 from typing import Any, Protocol, Self
 
@@ -200,21 +199,20 @@ def _or_nan(numbers: NDArray[Any], absent: int, values: NDArray[Any]) -> NDArray
 
 
 class _CalibratedRates:
-    """Angular rates of chunks; of each thread's last chunk they are kept for its other axes."""
+    """Angular rates of chunks; those of the last chunk are kept for its other axes."""
 
     def __init__(self, dps_per_lsb: tuple[float, ...], gyroscope: Gyroscope) -> None:
         self._dps_per_lsb, self._gyroscope = dps_per_lsb, gyroscope
-        self._last = local()
+        self._chunk: Chunk | None = None
+        self._rates: Axes = []
 
     def values(self, axis: int, chunk: Chunk, _xyz: Axes) -> NDArray[np.float32]:
         """Of one axis [deg/s]; NaN where a chunk has none."""
         if chunk.gyro_counts is None:
             return np.full(len(chunk), np.nan, np.float32)
-        if getattr(self._last, "chunk", None) is not chunk:
-            self._last.rates = self._calibrated(chunk, chunk.gyro_counts)
-            self._last.chunk = chunk
-        rates: Axes = self._last.rates
-        return rates[axis]
+        if self._chunk is not chunk:
+            self._chunk, self._rates = chunk, self._calibrated(chunk, chunk.gyro_counts)
+        return self._rates[axis]
 
     def _calibrated(self, chunk: Chunk, counts: NDArray[Any]) -> Axes:
         held = [np.empty(len(chunk), np.float32) for _ in range(3)]

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import Clock
 from accelcal_cli.core.errors import UnreadableError, lacking
-from accelcal_cli.core.parallel import BackgroundCalls, parallel_pull
+from accelcal_cli.core.helpers import Helper, helpers
+from accelcal_cli.core.parallel import BackgroundCalls
 from accelcal_cli.core.steps import Steps, joined_steps
 from accelcal_cli.output.column_chunks import MAGIC, ColumnChunk
 from accelcal_cli.output.columns import Column, Portion, schema_of
@@ -31,6 +32,7 @@ from accelcal_cli.output.dictionary_pages import Places, dictionary_chunk, paire
 from accelcal_cli.output.files import output_error
 from accelcal_cli.output.float_pages import float_chunk
 from accelcal_cli.output.row_groups import Footer, RowGroup, by_pyarrow
+from accelcal_cli.output.slots import Memory, Placed, Slot
 
 ROW_GROUP_ROWS = 1 << 19
 
@@ -40,8 +42,14 @@ LEVEL = 1
 FLUSHED_BYTES = 1 << 25
 """After so many the disk begins to write."""
 
-MOST_ENCODERS = 8
-"""Row groups that are encoded side by side; each takes 7 MB, up to 22 with temperature and a gyroscope."""
+MOST_HELPERS = 3
+"""Beside the caller, who fills row groups about as fast as three encode them."""
+
+QUEUED = 3
+"""Row groups that one helper has at most, so that it need not wait while the caller encodes one itself."""
+
+SLOT_BYTES = 1 << 26
+"""Of memory for the rows of all row groups that are in work; two there are always."""
 
 SOURCE_ROWS = 1 << 17
 """Rows that are read back at a time."""
@@ -59,10 +67,6 @@ def stored_schema(path: Path) -> pa.Schema | None:
         if getattr(error, "errno", None) is None:
             return None
         raise UnreadableError(f"cannot be read ({error.strerror})", path=path) from error
-
-
-Memory = list[tuple[Column, NDArray[Any]]]
-"""Where rows go, column by column, but for times, which their clock tells."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,20 +94,51 @@ def copied(rows: Stored, memory: Memory) -> None:
         free[:] = array
 
 
+@dataclass(slots=True, eq=False)
+class _Group(Generic[R]):
+    """A row group in work.
+
+    Attributes:
+        filled: what filling it gave.
+        timed: its times, encoded.
+        slot: where its other columns lie.
+        helper: that encodes these; None: they are `encoded`.
+    """
+
+    rows: int
+    filled: list[R]
+    timed: ColumnChunk
+    slot: Slot
+    helper: Helper[tuple[int, int], list[Placed]] | None = None
+    encoded: Mapping[str, ColumnChunk] = field(default_factory=dict)
+
+    def ready(self) -> bool:
+        """Whether it can be written at once."""
+        return self.helper is None or self.helper.ready()
+
+
 class ParquetSink:
     """Takes rows in any portions and writes them to a file that the caller made.
 
-    Rows are collected in row groups of a fixed number of rows. Each thread fills one and encodes it; they are
-    written in their order, so that the bytes do not depend on how many threads there are.
+    Rows are collected in row groups of a fixed number of rows. The caller fills one after another; helpers
+    encode them, and the caller, too, while they are busy. They are written in their order, so that the bytes
+    do not depend on how many helpers there are.
     """
 
     def __init__(
-        self, path: Path, shown: Path, columns: Sequence[Column], metadata: dict[str, Any], threads: int = 1
+        self,
+        path: Path,
+        shown: Path,
+        columns: Sequence[Column],
+        metadata: dict[str, Any],
+        threads: int = 1,
+        rows: int = 0,
     ) -> None:
         """Open `path` for writing; errors speak of `shown`.
 
         Args:
-            threads: how many may work at a time.
+            threads: how many may work at a time; helpers are processes where they can be.
+            rows: about how many there will be; those of one row group need no helper.
 
         Raises:
             OutputError: the file cannot be written.
@@ -120,8 +155,8 @@ class ParquetSink:
         }
         ((self._time, self._clock),) = ((c.name, c.clock) for c in columns if c.clock is not None)
         self._others = [column for column in columns if column.clock is None]
-        self._threads = min(threads, MOST_ENCODERS)
-        self._spare = [self._empty_group() for _ in range(self._threads)]
+        self._threads = threads
+        self._helpers = min(threads - 1, MOST_HELPERS, rows // ROW_GROUP_ROWS)
         self._footer = Footer(self._schema, **self._options)
         self._flushed, self._flushes = 0, BackgroundCalls("flush")
         try:
@@ -130,53 +165,85 @@ class ParquetSink:
         except OSError as error:
             raise output_error(error, shown) from error
 
-    def _empty_group(self) -> list[NDArray[Any]]:
-        """Memory for one row group, a column each, but for times."""
-        return [np.empty(ROW_GROUP_ROWS, column.dtype) for column in self._others]
-
     def write(self, portions: Iterator[P], fill: Callable[[P, Memory], R]) -> Generator[list[R]]:
         """Write all rows of a file; group by group, what filling it gave, once it is written.
 
         Args:
-            portions: rows; they are taken by the threads that encode, by one at a time.
             fill: puts a portion into memory for so many rows of each column.
 
         Raises:
             OutputError: the disk is full, or fails.
         """
-        work = partial(self._encoded, fill)
-        with contextlib.closing(parallel_pull(work, _groups(portions), self._threads)) as groups:
-            for group, filled in groups:
-                self._append(group)
-                yield filled
+        slots = self._slots()
+        free, line = [*slots], deque[_Group[R]]()
 
-    def _encoded(self, fill: Callable[[P, Memory], R], portions: list[P]) -> tuple[RowGroup, list[R]]:
-        """A row group of portions, which are let go of once it is filled, and what filling it gave."""
-        memory, filled, steps, rows = self._spare.pop(), [], [], 0
+        def encode(job: tuple[int, int]) -> list[Placed]:
+            place, rows = job
+            return slots[place].put(self._encoded(slots[place].stored(rows)))
+
+        with helpers(encode, self._helpers) as helping:
+            for group in _groups(portions):
+                line.append(self._begun(group, fill, free, helping))
+                while len(line) > len(slots) or (line and line[0].ready()):
+                    yield self._written(line.popleft(), free)
+            while line:
+                yield self._written(line.popleft(), free)
+
+    def _slots(self) -> list[Slot]:
+        """Memory for row groups: for that of the caller, and for those that helpers have."""
+        bytes_of = ROW_GROUP_ROWS * sum(np.dtype(column.dtype).itemsize for column in self._others)
+        most = max(2, min(2 * self._helpers + 2, SLOT_BYTES // bytes_of)) if self._helpers else 1
+        shared = self._helpers > 0
+        return [Slot(number, self._others, ROW_GROUP_ROWS, shared=shared) for number in range(most)]
+
+    def _begun(
+        self,
+        portions: list[P],
+        fill: Callable[[P, Memory], R],
+        free: list[Slot],
+        helping: Sequence[Helper[tuple[int, int], list[Placed]]],
+    ) -> _Group[R]:
+        """A row group of portions, which are let go of once it is filled: given to a helper, or encoded."""
+        slot, filled, steps, rows = free.pop(), [], [], 0
         for portion in portions:
-            here = slice(rows, rows + len(portion))
-            free = [(column, held[here]) for column, held in zip(self._others, memory, strict=True)]
-            filled.append(fill(portion, free))
+            start, rows = rows, rows + len(portion)
+            filled.append(fill(portion, slot.memory(start, rows)))
             steps.append(self._clock(portion).steps(0, len(portion)))
-            rows = here.stop
         portions.clear()
-        stored = {c.name: held[:rows] for c, held in zip(self._others, memory, strict=True)}
-        group = self._group(stored, joined_steps(steps) if steps else None, rows)
-        self._spare.append(memory)
-        return group, filled
+        group = _Group(rows, filled, self._timed(joined_steps(steps) if steps else None), slot)
+        helper = min(helping, key=lambda one: one.waiting, default=None)
+        if helper is not None and helper.waiting < QUEUED and free:
+            helper.give((slot.number, rows))
+            group.helper = helper
+        else:
+            group.encoded = self._encoded(slot.stored(rows))
+            free.append(slot)
+        return group
 
-    def _group(self, stored: Mapping[str, NDArray[Any]], steps: Steps | None, rows: int) -> RowGroup:
-        """A row group, encoded from where its columns lie."""
-        chunks = _chunks(self._others, stored)
+    def _written(self, group: _Group[R], free: list[Slot]) -> list[R]:
+        """Write a group behind the others, once it is encoded, and let go of its slot; raises OutputError."""
+        if group.helper is not None:
+            group.encoded = group.slot.chunks(group.helper.take())
+        chunks = {**group.encoded, self._time: group.timed}
+        self._append(RowGroup([chunks[column.name] for column in self.columns], group.rows))
+        if group.helper is not None:
+            free.append(group.slot)
+        return group.filled
+
+    def _timed(self, steps: Steps | None) -> ColumnChunk:
+        """The times of a row group, encoded; None: there are no rows."""
         if steps is not None and (timed := delta_chunk(self._time, steps, LEVEL)) is not None:
-            chunks[self._time] = timed
+            return timed
+        return self._by_pyarrow(self._time, np.empty(0, np.int64) if steps is None else steps.times())
+
+    def _encoded(self, stored: Mapping[str, NDArray[Any]]) -> dict[str, ColumnChunk]:
+        """The other columns of a row group, encoded from where they lie."""
+        chunks = _chunks(self._others, stored)
         values = {c.name: _values_of_stored(c, stored) for c in self._others if c.name not in chunks}
-        if self._time not in chunks:
-            values[self._time] = np.empty(0, np.int64) if steps is None else steps.times()
         for name, held in values.items():
             single = held.dtype == np.float32
             chunks[name] = float_chunk(name, held, LEVEL) if single else self._by_pyarrow(name, held)
-        return RowGroup([chunks[column.name] for column in self.columns], rows)
+        return chunks
 
     def _by_pyarrow(self, name: str, values: NDArray[Any]) -> ColumnChunk:
         """A column of a row group that no other module makes; `pa.array` would load pandas."""

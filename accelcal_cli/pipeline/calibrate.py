@@ -405,7 +405,7 @@ class RecordingRun:
         chunks = self._chunks(effect)
         with (
             replacing(path) as temporary,
-            ParquetSink(temporary, path, columns, metadata, threads) as sink,
+            ParquetSink(temporary, path, columns, metadata, threads, data.facts.samples) as sink,
         ):
             over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()

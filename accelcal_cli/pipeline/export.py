@@ -22,7 +22,8 @@ from accelcal_cli.pipeline.jobs import Progress
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
     from accelcal_cli.output.columns import Column, Numbers
-    from accelcal_cli.output.parquet import Memory, ParquetSink
+    from accelcal_cli.output.parquet import ParquetSink
+    from accelcal_cli.output.slots import Memory
 
 BLOCK_ROWS = 1 << 14
 
@@ -367,7 +368,7 @@ def write_calibrated(
         _fill(memory, rows, applied)
         return beyond(rows, applied, range_g), rows.end_byte
 
-    read = prefetch(iter(chunks), threads - 1)  # of two threads each reads, too
+    read = prefetch(iter(chunks), threads - 1)  # of two the other encodes
     with closing(sink.write(read, fill)) as groups:
         for filled in groups:
             total += sum(over for over, _ in filled)

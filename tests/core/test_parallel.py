@@ -14,7 +14,6 @@ from accelcal_cli.core.parallel import (
     QUEUED,
     BackgroundCalls,
     parallel_map,
-    parallel_pull,
     prefetch,
     thread_pool,
 )
@@ -139,87 +138,6 @@ def test_leaving_early_ends_the_threads() -> None:
     next(running)
     running.close()
     assert not any(thread.name.startswith("parallel-map") for thread in threading.enumerate())
-
-
-# --- parallel_pull
-
-
-@pytest.mark.parametrize("number", [0, 1, 2, 3, 4, 100])
-@pytest.mark.parametrize("threads", [1, 2, 5])
-def test_pulled_results_are_in_the_order_of_the_items(number: int, threads: int) -> None:
-    assert list(parallel_pull(lambda item: 10 * item, iter(range(number)), threads)) == [
-        10 * item for item in range(number)
-    ]
-
-
-def test_pulled_results_wait_for_their_turn() -> None:
-    second = threading.Event()
-
-    def work(item: int) -> int:
-        if item == 0:
-            assert second.wait(10)
-        if item == 1:
-            second.set()
-        return item
-
-    assert list(parallel_pull(work, iter(range(5)), 2)) == list(range(5))
-
-
-def test_threads_that_work_take_the_items_one_at_a_time() -> None:
-    taking, takers = threading.Lock(), set[str]()
-
-    def items() -> Iterator[int]:
-        for number in range(50):
-            assert taking.acquire(blocking=False)
-            takers.add(threading.current_thread().name)
-            taking.release()
-            yield number
-
-    assert list(parallel_pull(lambda item: item, items(), 3)) == list(range(50))
-    assert takers and all(name.startswith("parallel-pull") for name in takers)
-
-
-@pytest.mark.parametrize("threads", [1, 2, 5])
-@pytest.mark.parametrize("fails", ["item", "work"])
-def test_what_fails_while_items_are_pulled_is_raised(threads: int, fails: str) -> None:
-    closed: list[bool] = []
-
-    def items() -> Iterator[int]:
-        try:
-            yield from range(5)
-            if fails == "item":
-                raise ValueError("five")
-            yield from range(5, 100)
-        finally:
-            closed.append(True)
-
-    def work(item: int) -> int:
-        if item == 5:
-            raise ValueError("five")
-        return item
-
-    found = []
-    with pytest.raises(ValueError, match="five"):
-        for item in parallel_pull(work, items(), threads):
-            found.append(item)
-    assert found == list(range(len(found))) and len(found) <= 5
-    assert closed == [True]
-
-
-def test_closing_ends_the_pulling_threads_and_the_iterator() -> None:
-    closed: list[bool] = []
-
-    def items() -> Iterator[int]:
-        try:
-            yield from range(1000)
-        finally:
-            closed.append(True)
-
-    running = parallel_pull(lambda item: item, items(), 2)
-    next(running)
-    running.close()
-    assert closed == [True]
-    assert not any(thread.name.startswith("parallel-pull") for thread in threading.enumerate())
 
 
 # --- BackgroundCalls, thread_pool

@@ -18,6 +18,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -38,6 +39,11 @@ def _folder(folder: Path) -> None:
     """Three recordings, one of them refused."""
     for number, poses in enumerate((24, 26, 2)):
         write_raw(folder / f"p{number}.raw", still_counts(directions(poses), seed=number + 1))
+
+
+def _long(folder: Path) -> None:
+    """A recording of three row groups, which a helper encodes beside the command."""
+    write_raw(folder / "p0.raw", still_counts(np.tile(directions(24), (70, 1))))
 
 
 def _parts(folder: Path) -> None:
@@ -74,6 +80,7 @@ VICTIMS = (
     Victim("study", STUDY, _folder, 1, share=1.0),
     Victim("study --html", (*STUDY, "--html"), _folder, 1),
     Victim("calibrate --html", ("calibrate", "in/p0.raw", "-d", "out", "--html", *QUICK), _folder, 0),
+    Victim("calibrate, with a helper", ("calibrate", "in/p0.raw", "-d", "out", *QUICK), _long, 0),
     Victim("calibrate --parts", ("calibrate", "--parts", "in", "-d", "out", *QUICK), _parts, 0),
 )
 

@@ -59,6 +59,11 @@ def _recording(folder: Path) -> None:
     good_raw(folder / "in")
 
 
+def _long(folder: Path) -> None:
+    """A recording of three row groups, which a helper encodes beside the command."""
+    write_raw(folder / "in" / "good.raw", still_counts(np.tile(directions(60), (28, 1))))
+
+
 def _earlier(folder: Path) -> None:
     """Results of other settings, which are replaced."""
     good_raw(folder / "in")
@@ -222,6 +227,7 @@ STUDY = ("study", "in", "-d", "out", "-j", "2", "-q")
 SEVERAL = tuple(f"in/p{number}.calibration.json" for number in range(3))
 SCENARIOS = (
     Scenario("calibrate", CALIBRATE, _recording),
+    Scenario("calibrate long", ("calibrate", "in/good.raw", "-d", "out", "-q"), _long, most=MANY),
     Scenario("calibrate again", CALIBRATE, _earlier),
     Scenario(
         "calibrate parts", ("calibrate", "in/parts.tar.gz", "-d", "out", "-q"), _archive, parts=True, most=24

@@ -7,8 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +25,12 @@ from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.core.rotations import Bias, Gyroscope
 from accelcal_cli.output import parquet
+from accelcal_cli.output.column_chunks import ColumnChunk
 from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, Column, Numbers, columns_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.output.float_pages import PAGE_ROWS
 from accelcal_cli.output.parquet import ParquetSink, Stored, copied
+from accelcal_cli.output.slots import Slot
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
@@ -64,7 +64,7 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
 
 
 def write(path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
-    with ParquetSink(path, path, kept, {"a": 1}, threads) as sink:
+    with ParquetSink(path, path, kept, {"a": 1}, threads, len(held[0])) as sink:
         rows = Stored(StampClock(held[0]), held[1:])
         portions = (rows.part(start, stop) for start, stop in itertools.pairwise(edges))
         assert all(filled for filled in sink.write(portions, copied)) == bool(edges[-1])
@@ -203,8 +203,7 @@ def test_only_whole_numbers_and_times(tmp_path: Path) -> None:
     assert (pq.read_table(path)["time"].cast(pa.int64()).to_numpy() == held[0]).all()
 
 
-def test_angular_rates_of_threads_are_not_mixed_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each thread asks for the axes of its own rows, which are computed once, while the other does."""
+def test_angular_rates_of_a_chunk_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
     made, calibrated = [], Gyroscope.calibrated
 
     def counted(*arguments: Any) -> Any:
@@ -219,27 +218,89 @@ def test_angular_rates_of_threads_are_not_mixed_up(monkeypatch: pytest.MonkeyPat
     )  # fmt: skip
     recording = Recording(Path("a"), "csv", 100.0, 256.0, 0, gyro_dps_per_lsb=(0.1, 0.2, 0.3))
     rates = columns_of(recording, facts, gyroscope=verdict)[4:7]
-    random, both = np.random.default_rng(1), threading.Barrier(2)
+    random = np.random.default_rng(1)
 
     def chunk() -> Chunk:
         counts = random.integers(-3000, 3000, (50, 3)).astype(np.int16)
         return Chunk(0, np.zeros((50, 3), np.int16), StampClock(np.arange(50)), 0, gyro_counts=counts)
 
-    def asked(rows: Chunk) -> list[np.ndarray]:
-        found = []
-        for column in rates:
-            both.wait(10)
-            found.append(column.values(rows, []))
-        return found
-
-    chunks = [chunk() for _ in range(40)]
-    alone = [[column.values(rows, []) for column in rates] for rows in chunks]
+    chunks = [chunk() for _ in range(4)]
+    alone = [[column.values(rows, []) for column in rates[::-1]][::-1] for rows in chunks]
     monkeypatch.setattr(Gyroscope, "calibrated", counted)
-    with ThreadPoolExecutor(2) as pool:
-        beside = list(pool.map(asked, chunks))
+    found = [[column.values(rows, []) for column in rates] for rows in chunks]
     assert len(made) == len(chunks)
-    for expected, found in zip(alone, beside, strict=True):
-        assert all((a == b).all() for a, b in zip(expected, found, strict=True))
+    for expected, axes in zip(alone, found, strict=True):
+        assert all((a == b).all() for a, b in zip(expected, axes, strict=True))
+
+
+HELPED = """
+import os, signal, sys
+from pathlib import Path
+from accelcal_cli.core.system import hold_to_one_thread, take_over_process
+hold_to_one_thread()
+take_over_process()
+import multiprocessing
+from tests.output import test_parquet as made
+from accelcal_cli.output import parquet
+from accelcal_cli.output.parquet import ParquetSink, Stored, copied
+
+parquet.ROW_GROUP_ROWS, parquet.SLOT_BYTES = 1024, 1 << 20
+rows, folder = 20_500, Path(sys.argv[1])
+held = made.arrays(rows)
+kept = made.columns(temperature=True, gyroscope=True, utc=False)
+portions = Stored(made.StampClock(held[0]), held[1:])
+
+def write(name, threads, lost=None):
+    had = set()
+    def fill(portion, memory):
+        helping = multiprocessing.active_children()
+        had.update(one.pid for one in helping)
+        if lost is not None and len(filled) >= lost:
+            for one in helping:
+                one.kill()
+        copied(portion, memory)
+    filled = []
+    with ParquetSink(folder / name, folder / name, kept, {"a": 1}, threads, rows) as sink:
+        for group in sink.write((portions.part(n, n + 500) for n in range(0, rows, 500)), fill):
+            filled.append(group)
+        sink.close()
+    assert not multiprocessing.active_children()
+    print(name, len(had), sum(map(len, filled)))
+
+for threads in (1, 2, 4, 16):
+    write(str(threads), threads)
+for lost in (0, 3, 10):
+    write(f"lost {lost}", 3, lost)
+parquet.SLOT_BYTES = 1
+write("short of memory", 16)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux forks helpers")
+def test_the_bytes_do_not_depend_on_helpers_or_on_losing_them(tmp_path: Path) -> None:
+    command = [sys.executable, "-W", "error", "-c", HELPED, str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    helped = {
+        name: int(number) for name, number, _ in (line.rsplit(" ", 2) for line in done.stdout.splitlines())
+    }
+    assert helped == {
+        "1": 0, "2": 1, "4": 3, "16": 3, "lost 0": 2, "lost 3": 2, "lost 10": 2, "short of memory": 3,
+    }  # fmt: skip
+    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
+    assert pq.ParquetFile(tmp_path / "16").metadata.num_row_groups == 21
+
+
+def test_columns_that_find_no_room_in_a_slot_come_all_the_same() -> None:
+    (x, *_) = columns(temperature=False, gyroscope=False, utc=False)[1:]
+    slot = Slot(0, [x], 100, shared=True)
+    chunks = {name: ColumnChunk([name.encode() * 150, pa.py_buffer(b"*" * 50)], []) for name in "abc"}
+    placed = slot.put(chunks)
+    assert [isinstance(at, bytes) for _, _, at in placed] == [False, False, True]
+    found = slot.chunks(placed)
+    assert {name: b"".join(chunk.parts) for name, chunk in found.items()} == {
+        name: name.encode() * 150 + b"*" * 50 for name in "abc"
+    }
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")

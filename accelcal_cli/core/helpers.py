@@ -1,0 +1,208 @@
+"""Helpers, which do jobs beside their caller, each one after another.
+
+Python's threads wait for each other at every step that holds the interpreter's lock, so a helper is a process
+forked from this one where that is safe, and a thread elsewhere. What jobs are about lies in memory that both
+see (`shared_memory`); they and their results are small. A process that is lost, however it went, costs time
+only: the caller does its jobs itself.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import threading
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Iterator
+from mmap import mmap
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+
+from accelcal_cli.core.parallel import BackgroundCalls
+from accelcal_cli.core.system import give_back_freed_memory, process_is_ours
+
+if TYPE_CHECKING:
+    from multiprocessing.connection import Connection
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+ENDING = {getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)}
+"""Signals that end a command, which its first process handles."""
+
+TASKS = Path("/proc/self/task")
+"""The threads of this process, Python's and others (proc(5))."""
+
+
+class Helper(ABC, Generic[J, R]):
+    """One that does jobs beside the caller and gives their results in the order of the jobs."""
+
+    @property
+    @abstractmethod
+    def waiting(self) -> int:
+        """Jobs whose results were not taken yet."""
+
+    @abstractmethod
+    def give(self, job: J) -> None:
+        """Give a job to be done later."""
+
+    @abstractmethod
+    def ready(self) -> bool:
+        """Whether the next result can be taken at once; there is a job."""
+
+    @abstractmethod
+    def take(self) -> R:
+        """The next result, waited for; raises what the work raised."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the helper; jobs that are left may stay undone."""
+
+
+def shared_memory(size: int) -> mmap:
+    """Zeros, so many bytes, which helpers see as the caller does.
+
+    Raises:
+        MemoryError: there is not enough memory.
+    """
+    try:
+        return mmap(-1, size)
+    except OSError as error:
+        raise MemoryError(str(error)) from error
+
+
+@contextlib.contextmanager
+def helpers(work: Callable[[J], R], number: int) -> Iterator[list[Helper[J, R]]]:
+    """So many helpers that do this work, to the end of the block.
+
+    Memory that they share with the caller is there before they are. Threads start with their first job.
+    """
+    with contextlib.ExitStack() as stack:
+        made = []
+        for _ in range(number):
+            made.append(_helper(work))
+            stack.callback(made[-1].close)
+        yield made
+
+
+def _helper(work: Callable[[J], R]) -> Helper[J, R]:
+    """A process if one can be had, else a thread."""
+    if can_be_forked():
+        with contextlib.suppress(OSError):
+            return _Process(work)
+    return _Thread(work)
+
+
+def can_be_forked() -> bool:
+    """Whether a copy of this process can work: it is ours alone, and no thread holds a lock that it needs.
+
+    Only Linux has all libraries expect it: macOS's own end a process that was forked.
+    """
+    if sys.platform != "linux" or not process_is_ours() or threading.active_count() > 1:
+        return False
+    try:
+        return len([*TASKS.iterdir()]) == 1
+    except OSError:
+        return False
+
+
+class _Thread(Helper[J, R]):
+    """A helper that waits for the interpreter's lock as the caller does."""
+
+    def __init__(self, work: Callable[[J], R]) -> None:
+        self._work, self._calls = work, BackgroundCalls("helper")
+
+    @property
+    def waiting(self) -> int:
+        """See `Helper`."""
+        return len(self._calls)
+
+    def give(self, job: J) -> None:
+        """See `Helper`."""
+        self._calls.submit(self._work, job)
+
+    def ready(self) -> bool:
+        """See `Helper`."""
+        return self._calls.ready()
+
+    def take(self) -> R:
+        """See `Helper`."""
+        return cast(R, self._calls.take())
+
+    def close(self) -> None:
+        """See `Helper`."""
+        self._calls.close()
+
+
+class _Process(Helper[J, R]):
+    """A helper in a process of its own."""
+
+    def __init__(self, work: Callable[[J], R]) -> None:
+        """Fork it; raises OSError if that is not possible."""
+        import multiprocessing  # few runs need a helper
+
+        self._work = work
+        self._jobs: deque[J] = deque()
+        self._lost = False
+        self._pipe, theirs = multiprocessing.Pipe()
+        give_back_freed_memory()  # what both then use anew would be copied
+        context = multiprocessing.get_context("fork")
+        self._process = context.Process(target=_serve, args=(theirs, self._pipe, work), daemon=True)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        try:
+            self._process.start()
+        except OSError:
+            self._pipe.close()
+            raise
+        finally:
+            theirs.close()
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    @property
+    def waiting(self) -> int:
+        """See `Helper`."""
+        return len(self._jobs)
+
+    def give(self, job: J) -> None:
+        """See `Helper`."""
+        self._jobs.append(job)
+        if not self._lost:
+            try:
+                self._pipe.send(job)
+            except OSError:
+                self._lost = True
+
+    def ready(self) -> bool:
+        """See `Helper`."""
+        try:
+            return self._lost or self._pipe.poll()
+        except OSError:
+            return True
+
+    def take(self) -> R:
+        """See `Helper`."""
+        job = self._jobs.popleft()
+        if not self._lost:
+            try:
+                return cast(R, self._pipe.recv())
+            except (OSError, EOFError):
+                self._lost = True
+        return self._work(job)
+
+    def close(self) -> None:
+        """See `Helper`."""
+        self._pipe.close()
+        self._process.kill()
+        self._process.join()
+
+
+def _serve(pipe: Connection, of_caller: Connection, work: Callable[[Any], Any]) -> None:
+    """What a helper's process does until the caller is gone, or work fails, which the caller finds out."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    of_caller.close()
+    with contextlib.suppress(Exception):
+        while True:
+            pipe.send(work(pipe.recv()))
