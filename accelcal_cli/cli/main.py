@@ -13,7 +13,12 @@ from click.shell_completion import CompletionItem
 from accelcal_cli import __version__
 from accelcal_cli.cli.exit_codes import run_safely
 from accelcal_cli.core.errors import near
-from accelcal_cli.core.system import hold_to_one_thread, keep_freed_memory, take_over_process
+from accelcal_cli.core.system import (
+    collect_seldom,
+    hold_to_one_thread,
+    keep_freed_memory,
+    take_over_process,
+)
 
 
 class LazyGroup(click.Group):
@@ -98,6 +103,7 @@ def main() -> NoReturn:
     take_over_process()
     hold_to_one_thread()
     keep_freed_memory()
+    collect_seldom()
     code = run_safely(lambda: cli.main(prog_name="accelcal", standalone_mode=False))
     gc.freeze()  # else the interpreter looks through all that is loaded once more before it ends
     sys.exit(code)

@@ -9,15 +9,17 @@ only: the caller does its jobs itself.
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import threading
+import time
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator
 from mmap import mmap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, TypeVar, cast
 
 from accelcal_cli.core.parallel import BackgroundCalls
 from accelcal_cli.core.system import give_back_freed_memory, process_is_ours
@@ -31,12 +33,21 @@ R = TypeVar("R")
 ENDING = {getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)}
 """Signals that end a command, which its first process handles."""
 
+ENDING_MS = 50
+"""So long a thread that has ended for Python may still be one for the system."""
+
 TASKS = Path("/proc/self/task")
 """The threads of this process, Python's and others (proc(5))."""
 
 
 class Helper(ABC, Generic[J, R]):
-    """One that does jobs beside the caller and gives their results in the order of the jobs."""
+    """One that does jobs beside the caller and gives their results in the order of the jobs.
+
+    Attributes:
+        lost: whether the caller does its jobs, at the latest when their results are taken.
+    """
+
+    lost = False
 
     @property
     @abstractmethod
@@ -79,16 +90,17 @@ def helpers(work: Callable[[J], R], number: int) -> Iterator[list[Helper[J, R]]]
     Memory that they share with the caller is there before they are. Threads start with their first job.
     """
     with contextlib.ExitStack() as stack:
+        forked = number > 0 and can_be_forked()
         made = []
         for _ in range(number):
-            made.append(_helper(work))
+            made.append(_helper(work, forked=forked))
             stack.callback(made[-1].close)
         yield made
 
 
-def _helper(work: Callable[[J], R]) -> Helper[J, R]:
+def _helper(work: Callable[[J], R], *, forked: bool) -> Helper[J, R]:
     """A process if one can be had, else a thread."""
-    if can_be_forked():
+    if forked:
         with contextlib.suppress(OSError):
             return _Process(work)
     return _Thread(work)
@@ -101,10 +113,18 @@ def can_be_forked() -> bool:
     """
     if sys.platform != "linux" or not process_is_ours() or threading.active_count() > 1:
         return False
+    return any(_has_one_thread() for _ in range(ENDING_MS))
+
+
+def _has_one_thread() -> bool:
+    """Whether the system knows of no other thread; if it does, a millisecond later."""
     try:
-        return len([*TASKS.iterdir()]) == 1
+        alone = len([*TASKS.iterdir()]) == 1
     except OSError:
         return False
+    if not alone:
+        time.sleep(0.001)
+    return alone
 
 
 class _Thread(Helper[J, R]):
@@ -136,25 +156,21 @@ class _Thread(Helper[J, R]):
 
 
 class _Process(Helper[J, R]):
-    """A helper in a process of its own."""
+    """A helper in a process of its own, which ends with the caller's end of the pipe."""
 
     def __init__(self, work: Callable[[J], R]) -> None:
         """Fork it; raises OSError if that is not possible."""
-        import multiprocessing  # few runs need a helper
+        from multiprocessing import Pipe  # few runs need a helper
 
         self._work = work
         self._jobs: deque[J] = deque()
-        self._lost = False
-        self._pipe, theirs = multiprocessing.Pipe()
+        self._pipe, theirs = Pipe()
         give_back_freed_memory()  # what both then use anew would be copied
-        context = multiprocessing.get_context("fork")
-        self._process = context.Process(target=_serve, args=(theirs, self._pipe, work), daemon=True)
         before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
         try:
-            self._process.start()
-        except OSError:
-            self._pipe.close()
-            raise
+            self._process = os.fork()
+            if not self._process:
+                _serve(theirs, self._pipe, work)
         finally:
             theirs.close()
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
@@ -167,42 +183,44 @@ class _Process(Helper[J, R]):
     def give(self, job: J) -> None:
         """See `Helper`."""
         self._jobs.append(job)
-        if not self._lost:
+        if not self.lost:
             try:
                 self._pipe.send(job)
             except OSError:
-                self._lost = True
+                self.close()
 
     def ready(self) -> bool:
         """See `Helper`."""
-        try:
-            return self._lost or self._pipe.poll()
-        except OSError:
-            return True
+        return self.lost or self._pipe.poll()
 
     def take(self) -> R:
         """See `Helper`."""
         job = self._jobs.popleft()
-        if not self._lost:
+        if not self.lost:
             try:
                 return cast(R, self._pipe.recv())
             except (OSError, EOFError):
-                self._lost = True
+                self.close()
         return self._work(job)
 
     def close(self) -> None:
-        """See `Helper`."""
+        """See `Helper`; it writes no more into memory that others may then use."""
         self._pipe.close()
-        self._process.kill()
-        self._process.join()
+        if not self.lost:
+            self.lost = True
+            with contextlib.suppress(OSError):  # where a program ignores SIGCHLD nobody waits for it
+                os.kill(self._process, signal.SIGKILL)
+                os.waitpid(self._process, 0)
 
 
-def _serve(pipe: Connection, of_caller: Connection, work: Callable[[Any], Any]) -> None:
+def _serve(pipe: Connection, of_caller: Connection, work: Callable[[Any], Any]) -> NoReturn:
     """What a helper's process does until the caller is gone, or work fails, which the caller finds out."""
-    for number in ENDING:
-        signal.signal(number, signal.SIG_IGN)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
-    of_caller.close()
-    with contextlib.suppress(Exception):
+    try:
+        for number in ENDING:
+            signal.signal(number, signal.SIG_IGN)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+        of_caller.close()
         while True:
             pipe.send(work(pipe.recv()))
+    finally:
+        os._exit(0)

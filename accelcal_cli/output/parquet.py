@@ -211,7 +211,8 @@ class ParquetSink:
             steps.append(self._clock(portion).steps(0, len(portion)))
         portions.clear()
         group = _Group(rows, filled, self._timed(joined_steps(steps) if steps else None), slot)
-        helper = min(helping, key=lambda one: one.waiting, default=None)
+        sound = (helper for helper in helping if not helper.lost)
+        helper = min(sound, key=lambda one: one.waiting, default=None)
         if helper is not None and helper.waiting < QUEUED and free:
             helper.give((slot.number, rows))
             group.helper = helper

@@ -88,7 +88,7 @@ def by_pyarrow(table: pa.RecordBatch, **options: Any) -> list[ColumnChunk]:
 def _lifted(whole: pa.Buffer, meta: Struct) -> ColumnChunk:
     """A column out of a file."""
     places = (value_of(meta, DICTIONARY_OFFSET), value_of(meta, DATA_OFFSET))
-    start = min(place for place in places if place)
+    start = min((place for place in places if place), default=len(MAGIC))  # without rows there are no pages
     bytes_of_it = whole[start : start + value_of(meta, PACKED)]
     return ColumnChunk([bytes_of_it], _moved(meta, len(MAGIC) - start))
 

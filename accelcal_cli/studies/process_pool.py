@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.system import hold_to_one_thread, host, lives, remove_folder
+from accelcal_cli.core.system import collect_seldom, hold_to_one_thread, host, lives, remove_folder
 from accelcal_cli.studies.records import Finished, ProgressDelta, TaskFunction
 
 LONGEST_PATH = 40
@@ -289,6 +289,7 @@ def _serve(pipe: Connection, work: TaskFunction) -> None:
     """What a worker process does: one task after another until it receives None."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _terminate)
+    collect_seldom()
     try:
         threading.Thread(target=_end_with_parent, daemon=True).start()
     except RuntimeError:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
-import multiprocessing
 import os
 import signal
 import sys
 import threading
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
@@ -38,8 +38,8 @@ def taken(helper: Helper[int, Any], jobs: int) -> list[Any]:
 
 
 def processes() -> list[int]:
-    """Those that this one has started."""
-    return [process.pid for process in multiprocessing.active_children() if process.pid is not None]
+    """Those that this one has started and not waited for (proc(5))."""
+    return [int(one) for one in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()]
 
 
 def several() -> Any:
@@ -102,15 +102,21 @@ def killed() -> Any:
     return found
 
 
+def descriptors() -> int:
+    return len([*Path("/proc/self/fd").iterdir()])
+
+
 def refused() -> Any:
     """A process that cannot be had."""
 
     def fork() -> int:
         raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
 
-    os.fork = fork
-    with helpers(where, 2) as helping:
-        return [taken(one, 3) for one in helping]
+    os.fork, before = fork, descriptors()
+    for _ in range(3):
+        with helpers(where, 2) as helping:
+            found = [taken(one, 3) for one in helping]
+    return [found, descriptors() - before]
 
 
 def threaded() -> Any:
@@ -143,6 +149,49 @@ def left_early() -> Any:
             one.give(1000)
         raise KeyboardInterrupt
     return [len(started), [Path(f"/proc/{process}").exists() for process in started]]
+
+
+def cut_off() -> Any:
+    """A job that cannot be sent: whatever the helper was at is not finished behind the caller's back."""
+    held = shared_memory(1)
+
+    def work(job: int) -> int:
+        if os.getpid() != CALLER:
+            os.write(pipe[1], b".")
+            time.sleep(0.2)
+            held[0] = 1
+        return job
+
+    pipe = os.pipe()
+    with helpers(work, 1) as (helper,):
+        helper.give(0)
+        os.read(pipe[0], 1)  # it is at work
+        Connection.send = failing
+        helper.give(1)
+        left = processes()
+        return [left, helper.lost, helper.ready(), helper.take(), helper.take(), held[0]]
+
+
+def failing(_pipe: Connection, _job: Any) -> None:
+    raise OSError(errno.ENOBUFS, "No buffer space available")
+
+
+def interrupted_twice() -> Any:
+    """Once in the block, and again as the helper is to be closed."""
+    close, again = Connection.close, list[int]()
+
+    def closed(pipe: Connection) -> None:
+        if not again:
+            again.append(1)
+            os.kill(os.getpid(), signal.SIGINT)
+        close(pipe)
+
+    kept = []
+    with contextlib.suppress(KeyboardInterrupt), helpers(where, 1) as helping:
+        kept += helping  # so that nothing closes its pipe but the end of this process
+        Connection.close = closed
+        raise KeyboardInterrupt
+    return [len(again), len(processes())]
 
 
 def orphaned() -> Any:

@@ -56,7 +56,8 @@ def test_a_helper_that_is_killed_costs_no_result() -> None:
 
 @linux
 def test_where_no_process_can_be_had_a_thread_helps() -> None:
-    assert found("refused") == [by(True, 3)] * 2
+    """And nothing of the attempt stays."""
+    assert found("refused") == [[by(True, 3)] * 2, 0]
 
 
 @linux
@@ -72,6 +73,16 @@ def test_signals_are_left_to_the_caller() -> None:
 @linux
 def test_leaving_early_ends_helpers_that_are_at_work() -> None:
     assert found("left_early") == [2, [False, False]]
+
+
+@linux
+def test_a_helper_that_is_cut_off_writes_no_more() -> None:
+    assert found("cut_off") == [[], True, True, 0, 1, 0]
+
+
+@linux
+def test_a_second_interruption_does_not_keep_the_command_from_ending() -> None:
+    assert found("interrupted_twice") == [1, 1]
 
 
 @linux

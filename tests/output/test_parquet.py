@@ -239,7 +239,6 @@ from pathlib import Path
 from accelcal_cli.core.system import hold_to_one_thread, take_over_process
 hold_to_one_thread()
 take_over_process()
-import multiprocessing
 from tests.output import test_parquet as made
 from accelcal_cli.output import parquet
 from accelcal_cli.output.parquet import ParquetSink, Stored, copied
@@ -250,21 +249,23 @@ held = made.arrays(rows)
 kept = made.columns(temperature=True, gyroscope=True, utc=False)
 portions = Stored(made.StampClock(held[0]), held[1:])
 
+def processes():
+    return [int(one) for one in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()]
+
 def write(name, threads, lost=None):
     had = set()
     def fill(portion, memory):
-        helping = multiprocessing.active_children()
-        had.update(one.pid for one in helping)
+        had.update(processes())
         if lost is not None and len(filled) >= lost:
-            for one in helping:
-                one.kill()
+            for one in processes():
+                os.kill(one, signal.SIGKILL)
         copied(portion, memory)
     filled = []
     with ParquetSink(folder / name, folder / name, kept, {"a": 1}, threads, rows) as sink:
         for group in sink.write((portions.part(n, n + 500) for n in range(0, rows, 500)), fill):
             filled.append(group)
         sink.close()
-    assert not multiprocessing.active_children()
+    assert not processes()
     print(name, len(had), sum(map(len, filled)))
 
 for threads in (1, 2, 4, 16):
@@ -289,6 +290,14 @@ def test_the_bytes_do_not_depend_on_helpers_or_on_losing_them(tmp_path: Path) ->
     }  # fmt: skip
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
     assert pq.ParquetFile(tmp_path / "16").metadata.num_row_groups == 21
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_file_without_rows(tmp_path: Path, threads: int) -> None:
+    kept = columns(temperature=True, gyroscope=True, utc=False)
+    write(tmp_path / "a", kept, arrays(0), [0, 0], threads)
+    table = pq.read_table(tmp_path / "a")
+    assert (table.num_rows, table.schema.names) == (0, [column.name for column in kept])
 
 
 def test_columns_that_find_no_room_in_a_slot_come_all_the_same() -> None:
