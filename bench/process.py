@@ -15,7 +15,6 @@ from typing import Any
 
 MEGABYTE = 1024 if sys.platform != "darwin" else 1024 * 1024
 
-
 SAMPLED_S = 0.01
 """Memory is looked at so often, in a run of its own, since that takes time."""
 

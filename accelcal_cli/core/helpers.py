@@ -30,11 +30,11 @@ if TYPE_CHECKING:
 J = TypeVar("J")
 R = TypeVar("R")
 
-ENDING = {getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)}
-"""Signals that end a command, which its first process handles."""
+ENDING_SIGNALS = {getattr(signal, n) for n in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, n)}
+"""They end a command, and its first process handles them."""
 
-ENDING_MS = 50
-"""So long a thread that has ended for Python may still be one for the system."""
+LINGERS_MS = 100
+"""So long a thread that was joined is waited for: until it has ended for the system, too."""
 
 TASKS = Path("/proc/self/task")
 """The threads of this process, Python's and others (proc(5))."""
@@ -44,7 +44,7 @@ class Helper(ABC, Generic[J, R]):
     """One that does jobs beside the caller and gives their results in the order of the jobs.
 
     Attributes:
-        lost: whether the caller does its jobs, at the latest when their results are taken.
+        lost: whether it is gone, so that the caller does its jobs when it takes their results.
     """
 
     lost = False
@@ -107,13 +107,13 @@ def _helper(work: Callable[[J], R], *, forked: bool) -> Helper[J, R]:
 
 
 def can_be_forked() -> bool:
-    """Whether a copy of this process can work: it is ours alone, and no thread holds a lock that it needs.
+    """Whether a fork of this process can work: it is ours alone, and no other thread holds a lock.
 
-    Only Linux has all libraries expect it: macOS's own end a process that was forked.
+    On Linux only: libraries of macOS may end a process that was forked.
     """
     if sys.platform != "linux" or not process_is_ours() or threading.active_count() > 1:
         return False
-    return any(_has_one_thread() for _ in range(ENDING_MS))
+    return any(_has_one_thread() for _ in range(LINGERS_MS))
 
 
 def _has_one_thread() -> bool:
@@ -166,7 +166,7 @@ class _Process(Helper[J, R]):
         self._jobs: deque[J] = deque()
         self._pipe, theirs = Pipe()
         give_back_freed_memory()  # what both then use anew would be copied
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
         try:
             self._process = os.fork()
             if not self._process:
@@ -216,9 +216,9 @@ class _Process(Helper[J, R]):
 def _serve(pipe: Connection, of_caller: Connection, work: Callable[[Any], Any]) -> NoReturn:
     """What a helper's process does until the caller is gone, or work fails, which the caller finds out."""
     try:
-        for number in ENDING:
+        for number in ENDING_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING_SIGNALS)
         of_caller.close()
         while True:
             pipe.send(work(pipe.recv()))

@@ -27,7 +27,7 @@ class Slot:
         """Set addresses aside; what is not used of them takes no memory.
 
         Args:
-            number: of this slot.
+            number: by which a helper is told this slot.
             shared: whether helpers put encoded columns here.
 
         Raises:

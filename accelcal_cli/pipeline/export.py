@@ -368,7 +368,7 @@ def write_calibrated(
         _fill(memory, rows, applied)
         return beyond(rows, applied, range_g), rows.end_byte
 
-    read = prefetch(iter(chunks), threads - 1)  # of two the other encodes
+    read = prefetch(iter(chunks), threads - 1)  # with two, the second encodes
     with closing(sink.write(read, fill)) as groups:
         for filled in groups:
             total += sum(over for over, _ in filled)

@@ -129,6 +129,8 @@ def threaded() -> Any:
         found = taken(helper, 2)
     ended.set()
     other.join()
+    while len([*module.TASKS.iterdir()]) > 1:  # it may still be ending
+        time.sleep(0.001)
     return [beside, found, module.can_be_forked()]
 
 
