@@ -98,6 +98,19 @@ def helpers(work: Callable[[J], R], number: int) -> Iterator[list[Helper[J, R]]]
         yield made
 
 
+@contextlib.contextmanager
+def beside(call: Callable[[], R], *, long: bool) -> Iterator[Callable[[], R]]:
+    """A call that a helper makes beside the block, if it takes long; what is given waits for its result."""
+
+    def work(_job: None) -> R:
+        return call()
+
+    with helpers(work, int(long)) as made:
+        for helper in made:
+            helper.give(None)
+        yield made[0].take if made else call
+
+
 def _helper(work: Callable[[J], R], *, forked: bool) -> Helper[J, R]:
     """A process if one can be had, else a thread."""
     if forked:

@@ -1,8 +1,7 @@
 """The one place where threads are started.
 
 `prefetch` takes the items of an iterator ahead of their use, `parallel_map` works on several items at a time,
-`background_call` makes one call beside the work of a block, `BackgroundCalls` several, one after another, and
-`thread_pool` is there for what fits none of them.
+`BackgroundCalls` makes calls one after another, and `thread_pool` is there for what fits none of them.
 Results come in the order of the items, whatever the number of threads.
 """
 
@@ -11,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from itertools import islice
 from threading import Lock
 from typing import Any, TypeVar, cast
@@ -121,13 +120,6 @@ def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> It
         failed: Future[R] = Future()
         failed.set_exception(error)
         yield failed
-
-
-@contextmanager
-def background_call(name: str, call: Callable[..., R], *arguments: Any) -> Iterator[Future[R]]:
-    """A call made on a thread of this name beside the work of the block, which ends after it."""
-    with ThreadPoolExecutor(1, thread_name_prefix=name) as thread:
-        yield thread.submit(call, *arguments)
 
 
 class BackgroundCalls:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import counted
-from accelcal_cli.core.parallel import background_call
+from accelcal_cli.core.helpers import beside
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.recording import Chunk, Reader, Recording
@@ -44,6 +45,9 @@ from accelcal_cli.pipeline.windows import WindowLog
 SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2
 """Chunks of the first pass, and of the second, which holds row groups, are so many times as long as is asked
 for: threads that each take Python's lock for longer wait less for each other."""
+
+HASHED_BESIDE = 1 << 24
+"""A recording of fewer bytes is hashed sooner than a helper is there."""
 
 UNLIKE = "its points speak against what other recordings say of its sensor"
 
@@ -325,12 +329,13 @@ class RecordingRun:
         turns = turning(recording)
         others = [one for one in (log, timeline, turns) if one is not None]
         facts = self.survey(method, *others)
-        with background_call("sha256", jobs.sha256, self.bytes_at) as digest:  # judging takes one thread
+        long = recording.total_bytes >= HASHED_BESIDE
+        with beside(partial(jobs.sha256, self.bytes_at), long=long) as digest:
             found, posture = surveyed(recording, facts, method, self.request.settings)
             raw, verdict = found.points, judge.verdict(self, found)
             points = method.procedure.result()  # of a sensor that changed they are put right
             gyroscope = None if turns is None else gyroscope_of(turns, verdict.judgement, judge.settings)
-            sha256 = digest.result()
+            sha256 = digest()
         windows = method.procedure.window_use(method.segmenter.counts)
         used = windows.used if verdict.used_windows is None else verdict.used_windows
         data = ReportInput(

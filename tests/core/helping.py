@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core import helpers as module
-from accelcal_cli.core.helpers import Helper, helpers, shared_memory
+from accelcal_cli.core.helpers import Helper, beside, helpers, shared_memory
 from accelcal_cli.core.system import take_over_process
 
 CALLER = os.getpid()
@@ -194,6 +194,21 @@ def interrupted_twice() -> Any:
         Connection.close = closed
         raise KeyboardInterrupt
     return [len(again), len(processes())]
+
+
+def beside_a_block() -> Any:
+    """A long call, one that raises, and one that is too short for a helper."""
+
+    def raises() -> int:
+        raise ValueError("of the call")
+
+    with beside(lambda: where(4), long=True) as long:
+        found = [len(processes()), *long()]
+    with contextlib.suppress(ValueError), beside(raises, long=True) as raising:
+        raising()
+        found.append("not raised")
+    with beside(lambda: where(5), long=False) as short:
+        return [*found, len(processes()), *short()]
 
 
 def orphaned() -> Any:

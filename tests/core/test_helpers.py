@@ -86,6 +86,11 @@ def test_a_second_interruption_does_not_keep_the_command_from_ending() -> None:
 
 
 @linux
+def test_a_long_call_is_made_by_a_process_beside_the_block_and_a_short_one_by_the_caller() -> None:
+    assert found("beside_a_block") == [1, 40, False, 0, 50, True]
+
+
+@linux
 def test_helpers_end_with_a_caller_that_is_killed() -> None:
     assert found("orphaned", -9) == [by(False, 1)] * 2
 

@@ -25,7 +25,7 @@ SOME = {
         Fault("read", SHORT, 5),
     ),
     "calibrate, now refused": (Fault("open", "EIO", 19), Fault("create", "ENOSPC", 4)),
-    "verify": (Fault("open", "EIO", 15), Fault("open", "EIO", 16), Fault("thread", "EAGAIN", 2)),
+    "verify": (Fault("open", "EIO", 15), Fault("open", "EIO", 16), Fault("thread", "EAGAIN", 1)),
     "six-pose": (Fault("thread", "EAGAIN", 4),),
     "six-pose folder": (Fault("list", "EIO", 5),),
     "study shard": (Fault("thread", "EAGAIN", 2),),
