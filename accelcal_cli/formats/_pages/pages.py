@@ -328,7 +328,7 @@ def bad_runs(status: NDArray[np.uint8], first_position: int) -> list[BadRun]:
     Args:
         status: (p,) of GOOD and the keys of BAD_KINDS.
     """
-    if not len(status):
+    if (status == GOOD).all():
         return []
     starts = np.flatnonzero(np.diff(status, prepend=status[0] + 1))
     lengths = np.diff(starts, append=len(status))
@@ -372,16 +372,20 @@ class HeldChannels:
         self._never = [name for name, value in first.items() if value is None]
         self._last = {name: value for name, value in first.items() if value is not None}
 
-    def fill(self, channels: Channels) -> Channels:
-        """The channels of the next rows, without those that never have a value."""
+    def fill(self, channels: Channels, starts: NDArray[np.int64] | None = None) -> Channels:
+        """The channels of the next rows, without those that never have a value.
+
+        Args:
+            starts: rows from which on each value stays the same up to the next of them; None: every row.
+        """
         return {
-            name: self._filled(name, column) if name in self._last and len(column) else column
+            name: self._filled(name, column, starts) if name in self._last and len(column) else column
             for name, column in channels.items()
             if name not in self._never
         }
 
-    def _filled(self, name: str, measured: NDArray[Any]) -> NDArray[Any]:
-        if measured.min() <= MISSING:
+    def _filled(self, name: str, measured: NDArray[Any], starts: NDArray[np.int64] | None) -> NDArray[Any]:
+        if (measured if starts is None else measured[starts]).min() <= MISSING:
             source = np.maximum.accumulate(np.where(measured != MISSING, np.arange(len(measured)), -1))
             last = measured.dtype.type(self._last[name])
             measured = np.where(source < 0, last, measured[source])

@@ -245,7 +245,7 @@ class Assembler:
             breaks=first_row[waiting.broken],
             problems=problems,
             used_bytes=sectors * SECTOR_BYTES,
-            **self._channels.fill(block.channels),
+            **self._channels.fill(block.channels, first_row),
         )
         self._rows_out += len(chunk)
         return chunk

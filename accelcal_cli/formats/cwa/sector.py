@@ -38,25 +38,25 @@ from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, S
 SAMPLE_BYTES = 480
 MAGIC = int.from_bytes(SECTOR_MAGIC, "little")
 
-SECTOR = np.dtype(
-    [
-        ("magic", "<u4"),
-        ("fraction", "<u2"),
-        ("session", "<u4"),
-        ("sequence", "<u4"),
-        ("stamp", "<u4"),
-        ("light", "<u2"),
-        ("temperature", "<u2"),
-        ("events", "u1"),
-        ("battery", "u1"),
-        ("rate", "u1"),
-        ("axes", "u1"),
-        ("offset", "<i2"),
-        ("count", "<u2"),
-        ("data", "u1", (SAMPLE_BYTES,)),
-        ("checksum", "<u2"),
-    ]
-)
+BEFORE_DATA = [
+    ("magic", "<u4"),
+    ("fraction", "<u2"),
+    ("session", "<u4"),
+    ("sequence", "<u4"),
+    ("stamp", "<u4"),
+    ("light", "<u2"),
+    ("temperature", "<u2"),
+    ("events", "u1"),
+    ("battery", "u1"),
+    ("rate", "u1"),
+    ("axes", "u1"),
+    ("offset", "<i2"),
+    ("count", "<u2"),
+]
+SECTOR = np.dtype([*BEFORE_DATA, ("data", "u1", (SAMPLE_BYTES,)), ("checksum", "<u2")])
+HEAD = np.dtype([*BEFORE_DATA, ("begun", "u1", (2,))])
+"""Up to the first two bytes of the data, which make 32."""
+
 HEADER = struct.Struct("<4sBHIHIIIBB8sBBIBh20s448s512s")
 """Fields of the file's header, those of `cwa.h` in order: magic and length, hardware type, device number
 (low half), session, device number (high half), start and end of logging, and so on; rate and range is
@@ -174,6 +174,11 @@ def scale_mask(axes_code: int) -> int:
 def as_sectors(pages: NDArray[np.uint8]) -> Sectors:
     """The fields of sectors (n, 512), as a view."""
     return pages.reshape(-1).view(SECTOR)
+
+
+def heads_of(pages: NDArray[np.uint8]) -> Sectors:
+    """(n,) of HEAD, one behind the other: among whole sectors each field takes twice as long to get at."""
+    return np.ascontiguousarray(pages[:, : HEAD.itemsize]).reshape(-1).view(HEAD)
 
 
 def checksums(pages: NDArray[np.uint8]) -> NDArray[np.uint16]:
@@ -338,27 +343,27 @@ def decode(
     Returns:
         the good ones, and (n,) of GOOD and the other kinds.
     """
-    sectors = as_sectors(pages)
-    good = fitting(sectors, settings)
+    heads = heads_of(pages)
+    good = fitting(heads, settings)
     if not settings.is_old:
         good &= checksums(pages) == 0
     status = np.full(len(pages), GOOD, np.uint8)
     position = np.arange(first_position, first_position + len(pages))
     if good.all():
-        return unpack(sectors, position, settings), status
+        return unpack(heads, pages, position, settings), status
     status[~good] = classify(pages[~good], settings)
-    return unpack(sectors[good], position[good], settings), status
+    return unpack(heads[good], pages[good], position[good], settings), status
 
 
-def fitting(sectors: Sectors, settings: Settings) -> NDArray[np.bool_]:
+def fitting(heads: Sectors, settings: Settings) -> NDArray[np.bool_]:
     """Which sectors say that they hold samples recorded with these settings, (n,)."""
-    fits = sectors["magic"] == MAGIC
-    fits &= (sectors["rate"] == settings.rate_code) & (sectors["axes"] == settings.axes_code)
+    fits = heads["magic"] == MAGIC
+    fits &= (heads["rate"] == settings.rate_code) & (heads["axes"] == settings.axes_code)
     scale = scale_mask(settings.axes_code) << 10
-    fits &= (sectors["light"] & np.uint16(scale)) == settings.scale_bits << 10
-    fits &= (sectors["count"] - np.uint16(1)) < settings.rows
+    fits &= (heads["light"] & np.uint16(scale)) == settings.scale_bits << 10
+    fits &= (heads["count"] - np.uint16(1)) < settings.rows
     if settings.is_old:
-        fits &= sectors["offset"].view("<u2") == settings.old_rate_hz
+        fits &= heads["offset"].view("<u2") == settings.old_rate_hz
     return np.asarray(fits)
 
 
@@ -384,22 +389,24 @@ def rates(sectors: Sectors) -> NDArray[np.float64]:
     return np.where(sectors["rate"] == 0, sectors["offset"].view("<u2"), coded)
 
 
-def unpack(sectors: Sectors, position: NDArray[np.int64], settings: Settings) -> SectorBlock:
-    """All samples of good sectors (p,) of SECTOR."""
-    rows = sectors["count"].astype(np.int64)
+def unpack(
+    heads: Sectors, pages: NDArray[np.uint8], position: NDArray[np.int64], settings: Settings
+) -> SectorBlock:
+    """All samples of good sectors, (p,) of HEAD and (p, 512)."""
+    rows = heads["count"].astype(np.int64)
     used = rows if bool((rows < settings.rows).any()) else None
-    accel, gyro = _samples(sectors, settings)
+    accel, gyro = _samples(pages, settings)
     each = settings.rows if used is None else rows
-    channels: Channels = {name: _repeated(values, each) for name, values in _measured(sectors, settings)}
+    channels: Channels = {name: _repeated(values, each) for name, values in _measured(heads, settings)}
     if gyro is not None and settings.gyro_dps_per_lsb:
         channels["gyro_counts"] = _joined(gyro, used)
     return SectorBlock(
         position=position,
         rows=rows,
-        sequence=sectors["sequence"].astype(np.int64),
-        session=sectors["session"].astype(np.int64),
-        overflow=(sectors["events"] & OVERFLOW_EVENTS) != 0,
-        anchors=anchors(sectors, settings),
+        sequence=heads["sequence"].astype(np.int64),
+        session=heads["session"].astype(np.int64),
+        overflow=(heads["events"] & OVERFLOW_EVENTS) != 0,
+        anchors=anchors(heads, settings),
         counts=_joined(accel, used),
         channels=channels,
     )
@@ -416,8 +423,11 @@ def _measured(sectors: Sectors, settings: Settings) -> Iterator[tuple[str, NDArr
         yield "temperature_mc", settings.thermometer.temperature_mc(sectors["temperature"])
 
 
-def _samples(sectors: Sectors, settings: Settings) -> tuple[NDArray[np.int16], NDArray[np.int16] | None]:
+def _samples(
+    pages: NDArray[np.uint8], settings: Settings
+) -> tuple[NDArray[np.int16], NDArray[np.int16] | None]:
     """Acceleration and rotation, (p, rows, 3) each, as views where they are not packed."""
+    sectors = as_sectors(pages)
     if settings.axes_code == PACKED:
         return unpacked(sectors), None
     used = sectors["data"][:, : 2 * settings.rows * settings.width].view("<i2")
