@@ -58,6 +58,6 @@ def test_a_recording_that_cannot_be_hashed_is_told_in_one_line(tmp_path: Path) -
     recording = good_raw(tmp_path)
     done = hashed("gone", recording, "-q")
     assert done.returncode == 3
-    told = done.stderr.splitlines()
-    assert told[0] == "by the caller" and "gone: cannot be read (No such file or directory)" in told[1]
+    by, line = done.stderr.splitlines()
+    assert by == "by the caller" and "gone: cannot be read (No such file or directory)" in line
     assert not (tmp_path / "good.calibration.json").exists()

@@ -32,6 +32,9 @@ def test_values_that_stay_the_same_are_looked_at_where_they_begin() -> None:
     assert held.fill(channels, starts)["temperature_mc"].tolist() == [6, 6, 6, 6, 6, 7]
     whole = {"temperature_mc": values(8, 8, 8, 8, 8, 9)}
     assert held.fill(whole, starts)["temperature_mc"] is whole["temperature_mc"]
+    unlike = {"temperature_mc": values(9, None)}  # not as promised
+    assert held.fill(unlike, starts[:1])["temperature_mc"] is unlike["temperature_mc"]
+    held = HeldChannels({"temperature_mc": 9})
     assert held.fill({"temperature_mc": values(None)}, starts[:1])["temperature_mc"].tolist() == [9]
 
 

@@ -53,7 +53,7 @@ def test_it_ends_at_the_least_squares_optimum(seed: int, model: str, weighted: b
 
 
 def test_points_of_a_set_lie_one_behind_the_other_in_memory() -> None:
-    """Else each operation strides over those of all other sets, which takes twice as long."""
+    """Else each operation strides over those of all other sets."""
     held = [made(seed, 20, warm=True, weighted=True) for seed in range(3)]
     stack = _objective32.stacked(held)
     for one in (stack, stack.select([0, 2])):

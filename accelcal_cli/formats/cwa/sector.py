@@ -53,10 +53,8 @@ BEFORE_DATA = [
     ("offset", "<i2"),
     ("count", "<u2"),
 ]
+HEAD = np.dtype(BEFORE_DATA)
 SECTOR = np.dtype([*BEFORE_DATA, ("data", "u1", (SAMPLE_BYTES,)), ("checksum", "<u2")])
-HEAD = np.dtype([*BEFORE_DATA, ("begun", "u1", (2,))])
-"""Up to the first two bytes of the data, which make 32."""
-
 HEADER = struct.Struct("<4sBHIHIIIBB8sBBIBh20s448s512s")
 """Fields of the file's header, those of `cwa.h` in order: magic and length, hardware type, device number
 (low half), session, device number (high half), start and end of logging, and so on; rate and range is
@@ -66,7 +64,7 @@ FIELDS = np.dtype([(name, "<u2") for name in ("low", "high")])
 """The two halves of a packed sample of 32 bits."""
 
 Sectors = NDArray[Any]
-"""(n,) of SECTOR."""
+"""(n,) of SECTOR, or of HEAD where the data do not matter."""
 
 PACKED = 0x30
 AXES_3X16, AXES_6X16 = 0x32, 0x62
@@ -177,7 +175,7 @@ def as_sectors(pages: NDArray[np.uint8]) -> Sectors:
 
 
 def heads_of(pages: NDArray[np.uint8]) -> Sectors:
-    """(n,) of HEAD, one behind the other: among whole sectors each field takes twice as long to get at."""
+    """The heads of sectors (n, 512), gathered: fields scattered over whole sectors are read slowly."""
     return np.ascontiguousarray(pages[:, : HEAD.itemsize]).reshape(-1).view(HEAD)
 
 
