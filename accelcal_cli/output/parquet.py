@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
+from math import ceil
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
@@ -46,7 +47,8 @@ MOST_HELPERS = 3
 """Beside the caller, who fills row groups about as fast as three encode them."""
 
 QUEUED = 3
-"""Row groups that one helper has at most, so that it need not wait while the caller encodes one itself."""
+"""Row groups that one helper has at most, so that it need not wait while the caller encodes one itself; of
+the last ones no more than come after them, so that the caller need not wait at the end."""
 
 SLOT_BYTES = 1 << 26
 """Of memory for the rows of all row groups that are in work; two there are always."""
@@ -155,7 +157,7 @@ class ParquetSink:
         }
         ((self._time, self._clock),) = ((c.name, c.clock) for c in columns if c.clock is not None)
         self._others = [column for column in columns if column.clock is None]
-        self._threads = threads
+        self._threads, self._rows_left = threads, rows
         self._helpers = min(threads - 1, MOST_HELPERS, rows // ROW_GROUP_ROWS)
         self._footer = Footer(self._schema, **self._options)
         self._flushed, self._flushes = 0, BackgroundCalls("flush")
@@ -211,9 +213,11 @@ class ParquetSink:
             steps.append(self._clock(portion).steps(0, len(portion)))
         portions.clear()
         group = _Group(rows, filled, self._timed(joined_steps(steps) if steps else None), slot)
+        self._rows_left -= rows
+        most = min(QUEUED, 1 + ceil(self._rows_left / ROW_GROUP_ROWS))
         sound = (helper for helper in helping if not helper.lost)
         helper = min(sound, key=lambda one: one.waiting, default=None)
-        if helper is not None and helper.waiting < QUEUED and free:
+        if helper is not None and helper.waiting < most and free:
             helper.give((slot.number, rows))
             group.helper = helper
         else:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import json
 import os
 import subprocess
 import sys
+from collections import deque
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ from hypothesis import strategies as st
 from accelcal_cli.core import thrift
 from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.helpers import Helper
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.core.rotations import Bias, Gyroscope
@@ -290,6 +294,49 @@ def test_the_bytes_do_not_depend_on_helpers_or_on_losing_them(tmp_path: Path) ->
     }  # fmt: skip
     assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
     assert pq.ParquetFile(tmp_path / "16").metadata.num_row_groups == 21
+
+
+class Idle(Helper[Any, Any]):
+    """Does a job only when its result is asked for."""
+
+    def __init__(self, work: Callable[[Any], Any]) -> None:
+        self.work, self.jobs, self.given = work, deque[Any](), 0
+
+    @property
+    def waiting(self) -> int:
+        return len(self.jobs)
+
+    def give(self, job: Any) -> None:
+        self.jobs.append(job)
+        self.given += 1
+
+    def ready(self) -> bool:
+        return False
+
+    def take(self) -> Any:
+        return self.work(self.jobs.popleft())
+
+    def close(self) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("groups", "given"), [(3, 2), (4, 2), (6, 3), (7, 3), (8, 4)])
+def test_a_slow_helper_is_not_waited_for_at_the_end(
+    groups: int, given: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """There are four slots, so that the first group is written after the fifth."""
+    made: list[Idle] = []
+
+    @contextlib.contextmanager
+    def idle(work: Callable[[Any], Any], number: int) -> Iterator[list[Idle]]:
+        made.extend(Idle(work) for _ in range(number))
+        yield made
+
+    monkeypatch.setattr(parquet, "helpers", idle)
+    monkeypatch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
+    held = arrays(1024 * groups)
+    write(tmp_path / "a", columns(temperature=True, gyroscope=True, utc=False), held, [0, len(held[0])])
+    assert [helper.given for helper in made] == [given]
 
 
 @pytest.mark.parametrize("threads", [1, 2])
