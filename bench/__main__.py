@@ -1,7 +1,7 @@
 """`make bench`: whole processes against the floor, and against other tools where they are installed.
 
-Recordings are made once by `accelcal simulate` into the folder of the benchmark. All figures of a
-row come from runs in turn on the same machine; what matters are the ratios.
+Recordings are made once by `accelcal simulate` into the folder of the benchmark. Ratios are of runs in turn
+on the same machine, each of which begins without what an earlier one wrote; they are what matters.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 from accelcal_cli import __version__
 from accelcal_cli.cli.output import aligned
 from bench.peers import peer_commands
-from bench.process import Timing, run, timed
+from bench.process import Command, Timing, run, timed
 
 PYTHON = sys.executable
 ACCELCAL = [PYTHON, "-m", "accelcal_cli"]
@@ -63,7 +63,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
     chosen = [case for case in CASES if not options.only or case.name in options.only.split(",")]
     rows = [row for case in chosen for row in _rows(case, options)]
-    head = ("run", "wall s", "least", "most", "CPU s", "MB", "of floor")
+    head = ("run", "wall s", "least", "most", "CPU s", "MB", "of floor", "of accelcal")
     print(aligned(head, [_cells(row) for row in rows]))
     shown = {"machine": _machine(), "days": options.days, "rate_hz": options.rate, "rows": rows}
     options.json.write_text(json.dumps(shown, indent=2) + "\n")
@@ -91,7 +91,7 @@ def recording(case: Case, options: argparse.Namespace) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         made = ["--format", case.format, "--days", f"{options.days:g}", "--rate", f"{options.rate:g}"]
         packed = path.with_name(path.name + ".gz") if case.suffix == ".csv" else path
-        run([*ACCELCAL, "simulate", str(packed), *made, "--seed", "3", "--force", "-q"])
+        run(Command([*ACCELCAL, "simulate", str(packed), *made, "--seed", "3", "--force", "-q"]))
         if packed != path:
             _unpack(packed, path)
     return path
@@ -104,27 +104,40 @@ def _unpack(packed: Path, path: Path) -> None:
 
 
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
+    """The rows of a case: those in turn with the floor, then those in turn with each other tool.
+
+    What a tool leaves behind, such as gigabytes of memory given back, slows down what comes after it.
+    """
     path = recording(case, options)
-    calibrate = [*ACCELCAL, *_calibrate(case, path, "out")]
     floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
-    commands: dict[str, Sequence[str]] = {
-        f"{case.name}: floor": [*floor, str(path.parent / "floor.parquet")] if case.writes else floor,
-        f"{case.name}: accelcal": calibrate,
-        f"{case.name}: accelcal --report-only": [*calibrate, "--report-only"],
+    to = path.parent / "floor.parquet"
+    commands = {
+        "floor": Command([*floor, str(to)], to) if case.writes else Command(floor),
+        "accelcal": _calibrate(ACCELCAL, case, path),
+        "accelcal --report-only": _calibrate(ACCELCAL, case, path, "--report-only"),
     }
     if options.against:
-        other = [str(options.against), "-P", "-m", "accelcal_cli", *_calibrate(case, path, "out.other")]
-        commands[f"{case.name}: other"] = other
-        commands[f"{case.name}: other --report-only"] = [*other, "--report-only"]
-    if options.peers:
-        commands |= peer_commands(options.peers, case.name, path)
+        other = [str(options.against), "-P", "-m", "accelcal_cli"]
+        commands["other"] = _calibrate(other, case, path)
+        commands["other --report-only"] = _calibrate(other, case, path, "--report-only")
     found = timed(commands, options.runs)
-    least = found[f"{case.name}: floor"].wall_s
-    return [_row(name, timing, least) for name, timing in found.items()]
+    least = found["floor"].wall_s
+    rows = [_row(f"{case.name}: {name}", timing, least) for name, timing in found.items()]
+    peers = peer_commands(options.peers, case.name, path) if options.peers else {}
+    for tool, peer in peers.items():
+        beside = timed({f"accelcal, with {tool}": commands["accelcal"], tool: peer}, options.runs)
+        ours, theirs = beside.values()
+        rows += [_row(f"{case.name}: {name}", timing, least) for name, timing in beside.items()]
+        rows[-1]["of_accelcal"] = round(theirs.wall_s / ours.wall_s, 2)
+    return rows
 
 
-def _calibrate(case: Case, path: Path, out: str) -> list[str]:
-    return ["calibrate", str(path), "-d", str(path.parent / out), "--format", case.format, "--force", "-q"]
+def _calibrate(program: Sequence[str], case: Case, path: Path, *more: str) -> Command:
+    """Calibrate into a folder that is not there yet."""
+    to = path.parent / "out"
+    return Command(
+        [*program, "calibrate", str(path), "-d", str(to), "--format", case.format, "-q", *more], to
+    )
 
 
 def _row(name: str, timing: Timing, floor_s: float) -> dict[str, Any]:
@@ -133,7 +146,8 @@ def _row(name: str, timing: Timing, floor_s: float) -> dict[str, Any]:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     seconds = [f"{row[key]:.2f}" for key in ("wall_s", "wall_least_s", "wall_most_s", "cpu_s")]
-    return [row["run"], *seconds, f"{row['memory_mb']:.0f}", f"{row['of_floor']:.2f}"]
+    ratios = [f"{row['of_floor']:.2f}", f"{row['of_accelcal']:.2f}" if "of_accelcal" in row else ""]
+    return [row["run"], *seconds, f"{row['memory_mb']:.0f}", *ratios]
 
 
 def _machine() -> dict[str, Any]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import subprocess
 from pathlib import Path
 
+from bench.process import Command
+
 ACTIPY = """
 import sys, actipy
 data, info = actipy.read_device(sys.argv[1], lowpass_hz=None, calibrate_gravity=True, detect_nonwear=False,
@@ -36,13 +38,19 @@ SCRIPTS = {
 }
 
 
-def peer_commands(python: Path, case: str, path: Path) -> dict[str, list[str]]:
-    """Commands of the peers that read this format and are installed, by the names of their rows."""
+def peer_commands(python: Path, case: str, path: Path) -> dict[str, Command]:
+    """Commands of the peers that read this format and are installed, by their names."""
     return {
-        f"{case}: {tool}": [str(python), "-c", script, str(path)]
+        tool: Command(
+            [str(python), "-c", script, str(path)], path.with_name(f"{path.name}.{_module(tool)}.parquet")
+        )
         for (tool, format_name), script in SCRIPTS.items()
-        if format_name == case and _installed(python, tool.split(" ", maxsplit=1)[0])
+        if format_name == case and _installed(python, _module(tool))
     }
+
+
+def _module(tool: str) -> str:
+    return tool.split(" ", maxsplit=1)[0]
 
 
 def _installed(python: Path, module: str) -> bool:

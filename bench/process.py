@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,23 @@ MEGABYTE = 1024 if sys.platform != "darwin" else 1024 * 1024
 
 SAMPLED_S = 0.01
 """Memory is looked at so often, in a run of its own, since that takes time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What is timed, and the file or folder that it makes, which is removed before each run."""
+
+    words: Sequence[str]
+    makes: Path | None = None
+
+    def prepare(self) -> None:
+        """Let the disk come to rest, without what an earlier run made."""
+        if self.makes is not None and self.makes.is_dir():
+            shutil.rmtree(self.makes)
+        elif self.makes is not None:
+            self.makes.unlink(missing_ok=True)
+        if hasattr(os, "sync"):
+            os.sync()
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,10 +70,9 @@ class Timing:
         return {name: round(value, 3) for name, value in asdict(self).items()}
 
 
-def run(command: Sequence[str]) -> Run:
-    """Run a command to its end, once the disk has what the one before wrote; raises CalledProcessError."""
-    if hasattr(os, "sync"):
-        os.sync()
+def run(command: Command) -> Run:
+    """Run a command to its end; raises CalledProcessError."""
+    command.prepare()
     start = time.perf_counter()
     process = _begun(command, subprocess.PIPE)
     assert process.stderr is not None
@@ -64,15 +81,17 @@ def run(command: Sequence[str]) -> Run:
     wall = time.perf_counter() - start
     process.returncode = os.waitstatus_to_exitcode(status)
     if process.returncode:
-        raise subprocess.CalledProcessError(process.returncode, command, stderr=said.decode(errors="replace"))
+        told = said.decode(errors="replace")
+        raise subprocess.CalledProcessError(process.returncode, command.words, stderr=told)
     return Run(wall, used.ru_utime + used.ru_stime, used.ru_maxrss / MEGABYTE)
 
 
-def peak_mb(command: Sequence[str]) -> float | None:
+def peak_mb(command: Command) -> float | None:
     """Most memory that a command's processes had together, of which shared pages count once.
 
     Sampled by PSS (proc(5), smaps_rollup); None where there is none.
     """
+    command.prepare()
     process, most = _begun(command, subprocess.DEVNULL), 0
     while process.poll() is None:
         most = max(most, sum(map(_pss_kb, _tree(process.pid))))
@@ -97,8 +116,8 @@ def _pss_kb(process: int) -> int:
     return 0
 
 
-def _begun(command: Sequence[str], errors: int) -> subprocess.Popen[bytes]:
-    return subprocess.Popen(list(command), stdout=subprocess.DEVNULL, stderr=errors, env=_environment())
+def _begun(command: Command, errors: int) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([*command.words], stdout=subprocess.DEVNULL, stderr=errors, env=_environment())
 
 
 def _environment() -> dict[str, str]:
@@ -106,7 +125,7 @@ def _environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
-def timed(commands: dict[str, Sequence[str]], runs: int) -> dict[str, Timing]:
+def timed(commands: Mapping[str, Command], runs: int) -> dict[str, Timing]:
     """Run several commands in turn, A B A B, so that a machine that drifts drifts for all of them."""
     held: dict[str, list[Run]] = {name: [] for name in commands}
     for _ in range(runs):
