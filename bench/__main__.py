@@ -1,7 +1,7 @@
 """`make bench`: whole processes against the floor, and against other tools where they are installed.
 
 Recordings are made once by `accelcal simulate` into the folder of the benchmark. Ratios are of runs in turn
-on the same machine, each of which begins without what an earlier one wrote; they are what matters.
+on the same machine, each of which begins without what the same command wrote before; they are what matters.
 """
 
 from __future__ import annotations
@@ -26,6 +26,9 @@ from bench.process import Command, Timing, run, timed
 
 PYTHON = sys.executable
 ACCELCAL = [PYTHON, "-m", "accelcal_cli"]
+FLOOR, OURS, REPORT_ONLY = "floor", "accelcal", "accelcal --report-only"
+OTHER = {"other": OURS, "other --report-only": REPORT_ONLY}
+"""Runs of another version, and what they are compared with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,29 +109,33 @@ def _unpack(packed: Path, path: Path) -> None:
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
     """The rows of a case: those in turn with the floor, then those in turn with each other tool.
 
-    What a tool leaves behind, such as gigabytes of memory given back, slows down what comes after it.
+    What ran before matters: one tool may leave gigabytes of memory to be cleared. So accelcal runs after the
+    floor there, and here after the tool that it is compared with.
     """
     path = recording(case, options)
     floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
     to = path.parent / "floor.parquet"
     commands = {
-        "floor": Command([*floor, str(to)], to) if case.writes else Command(floor),
-        "accelcal": _calibrate(ACCELCAL, case, path),
-        "accelcal --report-only": _calibrate(ACCELCAL, case, path, "--report-only"),
+        FLOOR: Command([*floor, str(to)], to) if case.writes else Command(floor),
+        OURS: _calibrate(ACCELCAL, case, path),
+        REPORT_ONLY: _calibrate(ACCELCAL, case, path, "--report-only"),
     }
     if options.against:
         other = [str(options.against), "-P", "-m", "accelcal_cli"]
         commands["other"] = _calibrate(other, case, path)
         commands["other --report-only"] = _calibrate(other, case, path, "--report-only")
     found = timed(commands, options.runs)
-    least = found["floor"].wall_s
-    rows = [_row(f"{case.name}: {name}", timing, least) for name, timing in found.items()]
+    floor_s = found[FLOOR].wall_s
+    rows = []
+    for name, timing in found.items():
+        beside = {"of_accelcal": timing.wall_s / found[OTHER[name]].wall_s} if name in OTHER else {}
+        rows.append(_row(case, name, timing, of_floor=timing.wall_s / floor_s, **beside))
     peers = peer_commands(options.peers, case.name, path) if options.peers else {}
     for tool, peer in peers.items():
-        beside = timed({f"accelcal, with {tool}": commands["accelcal"], tool: peer}, options.runs)
-        ours, theirs = beside.values()
-        rows += [_row(f"{case.name}: {name}", timing, least) for name, timing in beside.items()]
-        rows[-1]["of_accelcal"] = round(theirs.wall_s / ours.wall_s, 2)
+        name = OURS if peer.makes else REPORT_ONLY
+        ours, theirs = timed({name: commands[name], tool: peer}, options.runs).values()
+        rows.append(_row(case, f"{name}, with {tool}", ours))
+        rows.append(_row(case, tool, theirs, of_accelcal=theirs.wall_s / ours.wall_s))
     return rows
 
 
@@ -140,13 +147,15 @@ def _calibrate(program: Sequence[str], case: Case, path: Path, *more: str) -> Co
     )
 
 
-def _row(name: str, timing: Timing, floor_s: float) -> dict[str, Any]:
-    return {"run": name, **timing.as_json(), "of_floor": round(timing.wall_s / floor_s, 2)}
+def _row(case: Case, name: str, timing: Timing, **ratios: float) -> dict[str, Any]:
+    """A row, with ratios to what was timed in turn with it."""
+    rounded = {ratio: round(value, 2) for ratio, value in ratios.items()}
+    return {"run": f"{case.name}: {name}", **timing.as_json(), **rounded}
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
     seconds = [f"{row[key]:.2f}" for key in ("wall_s", "wall_least_s", "wall_most_s", "cpu_s")]
-    ratios = [f"{row['of_floor']:.2f}", f"{row['of_accelcal']:.2f}" if "of_accelcal" in row else ""]
+    ratios = [f"{row[key]:.2f}" if key in row else "" for key in ("of_floor", "of_accelcal")]
     return [row["run"], *seconds, f"{row['memory_mb']:.0f}", *ratios]
 
 

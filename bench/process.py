@@ -16,6 +16,9 @@ from typing import Any
 
 MEGABYTE = 1024 if sys.platform != "darwin" else 1024 * 1024
 
+LEFT_OUT = ("PYTHONDONTWRITEBYTECODE", "PYTHONPATH")
+"""Variables that would change what is timed."""
+
 SAMPLED_S = 0.01
 """Memory is looked at so often, in a run of its own, since that takes time."""
 
@@ -122,7 +125,7 @@ def _begun(command: Command, errors: int) -> subprocess.Popen[bytes]:
 
 def _environment() -> dict[str, str]:
     """This one's; compiled modules are kept, as they are where accelcal is installed."""
-    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return {name: value for name, value in os.environ.items() if name not in LEFT_OUT}
 
 
 def timed(commands: Mapping[str, Command], runs: int) -> dict[str, Timing]:

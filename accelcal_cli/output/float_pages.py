@@ -27,7 +27,7 @@ SAMPLED, MOST_DIFFERENT = 64, 0.7
 """Of how many rows one is looked at, and the share of different values up to which they repeat."""
 
 SPLIT_LEVEL = -1
-"""Of zstd, for bytes side by side: of those that differ it finds out sooner that they do not compress."""
+"""Of zstd, for bytes side by side: it gives up sooner on those that do not compress."""
 
 
 def float_chunk(name: str, values: NDArray[np.float32], level: int) -> ColumnChunk:

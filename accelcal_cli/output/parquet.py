@@ -12,7 +12,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import zip_longest
-from math import ceil
 from pathlib import Path
 from typing import Any, Generic, Self, TypeVar
 
@@ -38,7 +37,7 @@ from accelcal_cli.output.slots import Memory, Placed, Slot
 ROW_GROUP_ROWS = 1 << 19
 
 LEVEL = 1
-"""Of zstd."""
+"""Of zstd, but for bytes side by side (`float_pages`)."""
 
 FLUSHED_BYTES = 1 << 25
 """After so many the disk begins to write."""
@@ -47,8 +46,8 @@ MOST_HELPERS = 3
 """Beside the caller, who fills row groups about as fast as three encode them."""
 
 QUEUED = 3
-"""Row groups that one helper has at most, so that it need not wait while the caller encodes one itself; of
-the last ones no more than come after them, so that the caller need not wait at the end."""
+"""Row groups that one helper has at most, so that it need not wait while the caller encodes one itself; near
+the end at most one more than come after them, so that the caller waits little for the last ones."""
 
 SLOT_BYTES = 1 << 26
 """Of memory for the rows of all row groups that are in work; two there are always."""
@@ -214,7 +213,7 @@ class ParquetSink:
         portions.clear()
         group = _Group(rows, filled, self._timed(joined_steps(steps) if steps else None), slot)
         self._rows_left -= rows
-        most = min(QUEUED, 1 + ceil(self._rows_left / ROW_GROUP_ROWS))
+        most = min(QUEUED, 1 + max(0, self._rows_left) / ROW_GROUP_ROWS)
         sound = (helper for helper in helping if not helper.lost)
         helper = min(sound, key=lambda one: one.waiting, default=None)
         if helper is not None and helper.waiting < most and free:

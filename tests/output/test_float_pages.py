@@ -44,6 +44,16 @@ def test_pyarrow_reads_every_bit(rows: int, repeat: int, encoding: str) -> None:
     assert rows <= repeat or encoding in column.encodings
 
 
+@pytest.mark.parametrize(("repeat", "level"), [(1, -1), (1000, 3)])
+def test_bytes_side_by_side_have_a_level_of_their_own(repeat: int, level: int) -> None:
+    held = bits(PAGE_ROWS, repeat)
+    plain = (
+        held.tobytes() if repeat > 1 else np.frombuffer(held.tobytes(), np.uint8).reshape(-1, 4).T.tobytes()
+    )
+    _, packed = float_chunk("v", held.view(np.float32), 3).parts
+    assert bytes(packed) == pa.Codec("zstd", compression_level=level).compress(plain, asbytes=True)
+
+
 @pytest.mark.parametrize("rows", LENGTHS[1:])
 @pytest.mark.parametrize("repeat", [1, 1000])
 def test_duckdb_and_polars_read_them(rows: int, repeat: int, tmp_path: Path) -> None:

@@ -67,8 +67,16 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
     return columns_of(recording, facts)
 
 
-def write(path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2) -> None:
-    with ParquetSink(path, path, kept, {"a": 1}, threads, len(held[0])) as sink:
+def write(
+    path: Path,
+    kept: list[Column],
+    held: list[np.ndarray],
+    edges: list[int],
+    threads: int = 2,
+    told: int | None = None,
+) -> None:
+    """Write rows from edge to edge; `told` is how many the sink expects, if not as many as there are."""
+    with ParquetSink(path, path, kept, {"a": 1}, threads, len(held[0]) if told is None else told) as sink:
         rows = Stored(StampClock(held[0]), held[1:])
         portions = (rows.part(start, stop) for start, stop in itertools.pairwise(edges))
         assert all(filled for filled in sink.write(portions, copied)) == bool(edges[-1])
@@ -320,11 +328,29 @@ class Idle(Helper[Any, Any]):
         pass
 
 
-@pytest.mark.parametrize(("groups", "given"), [(3, 2), (4, 2), (6, 3), (7, 3), (8, 4)])
+@pytest.mark.parametrize(
+    ("rows", "told", "threads", "given"),
+    [
+        (3 * 1024, None, 2, [2]),
+        (2 * 1024 + 100, None, 2, [2]),
+        (4 * 1024, None, 2, [2]),
+        (6 * 1024, None, 2, [3]),
+        (7 * 1024, None, 2, [3]),
+        (8 * 1024, None, 2, [4]),
+        (5 * 1024, None, 4, [2, 1, 1]),
+        (6 * 1024, 1024, 2, [2]),
+        (6 * 1024, 99 * 1024, 2, [4]),
+    ],
+)
 def test_a_slow_helper_is_not_waited_for_at_the_end(
-    groups: int, given: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    rows: int,
+    told: int | None,
+    threads: int,
+    given: list[int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """There are four slots, so that the first group is written after the fifth."""
+    """Beside one helper there are four slots, so that the first group is written after the fifth."""
     made: list[Idle] = []
 
     @contextlib.contextmanager
@@ -334,9 +360,9 @@ def test_a_slow_helper_is_not_waited_for_at_the_end(
 
     monkeypatch.setattr(parquet, "helpers", idle)
     monkeypatch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
-    held = arrays(1024 * groups)
-    write(tmp_path / "a", columns(temperature=True, gyroscope=True, utc=False), held, [0, len(held[0])])
-    assert [helper.given for helper in made] == [given]
+    kept = columns(temperature=True, gyroscope=True, utc=False)
+    write(tmp_path / "a", kept, arrays(rows), [0, rows], threads, told)
+    assert [helper.given for helper in made] == given
 
 
 @pytest.mark.parametrize("threads", [1, 2])
