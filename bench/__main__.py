@@ -27,6 +27,9 @@ from bench.process import Command, Timing, run, timed
 PYTHON = sys.executable
 ACCELCAL = [PYTHON, "-m", "accelcal_cli"]
 FLOOR, OURS, REPORT_ONLY = "floor", "accelcal", "accelcal --report-only"
+REST_S = 20
+"""So long the machine may be busy with what scikit-digital-health leaves behind: a week takes it 5.8 GB."""
+
 OTHER = {"other": OURS, "other --report-only": REPORT_ONLY}
 """Runs of another version, and what they are compared with."""
 
@@ -109,8 +112,8 @@ def _unpack(packed: Path, path: Path) -> None:
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
     """The rows of a case: those in turn with the floor, then those in turn with each other tool.
 
-    What ran before matters: one tool may leave gigabytes of memory to be cleared. So accelcal runs after the
-    floor there, and here after the tool that it is compared with.
+    What ran before matters: one tool may leave gigabytes of memory to be cleared. So accelcal is compared with
+    one other tool at a time, and all rest before they run.
     """
     path = recording(case, options)
     floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
@@ -133,7 +136,7 @@ def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
     peers = peer_commands(options.peers, case.name, path) if options.peers else {}
     for tool, peer in peers.items():
         name = OURS if peer.makes else REPORT_ONLY
-        ours, theirs = timed({name: commands[name], tool: peer}, options.runs).values()
+        ours, theirs = timed({name: commands[name], tool: peer}, options.runs, REST_S).values()
         rows.append(_row(case, f"{name}, with {tool}", ours))
         rows.append(_row(case, tool, theirs, of_accelcal=theirs.wall_s / ours.wall_s))
     return rows

@@ -128,11 +128,16 @@ def _environment() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in LEFT_OUT}
 
 
-def timed(commands: Mapping[str, Command], runs: int) -> dict[str, Timing]:
-    """Run several commands in turn, A B A B, so that a machine that drifts drifts for all of them."""
+def timed(commands: Mapping[str, Command], runs: int, rest_s: float = 0) -> dict[str, Timing]:
+    """Run several commands in turn, A B A B, so that a machine that drifts drifts for all of them.
+
+    Args:
+        rest_s: so long nothing is done before each run.
+    """
     held: dict[str, list[Run]] = {name: [] for name in commands}
     for _ in range(runs):
         for name, command in commands.items():
+            time.sleep(rest_s)
             held[name].append(run(command))
     return {name: _summary(found, peak_mb(commands[name])) for name, found in held.items()}
 
