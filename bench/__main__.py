@@ -112,8 +112,8 @@ def _unpack(packed: Path, path: Path) -> None:
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
     """The rows of a case: those in turn with the floor, then those in turn with each other tool.
 
-    What ran before matters: one tool may leave gigabytes of memory to be cleared. So accelcal is compared with
-    one other tool at a time, and all rest before they run.
+    What ran before matters: one tool may leave gigabytes of memory to be cleared. So accelcal is compared
+    with one other tool at a time, and both rest before they run.
     """
     path = recording(case, options)
     floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
