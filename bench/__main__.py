@@ -13,7 +13,7 @@ import os
 import platform
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -27,8 +27,9 @@ from bench.process import Command, Timing, run, timed
 PYTHON = sys.executable
 ACCELCAL = [PYTHON, "-m", "accelcal_cli"]
 FLOOR, OURS, REPORT_ONLY = "floor", "accelcal", "accelcal --report-only"
+
 REST_S = 20
-"""So long the machine may be busy with what scikit-digital-health leaves behind: a week takes it 5.8 GB."""
+"""Twice as long as accelcal is slower after scikit-digital-health (docs/benchmarks.md)."""
 
 OTHER = {"other": OURS, "other --report-only": REPORT_ONLY}
 """Runs of another version, and what they are compared with."""
@@ -110,35 +111,47 @@ def _unpack(packed: Path, path: Path) -> None:
 
 
 def _rows(case: Case, options: argparse.Namespace) -> list[dict[str, Any]]:
-    """The rows of a case: those in turn with the floor, then those in turn with each other tool.
-
-    What ran before matters: one tool may leave gigabytes of memory to be cleared. So accelcal is compared
-    with one other tool at a time, and both rest before they run.
-    """
+    """The rows of a case: what is timed in turn with the floor, and then in turn with each other tool."""
     path = recording(case, options)
-    floor = [PYTHON, "-m", "bench.floor", case.floor, str(path)]
-    to = path.parent / "floor.parquet"
-    commands = {
-        FLOOR: Command([*floor, str(to)], to) if case.writes else Command(floor),
+    ours = {
         OURS: _calibrate(ACCELCAL, case, path),
         REPORT_ONLY: _calibrate(ACCELCAL, case, path, "--report-only"),
     }
+    rows = _beside_floor(case, path, ours, options)
+    return rows if options.peers is None else rows + _beside_peers(case, path, ours, options)
+
+
+def _beside_floor(
+    case: Case, path: Path, ours: Mapping[str, Command], options: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """The floor, this version, and another one if there is one."""
+    floor, to = [PYTHON, "-m", "bench.floor", case.floor, str(path)], path.parent / "floor.parquet"
+    commands = {FLOOR: Command([*floor, str(to)], to) if case.writes else Command(floor), **ours}
     if options.against:
         other = [str(options.against), "-P", "-m", "accelcal_cli"]
         commands["other"] = _calibrate(other, case, path)
         commands["other --report-only"] = _calibrate(other, case, path, "--report-only")
     found = timed(commands, options.runs)
-    floor_s = found[FLOOR].wall_s
     rows = []
     for name, timing in found.items():
         beside = {"of_accelcal": timing.wall_s / found[OTHER[name]].wall_s} if name in OTHER else {}
-        rows.append(_row(case, name, timing, of_floor=timing.wall_s / floor_s, **beside))
-    peers = peer_commands(options.peers, case.name, path) if options.peers else {}
-    for tool, peer in peers.items():
+        rows.append(_row(case, name, timing, of_floor=timing.wall_s / found[FLOOR].wall_s, **beside))
+    return rows
+
+
+def _beside_peers(
+    case: Case, path: Path, ours: Mapping[str, Command], options: argparse.Namespace
+) -> list[dict[str, Any]]:
+    """Each other tool, and this one in turn with it alone.
+
+    What ran before matters (docs/benchmarks.md), so both rest before they run.
+    """
+    rows = []
+    for tool, peer in peer_commands(options.peers, case.name, path).items():
         name = OURS if peer.makes else REPORT_ONLY
-        ours, theirs = timed({name: commands[name], tool: peer}, options.runs, REST_S).values()
-        rows.append(_row(case, f"{name}, with {tool}", ours))
-        rows.append(_row(case, tool, theirs, of_accelcal=theirs.wall_s / ours.wall_s))
+        beside, theirs = timed({name: ours[name], tool: peer}, options.runs, REST_S).values()
+        rows.append(_row(case, f"{name}, with {tool}", beside))
+        rows.append(_row(case, tool, theirs, of_accelcal=theirs.wall_s / beside.wall_s))
     return rows
 
 

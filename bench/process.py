@@ -73,9 +73,10 @@ class Timing:
         return {name: round(value, 3) for name, value in asdict(self).items()}
 
 
-def run(command: Command) -> Run:
-    """Run a command to its end; raises CalledProcessError."""
+def run(command: Command, rest_s: float = 0) -> Run:
+    """Run a command to its end, after so long a rest; raises CalledProcessError."""
     command.prepare()
+    time.sleep(rest_s)
     start = time.perf_counter()
     process = _begun(command, subprocess.PIPE)
     assert process.stderr is not None
@@ -137,8 +138,7 @@ def timed(commands: Mapping[str, Command], runs: int, rest_s: float = 0) -> dict
     held: dict[str, list[Run]] = {name: [] for name in commands}
     for _ in range(runs):
         for name, command in commands.items():
-            time.sleep(rest_s)
-            held[name].append(run(command))
+            held[name].append(run(command, rest_s))
     return {name: _summary(found, peak_mb(commands[name])) for name, found in held.items()}
 
 

@@ -36,10 +36,12 @@ def float_chunk(name: str, values: NDArray[np.float32], level: int) -> ColumnChu
     Args:
         level: of zstd, for values that repeat.
     """
-    encoding, used = (PLAIN, level) if _repeats(values) else (BYTE_STREAM_SPLIT, SPLIT_LEVEL)
+    repeats = _repeats(values)
+    encoding = PLAIN if repeats else BYTE_STREAM_SPLIT
     parts = [values[start : start + PAGE_ROWS] for start in range(0, max(1, len(values)), PAGE_ROWS)]
-    data = [(_split(part) if encoding else part.view(np.uint8), len(part)) for part in parts]
-    return chunk_of(name, FLOAT, pages_of(DATA_PAGE, encoding, data, used), len(values))
+    data = [(part.view(np.uint8) if repeats else _split(part), len(part)) for part in parts]
+    pages = pages_of(DATA_PAGE, encoding, data, level if repeats else SPLIT_LEVEL)
+    return chunk_of(name, FLOAT, pages, len(values))
 
 
 def _repeats(values: NDArray[np.float32]) -> bool:
