@@ -9,6 +9,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from accelcal_cli.core.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from accelcal_cli.api import (
         AccelcalError,
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
         read,
         study,
     )
-
-__version__ = "0.2.0"
 
 __all__ = [
     "AccelcalError", "Reading", "Result", "Samples",

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.settings import PoseSettings, Settings
+from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output import report_reading

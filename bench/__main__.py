@@ -19,8 +19,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.cli.output import aligned
+from accelcal_cli.core.version import __version__
 from bench.peers import peer_commands
 from bench.process import Command, Timing, run, timed
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import click
 
-from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import METHOD, Positive, Within, gravity_options
 from accelcal_cli.cli.output import aligned, figure, progress_bars
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
+from accelcal_cli.core.version import __version__
 from accelcal_cli.evaluate.cases import ALL, Plan, methods
 from accelcal_cli.evaluate.gyroscope import TABLE_8 as TABLE_8_GYROSCOPE
 from accelcal_cli.evaluate.gyroscope import TurnResidual, turn_residuals

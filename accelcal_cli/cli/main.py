@@ -10,7 +10,6 @@ from typing import Any, NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from accelcal_cli import __version__
 from accelcal_cli.cli.exit_codes import run_safely
 from accelcal_cli.core.errors import near
 from accelcal_cli.core.system import (
@@ -19,6 +18,7 @@ from accelcal_cli.core.system import (
     keep_freed_memory,
     take_over_process,
 )
+from accelcal_cli.core.version import __version__
 
 
 class LazyGroup(click.Group):

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, chunk_option
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.version import __version__
 
 if TYPE_CHECKING:
     from accelcal_cli.verify import ParquetCheck, Verified

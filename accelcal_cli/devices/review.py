@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli import __version__
+from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
 from accelcal_cli.devices.trends import SIGNIFICANT, Referred, Rules, Trend, at_one_temperature, trends
 

@@ -27,12 +27,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.operations import predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.points import PARAMETER_NAMES, Calibration, Fit, Operations, in_standard_g
+from accelcal_cli.core.version import __version__
 from accelcal_cli.evaluate.cases import Case, Method, Plan, Selection, as_points, make_case, measured
 from accelcal_cli.judge.errors import directions, jacobian
 from accelcal_cli.output.report import significant

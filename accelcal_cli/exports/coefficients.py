@@ -14,9 +14,9 @@ from decimal import Decimal
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.version import __version__
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import section

@@ -12,7 +12,6 @@ from math import floor, log10
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core import results
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.daylight import ZoneChange
@@ -34,6 +33,7 @@ from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
+from accelcal_cli.core.version import __version__
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text, looking_at, parsed

@@ -16,8 +16,8 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.version import __version__
 
 Rows = list[list[str]]
 

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
-from accelcal_cli import __version__
+from accelcal_cli.core.version import __version__
 
 NAME = "accelcal-made-of"
 STAMP = re.compile(rf'<meta name="{NAME}" content="([0-9a-f]{{64}})">')

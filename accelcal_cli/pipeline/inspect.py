@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli import __version__
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.daylight import zone_change
 from accelcal_cli.core.errors import printable
@@ -17,6 +16,7 @@ from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
+from accelcal_cli.core.version import __version__
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures

@@ -14,12 +14,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.parts import size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
+from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
 from accelcal_cli.output.report import dumps, load, load_report, section, upgraded
 from accelcal_cli.output.report_schema import fault, report_schema, schema_of_version

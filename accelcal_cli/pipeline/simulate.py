@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError, UsageError
 from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.recording import Chunk
+from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import all_encoders, named_encoder
 from accelcal_cli.output.files import replacing, write_text
 from accelcal_cli.pipeline.jobs import Progress, refuse_nameless

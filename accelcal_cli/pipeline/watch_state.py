@@ -13,11 +13,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.freeze import ThawError, frozen, thawed
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import exists, replacing
 from accelcal_cli.pipeline.jobs import sha256
 from accelcal_cli.pipeline.watch import Standing

@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import accelcal_cli
+from accelcal_cli.core import version
 from accelcal_cli.core.errors import AccelcalError, ClusterError, OutputError, printable
 from accelcal_cli.output.files import beside, owner
 from accelcal_cli.studies.records import ProgressCallback, TaskFunction
@@ -124,7 +124,7 @@ def _progress_callback(worker: Any, key: Any, send: Callable[[str, Any], None]) 
 @lru_cache
 def code() -> str:
     """A hash of this package's source: two versions of one name are not the same."""
-    root, digest = Path(accelcal_cli.__file__).parent, hashlib.sha256()
+    root, digest = Path(version.__file__).parent.parent, hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
         digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()
@@ -134,8 +134,8 @@ def code() -> str:
 def unsuitable(requirements: WorkerRequirements) -> AccelcalError | None:
     """Why this process must not work for a study; None if it may. Looked at once a study."""
     here = f"the worker on {platform.node() or 'a host'}"
-    if requirements.version != accelcal_cli.__version__:
-        have = f"{here} has accelcal {accelcal_cli.__version__}, not {requirements.version}"
+    if requirements.version != version.__version__:
+        have = f"{here} has accelcal {version.__version__}, not {requirements.version}"
         return ClusterError(have, hint="install the same version on every machine")
     if requirements.code != code():
         have = f"{here} also has accelcal {requirements.version}, but its code differs"

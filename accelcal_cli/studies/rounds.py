@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from accelcal_cli import __version__
 from accelcal_cli.core import system
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import sweep, sweep_of
 from accelcal_cli.studies import records
 from accelcal_cli.studies.dask_client import Cluster, Notify

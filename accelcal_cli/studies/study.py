@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.version import __version__
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.discovery import Where
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli import __version__
 from accelcal_cli.cli.evaluate import PARTS
+from accelcal_cli.core.version import __version__
 from tests.cli.run import assert_one_line, run, run_process
 
 ROOT = Path(__file__).resolve().parent.parent.parent

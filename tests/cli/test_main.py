@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli import __version__
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.main import COMMANDS
+from accelcal_cli.core.version import __version__
 from tests.cli.run import run, run_process
 
 Capture = pytest.CaptureFixture[str]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import accelcal_cli.verify as verifying
-from accelcal_cli import __version__
+from accelcal_cli.core.version import __version__
 from tests.cli.run import run, verify
 from tests.device_recordings import donor, edit, rest, week, write_device
 from tests.recordings import directions, still_counts, write_csv

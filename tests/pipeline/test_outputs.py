@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli import __version__
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import DEFAULT
+from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import open_recording
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import Job, Request, Result, plan
