@@ -20,6 +20,7 @@ from accelcal_cli.core.errors import NoFormatError, UnreadableError, UsageError,
 from accelcal_cli.core.formats import (
     Encoder,
     Format,
+    Probe,
     ReadOptions,
     mean_nothing,
     probe_file,
@@ -33,6 +34,9 @@ from accelcal_cli.formats._others import refuse_others
 
 SIGNED = 90
 """The confidence from which on a sniffer has seen a signature."""
+
+CERTAIN = 100
+"""The confidence that no other format exceeds; HDF5 gives its signature less, as Opal files have it, too."""
 
 LOOKED_AT = 8
 """Members of an archive whose names are looked at."""
@@ -60,18 +64,36 @@ def find_format(path: Path, options: ReadOptions) -> Format:
     probe = probe_file(path, options)
     if options.format is not None:
         return named_format(options.format)
-    scored = [(item.sniff(probe), item.name, item) for item in all_formats()]
-    best = max(scored, key=lambda score: (score[0], score[1]))
-    if best[0] < SIGNED:
+    confidence, item = _most_confident(probe)
+    if confidence < SIGNED:
         refuse_others(probe)
-    if best[0] == 0:
+    if confidence == 0:
         raise NoFormatError(
             "its content matches no known format",
             path=path,
             byte_offset=0,
             hint="name one with --format, or describe a raw dump with --layout",
         )
-    return best[2]
+    return item
+
+
+def _most_confident(probe: Probe) -> tuple[int, Format]:
+    """Return the highest confidence and its format; of equal ones the last by name.
+
+    The formats of the file's suffix are asked first, and the others only if none of those is certain.
+    """
+    # A layout that the user names makes `raw` certain, whatever the suffix.
+    is_hint = probe.options.layout is None
+    fitting = [item for item in all_formats() if is_hint and probe.suffix in item.suffixes]
+    others = [item for item in all_formats() if item not in fitting]
+    best: tuple[int, str, Format | None] = (-1, "", None)
+    for items in (fitting, others):
+        scored = [(item.sniff(probe), item.name, item) for item in items]
+        best = max([best, *scored], key=lambda score: score[:2])
+        if best[0] == CERTAIN:
+            break
+    assert best[2] is not None
+    return best[0], best[2]
 
 
 def named_format(name: str) -> Format:

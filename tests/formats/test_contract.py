@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import importlib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import AccelcalError
-from accelcal_cli.core.formats import Format, ReadOptions
+from accelcal_cli.core.errors import AccelcalError, NoFormatError
+from accelcal_cli.core.formats import Format, Probe, ReadOptions, probe_file
 from accelcal_cli.core.recording import Chunk, Reader
 from accelcal_cli.formats import all_formats, find_format, open_recording
 from tests.formats.expected import Expected
@@ -72,6 +73,56 @@ def test_every_sample_and_time_comes_back(made: tuple[Format, Expected]) -> None
     assert breaks(chunks) == []
     if expected.times_us is not None:
         assert np.abs(times(chunks) - expected.times_us).max() <= expected.tolerance_us
+
+
+def all_names(path: Path) -> Iterator[Path]:
+    """The same file under a name with each known suffix, with none, and compressed."""
+    data = path.read_bytes()
+    for suffix in ("", *sorted({suffix for item in FORMATS for suffix in item.suffixes})):
+        plain = path.with_name(f"{path.name.split('.')[0]}{suffix}")
+        plain.write_bytes(data)
+        yield plain
+        packed = path.with_name(f"{plain.name}.gz")
+        packed.write_bytes(gzip.compress(data, 1))
+        yield packed
+
+
+@pytest.mark.parametrize("layout", [None, Path("named.layout.toml")])
+def test_the_suffix_decides_only_whom_to_ask_first(
+    made: tuple[Format, Expected], layout: Path | None
+) -> None:
+    _, expected = made
+    options = replace(expected.options, layout=layout or expected.options.layout)
+    for path in all_names(expected.path):
+        probe = probe_file(path, options)
+        confidence, name = max((item.sniff(probe), item.name) for item in FORMATS)
+        if confidence:
+            assert find_format(path, options).name == name
+        else:
+            with pytest.raises(NoFormatError):
+                find_format(path, options)
+
+
+def test_an_opal_file_is_one_with_a_suffix_that_hdf5_alone_has(tmp_path: Path) -> None:
+    expected = importlib.import_module("tests.formats.make_opal").make(tmp_path, counts(), RATE_HZ, LSB_PER_G)
+    path = expected.path.rename(tmp_path / "a.hdf5")
+    assert find_format(path, ReadOptions()).name == "opal"
+
+
+def never_asked(_: Probe) -> int:
+    raise AssertionError("the format of the suffix was certain")
+
+
+def test_who_has_a_suffix_to_itself_and_is_certain_is_the_only_one_asked(
+    made: tuple[Format, Expected], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    item, expected = made
+    probe = probe_file(expected.path, expected.options)
+    if probe.suffix not in item.suffixes or item.sniff(probe) < 100 or probe.options.layout is not None:
+        pytest.skip("is not certain by its suffix and content")
+    others = [replace(other, suffixes=(), sniff=never_asked) for other in FORMATS if other is not item]
+    monkeypatch.setattr("accelcal_cli.formats.all_formats", lambda: (*others, item))
+    assert find_format(expected.path, expected.options) is item
 
 
 @pytest.mark.parametrize(
