@@ -20,18 +20,18 @@ LAYER = {
     "judge": 1,
     "simulate": 1,
     "output": 1,
-    "pages": 2,
     "pipeline": 2,
     "six_pose": 3,
     "evaluate": 3,
     "exports": 3,
     "studies": 3,
     "verify": 4,
-    "api": 4,
     "devices": 4,
-    "cli": 5,
-    "__main__": 6,
-    "": 6,
+    "pages": 5,
+    "api": 6,
+    "cli": 7,
+    "__main__": 8,
+    "": 8,
 }
 """Each top-level package or module, lowest first (docs/architecture.md); "" is the package's own face."""
 

@@ -16,7 +16,6 @@ from accelcal_cli.cli.options import (
     request_of,
 )
 from accelcal_cli.cli.output import run_jobs
-from accelcal_cli.cli.report import refuse_page, write_page
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Result, plan
 from accelcal_cli.pipeline.windows import refuse_impossible
 
@@ -48,6 +47,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     def work(job: Job, bars: ProgressMaker, source: Path) -> Result:
         if not values["html"]:
             return calibrate(job, request, bars, source)
+        from accelcal_cli.pages.write import refuse_page, write_page  # with jinja2, which only pages need
+
         refuse_page(job, force=values["force"])
         result = calibrate(job, request, bars, source)
         write_page(job.report, job.page)

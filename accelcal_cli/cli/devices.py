@@ -69,10 +69,9 @@ def _date(start: str | None) -> str:
 
 def _fastest(device: DeviceReview, kinds: tuple[Kind, ...]) -> str:
     """The fastest drift of some kinds of parameters, with its standard error."""
-    drifts = [one.drift for one in device.trends if one.drift is not None and one.parameter.kind in kinds]
-    if not drifts:
+    fastest = device.fastest_drift(*kinds)
+    if fastest is None:
         return "undated" if device.counted(Usage.UNDATED) and not device.counted(Usage.USED) else "not enough"
-    fastest = max(drifts, key=lambda drift: abs(drift.per_month))
     return with_error(fastest.per_month, fastest.error)
 
 

@@ -8,24 +8,9 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE
-from accelcal_cli.core.errors import AccelcalError, UsageError, printable
-from accelcal_cli.output.files import is_page, refuse_foreign, write_text
-from accelcal_cli.output.report import ours
-from accelcal_cli.output.report_reading import check_sections, document_bytes, read_document
-from accelcal_cli.output.report_schema import report_schema
-from accelcal_cli.pipeline.jobs import (
-    PAGE_SUFFIX,
-    QUALITY_SUFFIX,
-    REPORT_SUFFIX,
-    Job,
-    real,
-    refuse_dash,
-    refuse_overwriting,
-)
+from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printable
+from accelcal_cli.pipeline.jobs import real, refuse_dash
 from accelcal_cli.pipeline.outputs import make_folder
-
-Places = list[tuple[Path, Path]]
-"""Reports, and where the page of each goes."""
 
 
 @click.command("report")
@@ -42,24 +27,31 @@ def command(reports: tuple[Path, ...], output_dir: Path | None, force: bool, qui
     """
     refuse_dash(output_dir)
     if len(reports) == 1 and reports[0].is_dir():
-        return _study(reports[0], output_dir, force=force, quiet=quiet)
-    return exit_codes.of_all([_one(*place, force, quiet) for place in _places(reports, output_dir)])
+        if output_dir is not None:
+            raise UsageError("the pages of a study lie in its own folder", path=reports[0], hint="omit -d")
+        return study_pages(reports[0], force=force, quiet=quiet)
+    places = _places(reports, output_dir)
+    return exit_codes.of_all([_one_page(report, page, force, quiet) for report, page in places])
 
 
-def _study(out: Path, output_dir: Path | None, *, force: bool, quiet: bool) -> int:
-    """The pages of a study, in its own folder."""
-    from accelcal_cli.cli import report_study  # it needs jinja2 and pandas
+def study_pages(out: Path, *, force: bool, quiet: bool) -> int:
+    """Make the pages of a study that changed, sum up on stderr, and return the exit code."""
+    from accelcal_cli.pages.write import write_study_pages  # it needs jinja2
 
-    if output_dir is not None:
-        raise UsageError("the pages of a study lie in its own folder", path=out, hint="omit -d")
-    made = report_study.make_pages(out, force=force)
+    made = write_study_pages(out, force=force)
     if not quiet:
-        exit_codes.say(report_study.summary(made))
-    return report_study.told(made)
+        own = "" if made.changed else " (unchanged)"
+        pages = f"{counted(made.made, 'page')} of recordings made, {made.kept} unchanged"
+        exit_codes.say(f"{printable(made.page)}{own}; {pages}")
+    for fault in made.faults:
+        exit_codes.say(fault)
+    return exit_codes.SOME_FAILED if made.faults else exit_codes.OK
 
 
-def _one(report: Path, page: Path, force: bool, quiet: bool) -> int:
+def _one_page(report: Path, page: Path, force: bool, quiet: bool) -> int:
     """Make one page; a failure is printed and does not stop the rest."""
+    from accelcal_cli.pages.write import refuse_foreign_page, write_page
+
     try:
         make_folder(page.parent)
         refuse_foreign_page(page, force=force)
@@ -73,14 +65,16 @@ def _one(report: Path, page: Path, force: bool, quiet: bool) -> int:
     return exit_codes.OK
 
 
-def _places(reports: tuple[Path, ...], folder: Path | None) -> Places:
-    """Where the pages go; raises UsageError if two would go to the same place."""
-    places: Places = []
+def _places(reports: tuple[Path, ...], folder: Path | None) -> list[tuple[Path, Path]]:
+    """Pair each report with the place of its page; raises UsageError if two would go to the same place."""
+    from accelcal_cli.pages.write import page_beside
+
+    places = []
     owners: dict[Path, Path] = {}
     for report in reports:
         if report.is_dir():
             raise UsageError("is a folder", path=report, hint="give it alone, or name reports")
-        page = _beside(report, PAGE_SUFFIX)
+        page = page_beside(report)
         page = page if folder is None else folder / page.name
         if real(page) in owners:
             other = owners[real(page)]
@@ -88,47 +82,3 @@ def _places(reports: tuple[Path, ...], folder: Path | None) -> Places:
         owners[real(page)] = report
         places.append((report, page))
     return places
-
-
-def _beside(report: Path, suffix: str) -> Path:
-    """A file of the report's stem."""
-    stem = report.name.removesuffix(REPORT_SUFFIX)
-    return report.with_name((stem if stem != report.name else report.stem) + suffix)
-
-
-def refuse_foreign_page(page: Path, *, force: bool) -> None:
-    """Raise OutputError if a file is in the way that accelcal did not make."""
-    if not force:
-        refuse_foreign(page, known=is_page(page))
-
-
-def refuse_page(job: Job, *, force: bool) -> None:
-    """Raise an error if a job's page would take the place of its recording, or of somebody else's file."""
-    refuse_overwriting((job.page,), (job.source,))
-    refuse_foreign_page(job.page, force=force)
-
-
-def write_page(report: Path, page: Path, *, kept: bool = False) -> bool:
-    """Make the page of a report from the files alone; returns whether it was made.
-
-    Args:
-        kept: a page that is what it would be now is left as it is.
-
-    Raises:
-        UnreadableError: the report, or what lies beside it, cannot be read; or the report is damaged.
-        OutputError: the page cannot be written.
-    """
-    from accelcal_cli.pages import stamp
-
-    beside = _beside(report, QUALITY_SUFFIX)
-    held = [document_bytes(one) if one.is_file() else b"" for one in (report, beside)]
-    made_of = stamp.made_of(*held)
-    if kept and stamp.stamp_of(page) == made_of:
-        return False
-    from accelcal_cli.pages import recording  # jinja2 is needed for pages only
-
-    document = read_document(report)
-    check_sections(document, tuple(report_schema()["properties"]))
-    quality = (ours(held[1]) or {}) if beside.exists() else None
-    write_text(page, stamp.stamped(recording.page(document.report, quality), made_of))
-    return True

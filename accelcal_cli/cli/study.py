@@ -24,6 +24,7 @@ from accelcal_cli.cli.options import (
     request_of,
 )
 from accelcal_cli.cli.output import say_refused, show_row
+from accelcal_cli.cli.report import study_pages
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
@@ -196,18 +197,10 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
             text = f"{done} done; the same command does the rest"
             raise exit_codes.InterruptedBySignalError(text) from stop
     code = _exit_code(study, summary, observer, values)
-    of_pages = _pages(study, values) if values["html"] else exit_codes.OK
+    if not values["html"]:
+        return code
+    of_pages = study_pages(study.out, force=study.request.force, quiet=values["quiet"])
     return code or of_pages
-
-
-def _pages(study: Study, values: dict[str, Any]) -> int:
-    """Make the pages that changed; returns the exit code."""
-    from accelcal_cli.cli import report_study
-
-    made = report_study.make_pages(study.out, force=study.request.force)
-    if not values["quiet"]:
-        exit_codes.say(report_study.summary(made))
-    return report_study.told(made)
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:

@@ -15,7 +15,7 @@ import numpy as np
 
 from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
-from accelcal_cli.devices.trends import SIGNIFICANT, Referred, Rules, Trend, at_one_temperature, trends
+from accelcal_cli.devices.trends import SIGNIFICANT, Drift, Referred, Rules, Trend, at_one_temperature, trends
 
 PERHAPS = 0.05
 """A drift that is not certain is reported if it is less probable than this by chance; our choice."""
@@ -95,6 +95,11 @@ class DeviceReview:
     def refused(self) -> int:
         """Recordings that could not be calibrated by themselves."""
         return self.counted(table.Usage.REFUSED, table.Usage.BORROWED)
+
+    def fastest_drift(self, *kinds: table.Kind) -> Drift | None:
+        """Return the fastest drift of some kinds of parameters; None if there are too few recordings."""
+        drifts = [one.drift for one in self.trends if one.drift is not None and one.parameter.kind in kinds]
+        return max(drifts, key=lambda drift: abs(drift.per_month), default=None)
 
     @property
     def verdict(self) -> Verdict:

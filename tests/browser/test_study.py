@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.cli.main import cli
-from accelcal_cli.cli.report_study import make_pages
 from accelcal_cli.core.errors import printable
+from accelcal_cli.pages.write import write_study_pages
 from tests.browser.conftest import Opened
 from tests.pages import made_study
 from tests.pages.test_study_page import HOSTILE
@@ -34,7 +34,7 @@ STEP_AT = "2024-03-07T14:00"
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The page of a large study, whose recordings' pages are not made."""
     out = made_study.study(tmp_path_factory.mktemp("many"), list(made_study.rows(MANY)))
-    make_pages(out)
+    write_study_pages(out)
     return out / "study.html"
 
 
@@ -52,7 +52,7 @@ def few(tmp_path_factory: pytest.TempPathFactory) -> Path:
             path = out / one["report"]
             path.parent.mkdir(exist_ok=True)
             path.write_text(json.dumps(made_study.base_report()))
-    make_pages(out)
+    write_study_pages(out)
     return out / "study.html"
 
 

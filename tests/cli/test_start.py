@@ -162,7 +162,7 @@ def test_templates_are_loaded_for_pages_alone(of_each_format: dict[str, frozense
     study = imported("import accelcal_cli.cli.study, accelcal_cli.cli.report")
     for found in (study, of_each_format["flash"]):
         assert not found & {"jinja2", "markupsafe", "accelcal_cli.pages.rendering"}
-    assert "jinja2" in imported("import accelcal_cli.cli.report_study")
+    assert "jinja2" in imported("import accelcal_cli.pages.write")
 
 
 def test_what_workers_are_forked_from_has_all_that_a_recording_needs(tmp_path: Path) -> None:

@@ -28,10 +28,10 @@ from tests.studies.processes import session, soon
 
 COMMANDS = (
     "calibrate", "study", "apply", "export", "report", "simulate", "fit", "six_pose", "effect",
-    "quality", "inspect", "verify", "watch", "devices", "report_study",
+    "quality", "inspect", "verify", "watch", "devices",
 )  # fmt: skip
 LOADED = (
-    "accelcal_cli.studies.preload", "accelcal_cli.exports.data", "accelcal_cli.pages.recording",
+    "accelcal_cli.studies.preload", "accelcal_cli.exports.data", "accelcal_cli.pages.write",
     "accelcal_cli.pipeline.simulate", "accelcal_cli.output.row_stream", "h5py", "pyarrow.csv", "pandas",
     *(f"accelcal_cli.cli.{name}" for name in COMMANDS),
 )  # fmt: skip

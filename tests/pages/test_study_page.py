@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.cli.report_study import make_pages
 from accelcal_cli.pages import study_figures
 from accelcal_cli.pages.study import WANTED, DeviceLine, StudyContent, page
+from accelcal_cli.pages.write import write_study_pages
 from tests.cli.run import Ran, assert_one_line, run
 from tests.devices.made import drifting, fitted, good_devices, write
 from tests.pages import made_study
@@ -250,7 +250,7 @@ def test_drifts_are_drawn_the_fastest_first_with_their_limits() -> None:
 
 def test_the_devices_of_a_study_are_those_of_the_review(tmp_path: Path) -> None:
     out = write(tmp_path, [*good_devices(3), *drifting("07", 0.004)])
-    assert make_pages(out).changed
+    assert write_study_pages(out).changed
     root = elements((out / "study.html").read_text())
     check_page(root)
     table = data_of(root)["devices"]
@@ -278,16 +278,16 @@ def stamps(out: Path) -> dict[str, int]:
 
 def test_only_pages_that_changed_are_made_again(tmp_path: Path) -> None:
     out = small_study(tmp_path / "out")
-    first = make_pages(out)
+    first = write_study_pages(out)
     assert (first.changed, first.made, first.kept, first.faults) == (True, 5, 0, [])
     before = stamps(out)
     assert len(before) == 6
-    again = make_pages(out)
+    again = write_study_pages(out)
     assert (again.changed, again.made, again.kept) == (False, 0, 5)
     assert stamps(out) == before
     report = out / "site03" / "S00003_wrist_week3.calibration.json"
     report.write_text(report.read_text() + "\n")
-    third = make_pages(out)
+    third = write_study_pages(out)
     assert (third.changed, third.made, third.kept) == (False, 1, 4)
     after = stamps(out)
     assert {name for name in after if after[name] != before[name]} == {"site03/S00003_wrist_week3.html"}
@@ -295,17 +295,17 @@ def test_only_pages_that_changed_are_made_again(tmp_path: Path) -> None:
 
 def test_a_page_is_made_again_if_its_quality_changed_or_it_is_gone(tmp_path: Path) -> None:
     out = small_study(tmp_path / "out", 3)
-    make_pages(out)
+    write_study_pages(out)
     (out / "site01" / "S00001_wrist_week1.quality.json").write_text("{}")
     (out / "site02" / "S00002_wrist_week2.html").unlink()
-    assert make_pages(out).made == 2
+    assert write_study_pages(out).made == 2
 
 
 def test_a_recording_called_study_does_not_take_the_place_of_the_page(tmp_path: Path) -> None:
     one = next(one for one in made_study.rows(3) if one["report"])
     out = made_study.study(tmp_path, [one | {"path": "study.cwa", "report": "study.calibration.json"}])
     (out / "study.calibration.json").write_text(json.dumps(made_study.base_report()))
-    make_pages(out)
+    write_study_pages(out)
     assert data_of(elements((out / "study.html").read_text()))["recordings"]["pages"] == [
         "./study.recording.html"
     ]
@@ -316,7 +316,7 @@ def test_a_report_with_a_name_that_cannot_be_shown_is_found(tmp_path: Path) -> N
     one = next(one for one in made_study.rows(3) if one["report"])
     out = made_study.study(tmp_path, [one | {"path": r"a\nb.cwa", "report": r"a\nb.calibration.json"}])
     (out / "a\nb.calibration.json").write_text(json.dumps(made_study.base_report()))
-    assert make_pages(out).made == 1
+    assert write_study_pages(out).made == 1
     assert data_of(elements((out / "study.html").read_text()))["recordings"]["pages"] == ["./a%0Ab.html"]
 
 
@@ -368,7 +368,7 @@ def test_a_study_makes_its_pages_and_again_only_what_is_new(tmp_path: Path, caps
 @pytest.mark.nightly
 def test_ten_thousand_recordings_take_two_and_a_half_megabytes(tmp_path: Path) -> None:
     out = made_study.study(tmp_path, list(made_study.rows(10_000)))
-    make_pages(out)
+    write_study_pages(out)
     assert (out / "study.html").stat().st_size < 2_500_000
 
 
