@@ -24,8 +24,9 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.settings import POSES, PoseSettings, Settings
 from accelcal_cli.output import report as reports
+from accelcal_cli.output.coefficients import calibration_of, read_coefficients
 from accelcal_cli.output.report import ReportInput
-from accelcal_cli.output.report_reading import calibration_of, read_coefficients, read_document
+from accelcal_cli.output.report_reading import read_document
 from accelcal_cli.pipeline import export, given, jobs, outputs, survey
 from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run

@@ -21,19 +21,20 @@ from accelcal_cli.core.settings import PoseSettings, Settings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
-from accelcal_cli.output import report_reading
+from accelcal_cli.output.coefficients import Coefficients, calibration_of, learnt_prior_of, read_coefficients
 from accelcal_cli.output.columns import Column, described, schema_of, values_of
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import ParquetSource, stored_schema
-from accelcal_cli.output.report import ReportInput, build, result_json, section, significant, with_new_names
+from accelcal_cli.output.report import ReportInput, build, result_json, significant
 from accelcal_cli.output.report_reading import (
-    Coefficients,
+    LATER,
     Document,
     check_sections,
-    learnt_prior_of,
     read_document,
+    release,
+    section,
+    with_new_names,
 )
-from accelcal_cli.output.report_schema import LATER, release
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
@@ -256,7 +257,7 @@ def _compared(report: dict[str, Any]) -> dict[str, Any]:
 
 def _difference(then: Any, now: Any) -> tuple[float | None, float | None]:
     try:
-        one, other = map(report_reading.calibration_of, (then, now))
+        one, other = map(calibration_of, (then, now))
     except (ValueError, TypeError):
         return None, None
     largest, mean = difference_mg(one, other, directions())
@@ -400,7 +401,7 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
     existing = [path for path in places if path.is_file()]
     unchanged = [path for path in existing if _known_by(path, by_content=by_content) == used["sha256"]]
     for path in unchanged or [path for path in existing if path is not beside]:
-        return report_reading.read_coefficients(path, by_content=by_content)
+        return read_coefficients(path, by_content=by_content)
     raise UsageError(
         f"was made with the coefficients in {named or then}, which is missing",
         path=document.path,

@@ -7,7 +7,7 @@ from typing import Any
 
 from jsonschema import Draft202012Validator
 
-from accelcal_cli.output.report_schema import report_schema
+from accelcal_cli.output.report_reading import report_schema
 
 
 def check_report(report: dict[str, Any]) -> None:

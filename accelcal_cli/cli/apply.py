@@ -12,7 +12,7 @@ import click
 from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
-from accelcal_cli.output.report_reading import read_coefficients
+from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
 from accelcal_cli.pipeline.jobs import Request, plan

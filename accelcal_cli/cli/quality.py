@@ -12,7 +12,7 @@ import click
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, number, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.output.report_reading import read_coefficients
+from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.quality import Quality, State, as_json, quality

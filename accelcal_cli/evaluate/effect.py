@@ -13,8 +13,8 @@ from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.evaluate.methods import Truth, truth_beside
+from accelcal_cli.output.coefficients import without_misalignment
 from accelcal_cli.output.files import csv_text, open_plain, refuse_foreign, replacing
-from accelcal_cli.output.report_reading import without_misalignment
 from accelcal_cli.pipeline.activity import MG, Table
 from accelcal_cli.pipeline.apply import at_reference
 from accelcal_cli.pipeline.calibrate import FirstPass, RecordingRun, open_run

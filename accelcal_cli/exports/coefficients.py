@@ -17,15 +17,14 @@ from typing import Any
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.version import __version__
-from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.report import section
-from accelcal_cli.output.report_reading import (
+from accelcal_cli.output.coefficients import (
     FULL_GAIN,
-    check_sections,
+    coefficients_json,
     read_coefficients,
     without_misalignment,
 )
+from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.report_reading import check_sections, section
 
 ALIGNED = ("0", "3", "6", "3T", "6T")
 """Models without misalignment: these are handed on as they are."""

@@ -19,7 +19,7 @@ from accelcal_cli.core.zones import UTC
 from accelcal_cli.output.columns import described
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import ParquetSource, stored_schema
-from accelcal_cli.output.report import section
+from accelcal_cli.output.report_reading import section
 
 NAMES = ("time", "x", "y", "z")
 NAME_ONE = "name a Parquet file that accelcal wrote, STEM.calibrated.parquet"

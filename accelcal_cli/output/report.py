@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
 from math import floor, log10
-from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core import results
@@ -19,7 +18,6 @@ from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.operations import predicted_seconds
 from accelcal_cli.core.points import (
-    FIRST_NAMES,
     PARAMETER_NAMES,
     PENALTY_BITS,
     UPPER_NAMES,
@@ -36,11 +34,10 @@ from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.files import json_text, looking_at, parsed
-from accelcal_cli.output.report_schema import fault, report_schema
+from accelcal_cli.output.files import json_text
+from accelcal_cli.output.report_reading import SCHEMA_VERSION
 
 DAY_S = 86_400
-SCHEMA_VERSION = 2
 SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg", "sphere_before_mg")
 SHORT_JUMPS = (
     "its times jitter or skip a little: {} short gaps and steps back in what was read; "
@@ -48,9 +45,6 @@ SHORT_JUMPS = (
 )
 ONLY_SOME = ("factory_calibration",)
 """Keys of `recording` that only some reports have."""
-
-LARGEST_BYTES = 64 << 20
-"""A report has some thousand entries at most; what is longer is none."""
 
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
@@ -490,73 +484,6 @@ def _health(data: ReportInput) -> FileHealth:
 def dumps(report: dict[str, Any], *, pretty: bool) -> str:
     """The report as JSON text."""
     return json_text(report, indent=2 if pretty else None)
-
-
-def upgraded(report: dict[str, Any]) -> dict[str, Any]:
-    """A report of schema version 1 as this version would have written it; any other as it is."""
-    version = report.get("schema_version")
-    if version != 1 or isinstance(version, bool):
-        return report
-    held = {"calibration": with_new_names(report["calibration"])} if "calibration" in report else {}
-    return report | {"schema_version": SCHEMA_VERSION} | held
-
-
-def with_new_names(calibration: Any) -> Any:
-    """The `calibration` of schema version 1 with the parameters' names of this one."""
-    if not isinstance(calibration, dict):
-        return calibration
-    inner = {
-        name: _renamed(calibration[name]) for name in ("parameters", "standard_errors") if name in calibration
-    }
-    integers = section(calibration, "fixed_point")
-    if "parameters" in integers:
-        inner["fixed_point"] = {**integers, "parameters": _renamed(integers["parameters"])}
-    return calibration | inner
-
-
-def _renamed(named: Any) -> Any:
-    if not isinstance(named, dict):
-        return named
-    return {FIRST_NAMES.get(name, name): value for name, value in named.items()}
-
-
-def load(path: Path) -> dict[str, Any] | None:
-    """A JSON file that accelcal wrote, or None if the file is anything else.
-
-    Raises:
-        OutputError: it is there and cannot be read.
-    """
-    with looking_at(path):
-        if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
-            return None
-        return ours(path.read_bytes())
-
-
-def ours(text: bytes) -> dict[str, Any] | None:
-    """The content of a JSON file that accelcal wrote, or None if it is anything else."""
-    try:
-        report = parsed(text.decode())
-    except ValueError:
-        return None
-    return report if isinstance(report, dict) and "accelcal_version" in report else None
-
-
-def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
-    """An object in a report, by the keys that lead to it; an empty one where there is none."""
-    found: Any = report
-    for name in names:
-        found = found.get(name) if isinstance(found, dict) else None
-    return found if isinstance(found, dict) else {}
-
-
-def load_report(path: Path) -> dict[str, Any] | None:
-    """A report of ours that says whose it is, or None if the file is anything else."""
-    report, needed = load(path), ("path", "sha256", "bytes")
-    if report is None:
-        return None
-    known = report_schema()["properties"]["recording"]["properties"]
-    asked = {"type": "object", "required": needed, "properties": {name: known[name] for name in needed}}
-    return report if fault(report.get("recording"), asked) is None else None
 
 
 def integers_json(data: ReportInput, points: PointSet) -> dict[str, Any] | None:

@@ -1,50 +1,63 @@
-"""Reports read back from their files, and their coefficients: exact, and checked one against another."""
+"""Reports read from their files: whole documents, their sections checked against the schema, older versions.
+
+`fault` knows the part of JSON Schema that report.schema.json uses; keys that the schema does not know are
+passed over, since a later version may add some.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator
+from copy import deepcopy
 from dataclasses import dataclass
+from functools import cache, lru_cache
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.points import FIRST_NAMES
+from accelcal_cli.output.files import looking_at, parsed
 
-from accelcal_cli.core import points
-from accelcal_cli.core.course import Course
-from accelcal_cli.core.errors import UnreadableError, printable
-from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE
-from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.prior import LearntPrior, Prior, Source
-from accelcal_cli.core.recording import Device
-from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.settings import LEARNT_PRIORS
-from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.files import parsed
-from accelcal_cli.output.report import LARGEST_BYTES, SCHEMA_VERSION, upgraded
-from accelcal_cli.output.report_schema import fault, schema_of_version
-
+SCHEMA_VERSION = 2
+LARGEST_BYTES = 64 << 20
+"""Size of a file above which it cannot be a report, which has some thousand entries at most."""
 NAME_ONE = "name a report, STEM.calibration.json"
-STRETCH = (0.5, 2.0)
-"""Gains of a sensor that measures about 1 g at rest lie well within (raw means of 0.5 to 1.5 g)."""
-LARGEST_OFFSET_G = 1.0
-LARGEST_SLOPE_G_PER_C = 0.1
-ABSOLUTE_ZERO_MC = -273_150
-LAST_SAMPLE = 1 << 53
-LEAST, LARGEST = 1e-7, 1e3
-"""Of a width, a noise and degrees of freedom of a prior."""
 
-FULL_GAIN = "12"
-"""Nine entries of K and the offsets, of orientations that were known."""
-
-USED = ("calibration", "recording", "coefficients", "outcome", "message")
-"""Sections that applying a report's coefficients to any recording needs."""
-
-COPIED = (
-    "without_misalignment", "sphere_mg", "change", "misfits", "holdout", "fit", "coverage", "models_tried",
-)  # fmt: skip
-"""Sections that hold for the recording itself, whatever it is applied by."""
+LATER = {
+    "settings.precision_mg": "0.1.0",
+    "settings.max_damage_percent": "0.1.0",
+    "settings.min_distance_g": "0.2.0",
+    "settings.min_subset_points": "0.2.0",
+    "settings.max_subset_points": "0.2.0",
+    "settings.input.date_format": "0.1.0",
+    "coverage.distinct_orientations": "0.2.0",
+    "settings.input.force_timezone": "0.2.0",
+    "recording.time_zone": "0.2.0",
+    "file_health.clock": "0.1.0",
+    "file_health.clock.dst_change.followed": "0.2.0",
+    "file_health.lost_bytes": "0.1.0",
+    "file_health.lost_percent": "0.1.0",
+    "file_health.rest": "0.2.0",
+    "holdout.improvement_factor": "0.2.0",
+    "settings.prior": "0.2.0",
+    "sphere_mg": "0.2.0",
+    "without_misalignment": "0.2.0",
+    "change": "0.2.0",
+    "misfits": "0.2.0",
+    "gyroscope": "0.2.0",
+    "settings.recalibrate": "0.2.0",
+    "settings.longest_gap_s": "0.2.0",
+    "calibration.course": "0.2.0",
+    "fit.windows.temperature_left_out": "0.2.0",
+    "fit.windows.saturated_left_out": "0.2.0",
+    "coverage.saturated": "0.2.0",
+    "fit.windows.repeated": "0.2.0",
+    "coverage.subsets_full_after_h": "0.2.0",
+}
+"""Keys that reports of versions before the given one may lack (docs/outputs.md)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,237 +148,187 @@ def damaged(document: Document, what: str) -> UnreadableError:
     return UnreadableError(f"is a damaged report: {what}", path=document.path, hint=hint)
 
 
-def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
-    """The prior with which a report was made, if its settings name one that is learnt.
+def load(path: Path) -> dict[str, Any] | None:
+    """A JSON file that accelcal wrote, or None if the file is anything else.
 
     Raises:
-        UnreadableError: it is missing, or cannot be.
+        OutputError: it is there and cannot be read.
     """
-    if kind not in LEARNT_PRIORS:
-        return None
-    if "prior" not in document.report:
-        raise damaged(document, f"settings.prior is {kind!r}, but there is no prior")
-    check_sections(document, ("prior",))
-    held = document.report["prior"]
-    centre, width = (
-        tuple(float(held[name][key]) for key in points.PARAMETER_NAMES) for name in ("centre", "width")
-    )
-    noise = [float(held["noise"][name]) for name in ("g", "spread", "freedom")]
-    reference = held["reference_c"]
-    ideal = [value / ONE for value in points.IDENTITY]
-    close = all(abs(value - one) < LARGEST_OFFSET_G for value, one in zip(centre, ideal, strict=True))
-    possible = [*width, float(held["freedom"]), *noise]
-    if held["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):
-        raise damaged(document, "it has a prior that no study learns")
-    if reference is not None and not abs(reference) < LARGEST:
-        raise damaged(document, "prior.reference_c cannot be")
-    noise_g, spread, freedom = noise
-    prior = Prior(centre, width, float(held["freedom"]), noise_g, spread, freedom, reference)
-    model, own = held["model"], tuple(Source(one["path"], one["sha256"]) for one in held["device"])
-    return LearntPrior(
-        prior, kind, model["name"], model["devices"], model["recordings"], model["sha256"], own
-    )
+    with looking_at(path):
+        if not path.is_file() or path.stat().st_size > LARGEST_BYTES:
+            return None
+        return ours(path.read_bytes())
 
 
-@dataclass(frozen=True, slots=True)
-class Origin:
-    """The recording whose stillness coefficients were found from, and who found them."""
-
-    path: str
-    sha256: str
-    device: Device
-    accelcal_version: str
-
-
-@dataclass(frozen=True, slots=True)
-class Coefficients:
-    """Coefficients of a report.
-
-    Attributes:
-        calibration: made of the fixed-point integers.
-        origin: where they come from, by whatever number of reports of `apply`.
-        by_content: whether the report's provenance does not matter.
-    """
-
-    document: Document
-    calibration: points.Calibration
-    origin: Origin
-    by_content: bool = False
-
-    @property
-    def sha256(self) -> str:
-        """What the report is known by."""
-        return self.document.content_sha256 if self.by_content else self.document.sha256
-
-
-def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
-    """The coefficients of a report, exactly.
-
-    Args:
-        by_content: whether the report is known by what it says but for its provenance, or by its bytes.
-
-    Raises:
-        UnreadableError: see `read_document`; or a key is missing, wrong or contradicts another, or
-            the report's recording was refused.
-    """
-    document = read_document(path)
-    report = document.report
-    if "calibration" in report and report["calibration"] is None:
-        why = printable(str(report.get("message")))
-        raise UnreadableError(f"holds no coefficients: the recording was refused ({why})", path=path)
-    check_sections(document, USED)
-    if report.get("outcome") == Outcome.REFUSED:
-        raise damaged(document, "its recording was refused, but it holds coefficients")
+def ours(text: bytes) -> dict[str, Any] | None:
+    """The content of a JSON file that accelcal wrote, or None if it is anything else."""
     try:
-        calibration = calibration_of(report["calibration"])
-    except ValueError as error:
-        raise damaged(document, str(error)) from error
-    wrong = contradiction(report["calibration"], calibration) or implausible(calibration)
-    if wrong:
-        raise damaged(document, wrong)
-    return Coefficients(document, calibration, _origin(report), by_content)
-
-
-def without_misalignment(found: Coefficients) -> points.Calibration | None:
-    """What a report's points gave without misalignment; None where its report has nothing of the kind.
-
-    Raises:
-        UnreadableError: that section cannot be.
-    """
-    document = found.document
-    if document.report.get("without_misalignment") is None:
+        report = parsed(text.decode())
+    except ValueError:
         return None
-    check_sections(document, ("without_misalignment",))
-    section = document.report["without_misalignment"]["calibration"]
-    try:
-        calibration = calibration_of(section)
-    except ValueError as error:
-        raise damaged(document, f"without_misalignment: {error}") from error
-    wrong = contradiction(section, calibration) or implausible(calibration)
-    if calibration.model not in ("6", "6T"):
-        wrong = f"calibration.model is {calibration.model!r}"
-    if wrong:
-        raise damaged(document, f"without_misalignment: {wrong}")
-    return calibration
+    return report if isinstance(report, dict) and "accelcal_version" in report else None
 
 
-def _origin(report: Mapping[str, Any]) -> Origin:
-    applied, recording = report.get("coefficients"), report["recording"]
-    if applied is None:
-        path, digest, version = recording["path"], recording["sha256"], report["accelcal_version"]
-        return Origin(path, digest, _device(recording["device"]), str(version))
-    device = _device(applied["device"])
-    return Origin(applied["recording_path"], applied["recording_sha256"], device, applied["accelcal_version"])
+def section(report: dict[str, Any], *names: str) -> dict[str, Any]:
+    """An object in a report, by the keys that lead to it; an empty one where there is none."""
+    found: Any = report
+    for name in names:
+        found = found.get(name) if isinstance(found, dict) else None
+    return found if isinstance(found, dict) else {}
 
 
-def _device(section: Mapping[str, Any]) -> Device:
-    """Who recorded; what a later version says besides is passed over."""
-    return Device(**{name: section[name] for name in Device.__dataclass_fields__})
-
-
-def calibration_of(section: Mapping[str, Any]) -> points.Calibration:
-    """The calibration of a report's `calibration` section, from its fixed-point integers.
-
-    Raises:
-        ValueError: the integers or the model are missing or impossible; the message says which.
-    """
-    try:
-        fixed_point, gravity_section, model = section["fixed_point"], section["gravity"], section["model"]
-        integers = {name: fixed_point["parameters"][name] for name in points.PARAMETER_NAMES}
-        upper = {name: fixed_point["parameters"].get(name, 0) for name in points.UPPER_NAMES}
-        scale = _scale(fixed_point["temperature_reference_mc"], fixed_point["temperature_span_c"])
-        gravity = Gravity(gravity_section["latitude"], gravity_section["altitude"])
-        gravity.local_g()
-        bits = fixed_point["fraction_bits"]
-    except (KeyError, TypeError, AttributeError, OverflowError) as error:
-        raise ValueError(f"calibration lacks what is needed ({error})") from error
-    _check_integers({**integers, **upper})
-    if bits != FRACTION_BITS:
-        raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
-    xy, xz, yz = upper.values()
-    course = _course(section.get("course"))
-    calibration = points.Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz), course)
-    _check_model(calibration)
-    return calibration
-
-
-def _course(section: Any) -> Course | None:
-    """What follows a sensor that changed; raises ValueError for what cannot be."""
-    if section is None:
+def load_report(path: Path) -> dict[str, Any] | None:
+    """A report of ours that says whose it is, or None if the file is anything else."""
+    report, needed = load(path), ("path", "sha256", "bytes")
+    if report is None:
         return None
-    try:
-        knots, lines = section["knots"], {"lines": True, "jumps": False}[section["between"]]
-        samples = tuple(knot["sample"] for knot in knots)
-        stretch, shift = (
-            tuple(_knot(knot["fixed_point"][name], name) for knot in knots) for name in ("stretch", "shift")
-        )
-    except (KeyError, TypeError) as error:
-        raise ValueError(f"calibration.course lacks what is needed ({error})") from error
-    ascend = all(type(sample) is int for sample in samples) and list(samples) == sorted(set(samples))
-    if not ascend or samples[:1] != (0,) or samples[-1] >= LAST_SAMPLE:
-        raise ValueError("calibration.course does not begin at sample 0, or its knots do not ascend")
-    return Course(samples, stretch, shift, lines)
+    known = report_schema()["properties"]["recording"]["properties"]
+    asked = {"type": "object", "required": needed, "properties": {name: known[name] for name in needed}}
+    return report if fault(report.get("recording"), asked) is None else None
 
 
-def _knot(values: Any, name: str) -> tuple[int, int, int]:
-    low, high = (STRETCH[0] * ONE, STRETCH[1] * ONE) if name == "stretch" else (-ONE, ONE)
-    if not isinstance(values, list) or any(type(value) is not int for value in values):
-        raise ValueError(f"calibration.course has a {name} that is no list of integers")
-    if len(values) != 3 or not all(low <= value <= high for value in values):
-        raise ValueError(f"calibration.course has a {name} that no sensor has")
-    x, y, z = values
-    return x, y, z
+def upgraded(report: dict[str, Any]) -> dict[str, Any]:
+    """A report of schema version 1 as this version would have written it; any other as it is."""
+    version = report.get("schema_version")
+    if version != 1 or isinstance(version, bool):
+        return report
+    held = {"calibration": with_new_names(report["calibration"])} if "calibration" in report else {}
+    return report | {"schema_version": SCHEMA_VERSION} | held
 
 
-def _scale(reference_mc: Any, span_c: Any) -> points.TemperatureScale | None:
-    if reference_mc is None and span_c is None:
-        return None
-    if type(reference_mc) is not int or not ABSOLUTE_ZERO_MC <= reference_mc < LIMIT:
-        raise ValueError(f"calibration.fixed_point.temperature_reference_mc cannot be {reference_mc!r}")
-    if isinstance(span_c, bool) or not isinstance(span_c, int | float) or not 0 < span_c < 1e6:
-        raise ValueError(f"calibration.fixed_point.temperature_span_c cannot be {span_c!r}")
-    return points.TemperatureScale(reference_mc, float(span_c))
+def with_new_names(calibration: Any) -> Any:
+    """The `calibration` of schema version 1 with the parameters' names of this one."""
+    if not isinstance(calibration, dict):
+        return calibration
+    inner = {
+        name: _renamed(calibration[name]) for name in ("parameters", "standard_errors") if name in calibration
+    }
+    integers = section(calibration, "fixed_point")
+    if "parameters" in integers:
+        inner["fixed_point"] = {**integers, "parameters": _renamed(integers["parameters"])}
+    return calibration | inner
 
 
-def _check_integers(named: dict[str, Any]) -> None:
-    for name, value in named.items():
-        if type(value) is not int or not -LIMIT < value < LIMIT:
-            raise ValueError(f"calibration.fixed_point.parameters.{name} is not a 32-bit integer")
+def _renamed(named: Any) -> Any:
+    if not isinstance(named, dict):
+        return named
+    return {FIRST_NAMES.get(name, name): value for name, value in named.items()}
 
 
-def _check_model(calibration: points.Calibration) -> None:
-    """A parameter that the model does not have keeps its ideal value."""
-    if not isinstance(calibration.model, str) or calibration.model not in (*points.MODELS, FULL_GAIN):
-        raise ValueError(f"calibration.model is {calibration.model!r}, which this version does not know")
-    full, base = calibration.model == FULL_GAIN, calibration.model.removesuffix("T")
-    if calibration.model != base + ("T" if calibration.temperature else ""):
-        raise ValueError(f"model {calibration.model} and the temperature scale contradict each other")
-    free = range(9) if full else points.MODELS[calibration.model].free
-    fixed = [
-        name
-        for index, name in enumerate(points.PARAMETER_NAMES)
-        if index not in free and calibration.parameters[index] != points.IDENTITY[index]
-    ]
-    fixed += [
-        name for name, value in zip(points.UPPER_NAMES, calibration.upper, strict=True) if value and not full
-    ]
-    if fixed:
-        raise ValueError(f"model {calibration.model} has no parameter {fixed[0]}, but fixed_point gives one")
+@cache
+def report_schema() -> dict[str, Any]:
+    """The JSON Schema of the report."""
+    from importlib import resources  # only what is there already is held against it
+
+    text = resources.files("accelcal_cli.output").joinpath("report.schema.json").read_text("utf-8")
+    schema: dict[str, Any] = json.loads(text)
+    return schema
 
 
-def contradiction(section: Mapping[str, Any], calibration: points.Calibration) -> str | None:
-    """Which number of a `calibration` section is not what its own integers say, if any."""
-    wrong = (name for name, value in coefficients_json(calibration).items() if section.get(name) != value)
-    return next((f"calibration.{name} is not what calibration.fixed_point says" for name in wrong), None)
+def release(version: Any) -> tuple[float, ...]:
+    """A version in order; one that is none comes after all, so that nothing is excused by it."""
+    numbers = re.fullmatch(r"(\d{1,6})\.(\d{1,6})\.(\d{1,6})", str(version))
+    return (inf,) if numbers is None else tuple(map(int, numbers.groups()))
 
 
-def implausible(calibration: points.Calibration) -> str | None:
-    """Why no sensor can have such a calibration, or None."""
-    stretch = np.linalg.svd(calibration.gain(), compute_uv=False)
-    if not (stretch.min() >= STRETCH[0] and stretch.max() <= STRETCH[1]):
-        return f"its gain stretches by {stretch.min():.3g} to {stretch.max():.3g}, which no sensor does"
-    if np.abs(calibration.offset_g()).max() > LARGEST_OFFSET_G:
-        return f"an offset is beyond {LARGEST_OFFSET_G:g} g, which no sensor has"
-    if np.abs(calibration.slope_g_per_c()).max() > LARGEST_SLOPE_G_PER_C:
-        return f"a slope is beyond {LARGEST_SLOPE_G_PER_C:g} g per C, which no sensor has"
+@lru_cache(8)
+def schema_of_version(version: str) -> dict[str, Any]:
+    """The schema of a report that this version of accelcal wrote: it may lack what came later."""
+    schema = deepcopy(report_schema())
+    for place, since in LATER.items():
+        *outer, name = place.split(".")
+        if release(version) < release(since):
+            for held in _objects(schema, outer):
+                held["required"] = [key for key in held.get("required", ()) if key != name]
+    return schema
+
+
+def _objects(schema: dict[str, Any], names: list[str]) -> Iterator[dict[str, Any]]:
+    """What the schema says of the objects at the end of these keys."""
+    for choice in schema.get("anyOf", ()):
+        yield from _objects(choice, names)
+    if not names:
+        yield schema
+    elif names[0] in schema.get("properties", {}):
+        yield from _objects(schema["properties"][names[0]], names[1:])
+
+
+_TYPES: dict[str, tuple[tuple[type, ...], str]] = {
+    "object": ((dict,), "an object"),
+    "array": ((list,), "a list"),
+    "string": ((str,), "a text"),
+    "number": ((int, float), "a number"),
+    "integer": ((int,), "a whole number"),
+    "boolean": ((bool,), "true or false"),
+    "null": ((type(None),), "null"),
+}
+"""Types of JSON Schema: the Python types of their values, and their names in messages."""
+
+
+def fault(value: Any, schema: dict[str, Any], where: str = "") -> str | None:
+    """Return the first thing wrong with a value, such as `calibration.gain[0][2] is not a number`."""
+    kind = schema.get("type")
+    if kind is not None and not _is(value, kind):
+        return f"{where or 'it'} is not {_TYPES[kind][1]}"
+    return _first(check(value, schema, where) for check in _CHECKS)
+
+
+def _first(faults: Iterable[str | None]) -> str | None:
+    return next((wrong for wrong in faults if wrong is not None), None)
+
+
+def _is(value: Any, kind: str) -> bool:
+    if isinstance(value, bool):
+        return kind == "boolean"
+    return isinstance(value, _TYPES[kind][0]) and not (isinstance(value, float) and not isfinite(value))
+
+
+def _plain_value(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if "enum" in schema and value not in schema["enum"]:
+        return f"{where} is {value!r}, not one of {', '.join(map(str, schema['enum']))}"
+    if "const" in schema and (value != schema["const"] or isinstance(value, bool)):
+        return f"{where} is {value!r}, not {schema['const']!r}"
+    if schema.get("type") in ("number", "integer"):
+        if value < schema.get("minimum", value) or value <= schema.get("exclusiveMinimum", -inf):
+            return f"{where} is {value}, which is too small"
+    elif schema.get("type") == "string" and (
+        len(value) < schema.get("minLength", 0) or not re.search(schema.get("pattern", ""), value)
+    ):
+        return f"{where} is {value[:80]!r}, which is not valid"
     return None
+
+
+def _parts(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    if isinstance(value, list):
+        if not schema.get("minItems", 0) <= len(value) <= schema.get("maxItems", len(value)):
+            return f"{where} has {len(value)} entries"
+        part = schema.get("items", {})
+        return _first(fault(item, part, f"{where}[{index}]") for index, item in enumerate(value))
+    if not isinstance(value, dict):
+        return None
+    start = f"{where}." if where else ""
+    missing = next((name for name in schema.get("required", ()) if name not in value), None)
+    if missing is not None:
+        return f"{start}{missing} is missing"
+    known = ((name, part) for name, part in schema.get("properties", {}).items() if name in value)
+    return _first(fault(value[name], part, f"{start}{name}") for name, part in known)
+
+
+def _any_of(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    """Return the fault of the branch of `anyOf` that the value's type belongs to, else of the first."""
+    faults = [(branch, fault(value, branch, where)) for branch in schema.get("anyOf", ())]
+    if not faults or any(wrong is None for _, wrong in faults):
+        return None
+    return next((wrong for branch, wrong in faults if _is(value, branch.get("type", "null"))), faults[0][1])
+
+
+def _conditions(value: Any, schema: dict[str, Any], where: str) -> str | None:
+    return _first(
+        fault(value, part.get("else" if fault(value, part.get("if", {}), where) else "then", {}), where)
+        for part in schema.get("allOf", ())
+    )
+
+
+_CHECKS: tuple[Callable[[Any, dict[str, Any], str], str | None], ...] = (
+    _plain_value, _parts, _any_of, _conditions,
+)  # fmt: skip

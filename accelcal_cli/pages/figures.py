@@ -18,8 +18,8 @@ from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, listed
 from accelcal_cli.pages import svg
-from accelcal_cli.pages.along import Along
 from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, number, path
+from accelcal_cli.pages.time_series import Along
 
 BARS = 40
 LEAST_MG, LARGEST_MG = 0.01, 1e4

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from math import ceil
 from typing import TypeVar
 
-from accelcal_cli.pages.along import Along, Value
 from accelcal_cli.pages.svg import number
+from accelcal_cli.pages.time_series import Along, Value
 
 HOURLY, MOST_ROWS = 14 * 24, 192
 """Rows that stand as they are, and so many at most where there are more: no page is larger than 300 KB."""

@@ -2,23 +2,26 @@
 
 Everything that it shows is in the study's table and in the review of its devices. All texts are taken for
 hostile: names are made printable here, the template escapes what it is given, and the data for the script are
-JSON that cannot end their element (`study_columns.py`).
+JSON that cannot end their element (`embedded`).
 """
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from datetime import datetime
 from math import isfinite
 from statistics import median
 from typing import Any
 from urllib.parse import quote
 
+from markupsafe import Markup
+
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.output.advice import LIMIT_MG
-from accelcal_cli.pages import study_columns as columns
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 
@@ -179,7 +182,7 @@ def page(study: StudyContent) -> str:
         nameless=counted(study.nameless, "recording") if study.nameless else None,
         csv=study.csv,
         recordings=len(entries),
-        data=columns.embedded(
+        data=embedded(
             {
                 "recordings": _recordings_table(entries, scatter),
                 "devices": _devices_table(devices),
@@ -348,7 +351,7 @@ def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:
 
 def _reasons(entries: Sequence[_Entry], total: int) -> list[dict[str, Any]]:
     """The reasons of an outcome, the most frequent first; numbers in them left out."""
-    clauses = [columns.NUMBER.sub("…", entry.message.split(CLAUSE)[0]) for entry in entries]
+    clauses = [NUMBER.sub("…", entry.message.split(CLAUSE)[0]) for entry in entries]
     found = Counter(clause or "no reason is known" for clause in clauses)
     often = sorted(found.items(), key=lambda one: (-one[1], one[0]))
     lines, others = often[:REASONS], sum(number for _, number in often[REASONS:])
@@ -378,20 +381,18 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
     return {
         "what": "recording",
         "columns": [
-            columns.column("path", "recording", "text", 19, [entry.path for entry in entries]),
-            columns.choice("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in MEANINGS]),
-            columns.choice("problem", 9, problems, ["", *(kind.short for kind in KINDS)]),
-            columns.number("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
-            columns.number("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
-            columns.choice("device", 9, [entry.device for entry in entries]),
-            columns.minutes("start", "start", 10, [row["start_time"] for row in rows]),
-            columns.number("hours", "hours", 5.5, hours),
-            columns.choice("model", 5.5, [row["model"] or "" for row in rows]),
-            columns.number("change", "change, mg", 8, changes, kind="mg"),
-            columns.number("lost", "lost, %", 6, (row["lost_percent"] or None for row in rows)),
-            columns.messages(
-                "message", "what was found", 70, [e.found if e.problem else "" for e in entries]
-            ),
+            column("path", "recording", "text", 19, [entry.path for entry in entries]),
+            choice_column("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in MEANINGS]),
+            choice_column("problem", 9, problems, ["", *(kind.short for kind in KINDS)]),
+            number_column("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
+            number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),
+            choice_column("device", 9, [entry.device for entry in entries]),
+            minutes_column("start", "start", 10, [row["start_time"] for row in rows]),
+            number_column("hours", "hours", 5.5, hours),
+            choice_column("model", 5.5, [row["model"] or "" for row in rows]),
+            number_column("change", "change, mg", 8, changes, kind="mg"),
+            number_column("lost", "lost, %", 6, (row["lost_percent"] or None for row in rows)),
+            message_column("message", "what was found", 70, [e.found if e.problem else "" for e in entries]),
         ],
         "pages": [_page_of(entry) for entry in entries],
         "scatter": scatter.scale(),
@@ -411,17 +412,17 @@ def _devices_table(devices: Sequence[DeviceLine]) -> dict[str, Any]:
     return {
         "what": "device",
         "columns": [
-            columns.column("device", "device", "text", 12, [line.name for line in devices]),
-            columns.choice("verdict", 6, verdicts, ("service", "watch", "unknown", "good")),
-            columns.number("recordings", "recordings", 7.5, (line.recordings for line in devices)),
-            columns.number("used", "used", 5, (line.used for line in devices)),
-            columns.number("refused", "refused", 6, (line.refused for line in devices)),
-            columns.column("first", "first", "text", 8, [(line.first or "")[:10] for line in devices]),
-            columns.column("last", "last", "text", 8, [(line.last or "")[:10] for line in devices]),
-            columns.number("held", "held out, mg", 8.5, (line.held_out_mg for line in devices), kind="mg"),
+            column("device", "device", "text", 12, [line.name for line in devices]),
+            choice_column("verdict", 6, verdicts, ("service", "watch", "unknown", "good")),
+            number_column("recordings", "recordings", 7.5, (line.recordings for line in devices)),
+            number_column("used", "used", 5, (line.used for line in devices)),
+            number_column("refused", "refused", 6, (line.refused for line in devices)),
+            column("first", "first", "text", 8, [(line.first or "")[:10] for line in devices]),
+            column("last", "last", "text", 8, [(line.last or "")[:10] for line in devices]),
+            number_column("held", "held out, mg", 8.5, (line.held_out_mg for line in devices), kind="mg"),
             *_drift("offset", "offset, mg a month", [line.offset for line in devices]),
             *_drift("percent", "scale, % a month", [line.percent for line in devices]),
-            columns.column("why", "why", "text", 60, ["; ".join(line.reasons) for line in devices]),
+            column("why", "why", "text", 60, ["; ".join(line.reasons) for line in devices]),
         ],
         "pages": [],
     }
@@ -431,6 +432,71 @@ def _drift(key: str, label: str, drifts: Sequence[figures.Drift | None]) -> list
     """Two columns: the drift and its standard error."""
     pairs = [(None, None) if drift is None else (drift.per_month, drift.error) for drift in drifts]
     return [
-        columns.number(key, label, 11, (pair[0] for pair in pairs)),
-        columns.number(f"{key}_error", "±", 6, (pair[1] for pair in pairs)),
+        number_column(key, label, 11, (pair[0] for pair in pairs)),
+        number_column(f"{key}_error", "±", 6, (pair[1] for pair in pairs)),
     ]
+
+
+NUMBER = re.compile(r"\d+(?:\.\d+)?")
+"""A number in a message."""
+
+
+def column(key: str, label: str, kind: str, width: float, values: Sequence[Any]) -> dict[str, Any]:
+    """A column so many rem wide, whose values are of a kind that the script knows; one for each row."""
+    return {"key": key, "label": label, "kind": kind, "width": width, "values": values}
+
+
+def choice_column(key: str, width: float, values: Sequence[str], order: Sequence[str] = ()) -> dict[str, Any]:
+    """A column of few different texts: their list, and the place of each value in it."""
+    there = set(values)
+    names = [*(name for name in order if name in there), *sorted(there - set(order))]
+    place = {name: index for index, name in enumerate(names)}
+    return column(key, key, "choice", width, [place[one] for one in values]) | {"names": names}
+
+
+def number_column(
+    key: str, label: str, width: float, values: Iterable[float | None], kind: str = "number"
+) -> dict[str, Any]:
+    """A column of numbers to four significant digits."""
+    return column(key, label, kind, width, [_short(value) for value in values])
+
+
+def _short(value: float | None) -> float | int | None:
+    if value is None:
+        return None
+    short = float(f"{value:.4g}")
+    return int(short) if short.is_integer() else short
+
+
+def minutes_column(key: str, label: str, width: float, starts: Sequence[str | None]) -> dict[str, Any]:
+    """A column of times, by the clock that they were written down by, in minutes since 1970."""
+    return column(key, label, "minutes", width, [_minutes(start) for start in starts])
+
+
+def _minutes(start: str | None) -> int | None:
+    try:
+        moment = datetime.fromisoformat((start or "")[:16])
+    except ValueError:
+        return None
+    return int((moment.replace(tzinfo=None) - datetime(1970, 1, 1)).total_seconds() // 60)
+
+
+def message_column(key: str, label: str, width: float, told: Sequence[str]) -> dict[str, Any]:
+    """A column of messages: the texts without their numbers once, and the numbers of each.
+
+    Thousands of messages differ in their numbers alone. A value is [which text, its numbers ...]; 0 for none.
+    """
+    texts: dict[str, int] = {}
+    values: list[Any] = []
+    for message in told:
+        place = texts.setdefault(NUMBER.sub("\0", message), len(texts)) if message else 0
+        values.append([place, *NUMBER.findall(message)] if message else 0)
+    return column(key, label, "message", width, values) | {"names": [text.split("\0") for text in texts]}
+
+
+def embedded(value: Any) -> Markup:
+    """JSON that can stand in a script element: nothing in it ends the element or a line of script."""
+    text = json.dumps(value, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+    for char in "<>&\u2028\u2029":
+        text = text.replace(char, f"\\u{ord(char):04x}")
+    return Markup(text)

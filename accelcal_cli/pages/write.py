@@ -25,9 +25,14 @@ from accelcal_cli.devices.review import DeviceReview, review
 from accelcal_cli.devices.table import Kind
 from accelcal_cli.devices.trends import Rules
 from accelcal_cli.output.files import is_page, refuse_foreign, write_text
-from accelcal_cli.output.report import load, ours
-from accelcal_cli.output.report_reading import check_sections, document_bytes, read_document
-from accelcal_cli.output.report_schema import report_schema
+from accelcal_cli.output.report_reading import (
+    check_sections,
+    document_bytes,
+    load,
+    ours,
+    read_document,
+    report_schema,
+)
 from accelcal_cli.pages import recording, study
 from accelcal_cli.pages.study_figures import Drift
 from accelcal_cli.pipeline.jobs import PAGE_SUFFIX, QUALITY_SUFFIX, REPORT_SUFFIX, Job, refuse_overwriting

@@ -21,14 +21,14 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
 from accelcal_cli.judge.verdict import FEWEST_POSTURES, better, held_out
-from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.report_reading import (
+from accelcal_cli.output.coefficients import (
     COPIED,
     Coefficients,
-    check_sections,
+    coefficients_json,
     read_coefficients,
     without_misalignment,
 )
+from accelcal_cli.output.report_reading import check_sections
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.calibrate import (
     FirstPass,

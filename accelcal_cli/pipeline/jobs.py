@@ -26,7 +26,7 @@ from accelcal_cli.formats import all_formats, refuse_unused, unused_options
 from accelcal_cli.pipeline import stated
 
 if TYPE_CHECKING:
-    from accelcal_cli.output.report_reading import Coefficients
+    from accelcal_cli.output.coefficients import Coefficients
 
 STDIN = Path("-")
 PARQUET_SUFFIX = ".calibrated.parquet"

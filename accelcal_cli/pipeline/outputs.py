@@ -21,8 +21,16 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.files import exists, is_page, metadata_of, refuse_foreign, write_text, written_by_us
-from accelcal_cli.output.report import dumps, load, load_report, section, upgraded
-from accelcal_cli.output.report_schema import fault, report_schema, schema_of_version
+from accelcal_cli.output.report import dumps
+from accelcal_cli.output.report_reading import (
+    fault,
+    load,
+    load_report,
+    report_schema,
+    schema_of_version,
+    section,
+    upgraded,
+)
 from accelcal_cli.output.windows import is_window_table
 from accelcal_cli.pipeline.jobs import Job, Request, Result, real, sha256
 

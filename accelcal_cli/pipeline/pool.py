@@ -19,9 +19,10 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
 from accelcal_cli.judge.verdict import SEEN, held_out, worse
+from accelcal_cli.output.coefficients import calibration_of
 from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
-from accelcal_cli.output.report_reading import Document, calibration_of, check_sections
+from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress

@@ -22,7 +22,7 @@ from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.csv import channels_beside
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.formats.unisens import belongs_to_another
-from accelcal_cli.output.report import load
+from accelcal_cli.output.report_reading import load
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.stated import fits
 from accelcal_cli.studies.ledger import is_ledger

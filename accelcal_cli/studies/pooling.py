@@ -12,9 +12,8 @@ from typing import Any, ClassVar
 
 from accelcal_cli.core.errors import printable
 from accelcal_cli.output.files import looking_at
-from accelcal_cli.output.report import load_report
 from accelcal_cli.output.report_kinds import FORMAT, Member
-from accelcal_cli.output.report_reading import read_document
+from accelcal_cli.output.report_reading import load_report, read_document
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import REPORT_SUFFIX, FileStamp, Job, Result, check_unchanged, file_stamp
 from accelcal_cli.pipeline.outputs import refuse_foreign_report, remove, save_report, with_provenance

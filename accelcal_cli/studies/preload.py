@@ -13,7 +13,7 @@ import accelcal_cli.studies.task
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.formats import load_all
 from accelcal_cli.optimize import named_optimizer
-from accelcal_cli.output.report_schema import report_schema
+from accelcal_cli.output.report_reading import report_schema
 from accelcal_cli.pipeline.outputs import provenance
 
 load_all()

@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from accelcal_cli.output.report_schema import LATER
+from accelcal_cli.output.report_reading import LATER
 from tests.cli.run import assert_one_line, run, run_process
 from tests.device_recordings import donor, edit, rest, set_coefficients, week, write_device
 from tests.recordings import directions, good_csv

@@ -16,8 +16,7 @@ from hypothesis import strategies as st
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import Calibration, TemperatureScale
-from accelcal_cli.output.coefficients import coefficients_json
-from accelcal_cli.output.report_reading import calibration_of, read_coefficients
+from accelcal_cli.output.coefficients import calibration_of, coefficients_json, read_coefficients
 from tests.device_recordings import ONE, donor, edit, set_coefficients
 
 K = st.integers(round(0.8 * ONE), round(1.2 * ONE))

@@ -11,7 +11,7 @@ import jsonschema
 import pytest
 
 from accelcal_cli.core.settings import PoseSettings, Settings
-from accelcal_cli.output.report_schema import fault, report_schema
+from accelcal_cli.output.report_reading import fault, report_schema
 from tests.device_recordings import donor
 
 WRONG: list[Any] = [None, True, -1, 1.5, "", [], {}]

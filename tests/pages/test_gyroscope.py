@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from accelcal_cli.output.report_schema import fault, report_schema
+from accelcal_cli.output.report_reading import fault, report_schema
 from accelcal_cli.pages.recording import page
 from accelcal_cli.pipeline.jobs import Job
 from accelcal_cli.studies.records import Item

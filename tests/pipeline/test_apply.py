@@ -14,7 +14,7 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import ErrorSummary, Holdout
 from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings
 from accelcal_cli.formats import open_recording
-from accelcal_cli.output.report_reading import Coefficients, read_coefficients
+from accelcal_cli.output.coefficients import Coefficients, read_coefficients
 from accelcal_cli.pipeline.apply import (
     Relation,
     applied,
