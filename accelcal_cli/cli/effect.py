@@ -12,7 +12,7 @@ from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, each_recording, number, refuse_both
 from accelcal_cli.cli.quality import request_beside
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.evaluate.effect import Found, as_json, check_table, effect
+from accelcal_cli.effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
 from accelcal_cli.pipeline.effect import EPOCH_S
@@ -63,7 +63,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
             raise UsageError("--epochs names one file, but there are several recordings", hint="give one")
         check_table(table, force=values["force"])
 
-    def work(path: Path, bars: ProgressMaker) -> Found:
+    def work(path: Path, bars: ProgressMaker) -> MeasuredEffect:
         request = request_beside(path, values)
         with bytes_of(path) as source:
             return effect(path, request, values["epoch_s"], table, bars, source)
@@ -74,7 +74,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     return code
 
 
-def _shown(found: list[Found], values: dict[str, Any]) -> str:
+def _shown(found: list[MeasuredEffect], values: dict[str, Any]) -> str:
     if values["as_json"]:
         return "\n".join(json.dumps(as_json(one)) for one in found)
     if values["as_csv"]:
@@ -88,7 +88,7 @@ def _shown(found: list[Found], values: dict[str, Any]) -> str:
     return "\n\n".join(map(_text, found))
 
 
-def _text(one: Found) -> str:
+def _text(one: MeasuredEffect) -> str:
     """A row for each version, and what was left out."""
     rows = [
         [_label(name, made["model"]), *(number(made[key], form) for key, (_, form) in FIGURES.items())]
@@ -103,7 +103,7 @@ def _label(name: str, model: str | None) -> str:
     return f"{WORDS.get(name, name)}{'' if model is None else f' ({model})'}"
 
 
-def _counted(one: Found) -> str:
+def _counted(one: MeasuredEffect) -> str:
     said = one.effect
     left = ", ".join(f"{value} {name}" for name, value in said["left_out"].items() if value)
     text = f"{said['epochs']} epochs of {said['epoch_s']} s"

@@ -13,11 +13,11 @@ PARTS = {
     "smoothing": "Noise at rest after a rolling mean or median (Table 1 of Grammenos et al. 2018).",
     "gravity": "Standard versus local gravity (Table 8 of Grammenos et al. 2018).",
 }
-"""Each lives in the module evaluate_NAME and binds `command`."""
+"""Each lives in the module of its name in `laboratory` and binds `command`."""
 
 command = LazyGroup(
     "evaluate",
     parts=PARTS,
-    modules="accelcal_cli.cli.evaluate_",
+    modules="accelcal_cli.laboratory.",
     help="Compare methods and stillness rules, test claims, repeat the papers' tables.",
 )

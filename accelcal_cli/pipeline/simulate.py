@@ -1,21 +1,27 @@
-"""Writing a simulated recording and the truth about it."""
+"""Writing a simulated recording and the truth about it, and reading that truth again."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import OutputError, UsageError
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Sampling
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.core.version import __version__
 from accelcal_cli.formats import all_encoders, named_encoder
-from accelcal_cli.output.files import replacing, write_text
-from accelcal_cli.pipeline.jobs import Progress, refuse_nameless
+from accelcal_cli.output.files import parsed, replacing, write_text
+from accelcal_cli.pipeline.jobs import Progress, refuse_nameless, stem
 from accelcal_cli.simulate import Plan, Truth, describe, stream
+
+TRUTH_SUFFIX = ".truth.json"
+SLOPE, NO_SLOPE = "temp_slope_g_per_c", (0.0, 0.0, 0.0)
 
 
 def simulate(
@@ -38,7 +44,7 @@ def simulate(
     refuse_nameless(out)
     base = out.parent / (out.name.removesuffix(encoder.suffix) or out.name)
     path = base.with_name(base.name + encoder.suffix)
-    truth_path = base.with_name(base.name + ".truth.json")
+    truth_path = base.with_name(base.name + TRUTH_SUFFIX)
     companion = None if encoder.companion is None else base.with_name(base.name + encoder.companion.suffix)
     for target in (path, truth_path, companion):
         if target is not None and target.exists() and not force:
@@ -80,3 +86,59 @@ def _truth_json(plan: Plan, truth: Truth, format_name: str) -> dict[str, Any]:
         **({} if plan.gyroscope is None else {"gyroscope": plan.gyroscope.as_json()}),
         "still": truth.as_json(),
     }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrueParameters:
+    """True parameters: a = K (v + o + s (T - Tref)).
+
+    Attributes:
+        gain: K, (3, 3).
+        offset_g: o, (3,) at the reference temperature.
+        reference_c: Tref.
+        slope_g_per_c: s, (3,).
+    """
+
+    gain: NDArray[np.float64]
+    offset_g: NDArray[np.float64]
+    reference_c: float
+    slope_g_per_c: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+
+
+def true_parameters(recording: Path) -> TrueParameters | None:
+    """The content of STEM.truth.json beside a recording, None if there is no such file.
+
+    Either as `accelcal simulate` writes it, or with the keys `K` and `b` (and `temp_ref_c`) of
+    a = K (v - b - s (T - Tref)).
+
+    Raises:
+        UnreadableError: the file holds something else.
+    """
+    path = recording.with_name(stem(recording) + TRUTH_SUFFIX)
+    if not path.is_file():
+        return None
+    try:
+        return _parsed_truth(parsed(path.read_text("utf-8")))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UnreadableError(
+            f"does not hold the truth of a simulated recording ({error})",
+            path=path,
+            hint="move it away, or write it again with accelcal simulate",
+        ) from error
+
+
+def _parsed_truth(known: dict[str, Any]) -> TrueParameters:
+    if "sensor" in known:
+        sensor = known["sensor"]
+        slope = sensor.get("slope_g_per_c", NO_SLOPE)
+        return _checked(sensor["gain"], sensor["offset_g"], sensor["reference_c"], slope)
+    offset, slope = ([-value for value in values] for values in (known["b"], known.get(SLOPE, NO_SLOPE)))
+    return _checked(known["K"], offset, known.get("temp_ref_c", 0.0), slope)
+
+
+def _checked(gain: Any, offset_g: Any, reference_c: Any, slope_g_per_c: Any) -> TrueParameters:
+    k, offset, slope = (np.array(value, np.float64) for value in (gain, offset_g, slope_g_per_c))
+    truth = TrueParameters(k, offset, float(reference_c), slope)
+    if truth.gain.shape != (3, 3) or not truth.offset_g.shape == truth.slope_g_per_c.shape == (3,):
+        raise ValueError("K is not 3 x 3, or o or s not three numbers")
+    return truth

@@ -14,7 +14,8 @@ from accelcal_cli.core.settings import DEFAULT, PAPER
 from accelcal_cli.judge.errors import deviations_mg, mean, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import judge, judge_paper
-from accelcal_cli.optimize import ellipsoid, fixed32
+from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid
+from accelcal_cli.optimize import fixed32
 from tests.judge.made import NINE, OFFSET, SIX, WARM, clusters, spread
 from tests.optimize.oracle import (
     IDEAL,
@@ -262,11 +263,11 @@ def test_point_1_the_paper_s_fit_is_refused_where_it_is_uncertain_somewhere_on_t
 
 
 def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() -> None:
-    settings, fit = replace(LADDER_ONLY, optimizer="ellipsoid"), one_by_one(ellipsoid.fit)
-    found = judge(spread(NINE), Fitting(replace(settings, max_error_mg=50.0), fit, ellipsoid.MODELS))
+    settings, fit = replace(LADDER_ONLY, optimizer="ellipsoid"), one_by_one(fit_ellipsoid)
+    found = judge(spread(NINE), Fitting(replace(settings, max_error_mg=50.0), fit, ELLIPSOID_MODELS))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.message.endswith("misalignment is left out: optimizer ellipsoid fits no misalignment")
-    forced = judge(spread(NINE), Fitting(replace(settings, model="9"), fit, ellipsoid.MODELS))
+    forced = judge(spread(NINE), Fitting(replace(settings, model="9"), fit, ELLIPSOID_MODELS))
     assert forced.outcome is Outcome.REFUSED
     assert forced.message == "model 9 cannot be fitted: optimizer ellipsoid fits no misalignment"
 
@@ -274,7 +275,7 @@ def test_an_optimizer_without_misalignment_gives_a_reduced_model_and_says_why() 
 def test_the_paper_s_points_are_fitted_by_six_parameters_where_nine_are_not_to_be_had() -> None:
     fitted, control = two_sets(NINE)
     settings = replace(PAPER, optimizer="ellipsoid", max_error_mg=50.0)
-    found = judge_paper(fitted, control, FULL, Fitting(settings, one_by_one(ellipsoid.fit), ellipsoid.MODELS))
+    found = judge_paper(fitted, control, FULL, Fitting(settings, one_by_one(fit_ellipsoid), ELLIPSOID_MODELS))
     assert found.outcome is Outcome.REDUCED_MODEL
     assert found.calibration is not None and found.calibration.model == "6"
     assert "optimizer ellipsoid fits no misalignment" in found.message

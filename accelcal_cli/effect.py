@@ -1,0 +1,172 @@
+"""What a recording's calibration changes in measures of activity (`accelcal effect`), with what the true
+parameters of a simulated one would give beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from accelcal_cli.core.clock import iso_time
+from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.recording import Recording
+from accelcal_cli.output.coefficients import without_misalignment
+from accelcal_cli.output.files import csv_text, open_plain, refuse_foreign, replacing
+from accelcal_cli.pipeline.activity import MG, Table
+from accelcal_cli.pipeline.apply import at_reference
+from accelcal_cli.pipeline.calibrate import FirstPass, RecordingRun, open_run
+from accelcal_cli.pipeline.effect import DIGITS, TRUE, Effect, Version, versions, versions_of
+from accelcal_cli.pipeline.export import Transform
+from accelcal_cli.pipeline.jobs import (
+    Job,
+    ProgressMaker,
+    Request,
+    no_progress,
+    refuse_nameless,
+    refuse_overwriting,
+)
+from accelcal_cli.pipeline.quality import judged_by
+from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
+
+HEAD = ("time", "samples")
+MEASURES = ("enmo_mg", "mad_mg", "pim_mg_s", "zcm")
+"""Columns of the table of epochs, each for every version."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredEffect:
+    """What was found in one recording.
+
+    Attributes:
+        outcome, message: of its calibration.
+        effect: as in a report.
+    """
+
+    path: Path
+    outcome: str
+    message: str
+    effect: dict[str, Any]
+
+
+Write = Callable[[list[Table]], None]
+
+
+def effect(
+    path: Path,
+    request: Request,
+    epoch_s: int,
+    table: Path | None = None,
+    progress: ProgressMaker = no_progress,
+    source: Path | None = None,
+) -> MeasuredEffect:
+    """Measure a recording raw and calibrated, by its own calibration or the request's coefficients.
+
+    Args:
+        epoch_s: length of an epoch, whole seconds.
+        table: a CSV file for the epochs; None: none is written.
+        source: where the recording's bytes are, if not at its path.
+
+    Raises:
+        AccelcalError: it cannot be read, the coefficients cannot be applied to it (see `apply`), or the
+            table cannot be written.
+    """
+    with open_run(Job(path, path, path), request, progress, source) as run:
+        ready, judge = judged_by(run)
+        found = ready.result(judge)
+        made = _versions(path, ready, found)
+        observer = Effect(made, found.data.recording, epoch_s)
+        shown = progress("measuring", found.data.recording.total_bytes)
+        with _epochs(table, path, made, epoch_s, found.data.facts.utc_offset_s) as write:
+            for chunk in ready.reader.chunks(request.chunk_samples):
+                write(observer.see(chunk))
+                shown(chunk.end_byte)
+            write(observer.finish())
+    judgement = found.data.judgement
+    return MeasuredEffect(path, str(judgement.outcome), judgement.message, observer.result())
+
+
+def _versions(path: Path, run: RecordingRun, found: FirstPass) -> list[Version]:
+    """Those of the result, or of coefficients that are applied; last the true one, where it is known."""
+    data, donor = found.data, run.request.coefficients
+    made = versions_of(data)
+    if donor is not None and data.judgement.calibration is not None:
+        simpler = without_misalignment(donor)
+        settings = run.request.recording_settings
+        used = None if simpler is None else at_reference(simpler, settings)
+        made = versions(data.recording, data.judgement.calibration, used, settings.precision_mg)
+    truth = true_parameters(path)
+    return made if truth is None else [*made, Version(TRUE, None, _true(truth, data.recording))]
+
+
+def _true(truth: TrueParameters, recording: Recording) -> Transform:
+    parameters = (truth.gain, truth.offset_g, truth.slope_g_per_c, truth.reference_c)
+    return Transform(*parameters, recording.lsb_per_g)
+
+
+@contextmanager
+def _epochs(
+    table: Path | None, source: Path, made: list[Version], epoch_s: int, offset_s: int | None
+) -> Iterator[Write]:
+    """What writes epochs into a table: a row each, and columns for each version."""
+    if table is None:
+        yield lambda _tables: None
+        return
+    refuse_overwriting((table,), (source,))
+    head = (*HEAD, *(f"{name}_{one.name}" for one in made for name in MEASURES))
+    with replacing(table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+
+        def write(tables: list[Table]) -> None:
+            for part in tables:
+                lines = csv_text(head, list(_lines(part, epoch_s, offset_s)))
+                file.write(lines[lines.index("\n") + 1 :])
+
+        file.write(csv_text(head, ()))
+        yield write
+
+
+def _lines(part: Table, epoch_s: int, offset_s: int | None) -> Iterator[list[object]]:
+    """Time, number of samples, and the measures of each version, epoch by epoch."""
+    columns: list[list[object]] = [[iso_time(one, offset_s) for one in part.start_us.tolist()]]
+    columns.append(part.rows.tolist())
+    for epochs in part.epochs:
+        for values, scale in ((epochs.enmo, 1), (epochs.mad, 1), (epochs.pim, epoch_s)):
+            columns.append([round(value * MG * scale, DIGITS) for value in values.tolist()])
+        columns.append(epochs.zcm.tolist())
+    for line in zip(*columns, strict=True):
+        yield list(line)
+
+
+def as_json(found: MeasuredEffect) -> dict[str, Any]:
+    """What was found, as an object."""
+    return {
+        "recording": printable(found.path),
+        "outcome": found.outcome,
+        "message": found.message,
+        "effect": found.effect,
+    }
+
+
+def check_table(table: Path, *, force: bool) -> None:
+    """Refuse to write epochs where something else is.
+
+    Raises:
+        UsageError: its name is that of another kind of file.
+        OutputError: there is a file that was not written as such a table.
+    """
+    refuse_nameless(table)
+    if table.suffix.lower() != ".csv":
+        raise UsageError(f"{printable(table)} would be a CSV table", hint="give a name that ends in .csv")
+    if not force:
+        refuse_foreign(table, known=_is_ours(table))
+
+
+def _is_ours(table: Path) -> bool:
+    """Whether a file begins as such a table does."""
+    head = ",".join((*HEAD, MEASURES[0])).encode()
+    try:
+        with open_plain(table, "rb") as file:
+            return bool(file.read(len(head)) == head)
+    except OSError:
+        return False

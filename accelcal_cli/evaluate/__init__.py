@@ -1,1 +1,0 @@
-"""This implementation compared with the papers' tables."""

@@ -1,0 +1,1 @@
+"""The commands of `accelcal evaluate`, which compare methods and repeat the papers' tables."""

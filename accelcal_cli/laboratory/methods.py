@@ -1,0 +1,266 @@
+"""`accelcal evaluate methods`: every optimizer on the same points (F section III.B, Table 3)."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import chain
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import click
+
+from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
+from accelcal_cli.core.errors import AccelcalError, UsageError, printable
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.points import MODELS
+from accelcal_cli.core.results import Judgement
+from accelcal_cli.core.settings import NO_PRIOR, Settings
+from accelcal_cli.judge.errors import mean
+from accelcal_cli.judge.model_ladder import Fitting
+from accelcal_cli.optimize import all_optimizers, named_optimizer
+from accelcal_cli.output.files import csv_text
+from accelcal_cli.pipeline import given
+from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
+from accelcal_cli.pipeline.stated import options_of
+from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
+
+TABLE_3_OF_F = (
+    ("our method", 25.1, 3.06, 820),
+    ("non-iterative (Gietzelt et al.)", 25.1, 4.08, 615),
+    ("MATLAB fminunc", 25.1, 3.16, 794),
+    ("LabVIEW global", 25.1, 3.27, 768),
+)
+"""Method, error before and after [mg], improvement [%], as printed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One optimizer on one recording.
+
+    Attributes:
+        message: the verdict's sentence.
+        model: the model that was chosen, None if it was refused.
+        before_mg, after_mg: mean held-out error.
+        iterations, additions, multiplications: of the fit to all points; None if not counted.
+        seconds: wall time of that fit.
+    """
+
+    recording: str
+    optimizer: str
+    outcome: str
+    message: str
+    model: str | None = None
+    points: int = 0
+    postures: int | None = None
+    before_mg: float | None = None
+    after_mg: float | None = None
+    improvement_percent: float | None = None
+    iterations: int | None = None
+    additions: int | None = None
+    multiplications: int | None = None
+    seconds: float | None = None
+
+
+def compare(
+    path: Path, options: ReadOptions, settings: Settings, optimizers: tuple[str, ...], progress: ProgressMaker
+) -> Iterator[Row]:
+    """One row an optimizer; the recording is read once.
+
+    Raises:
+        AccelcalError: it cannot be read.
+    """
+    procedure = collected(path, options, settings, progress)
+    for name in optimizers:
+        yield _row(path, procedure, replace(settings, optimizer=name, prior=NO_PRIOR))
+
+
+def collected(path: Path, options: ReadOptions, settings: Settings, progress: ProgressMaker) -> Procedure:
+    """The still windows of a recording, ready to be judged.
+
+    Raises:
+        AccelcalError: it cannot be read.
+    """
+    with open_marked(path, options_of(path, options)) as reader:
+        method = make_method(reader.recording, settings)
+        shown = progress("reading", reader.recording.total_bytes)
+        survey(reader.chunks(DEFAULT_CHUNK_SAMPLES), method.segmenter, (method.procedure,), shown)
+    return method.procedure
+
+
+def _row(path: Path, procedure: Procedure, settings: Settings) -> Row:
+    fitter = fitting(settings)
+    try:
+        verdict = procedure.judge(fitter)
+    except AccelcalError as error:
+        return Row(printable(path), settings.optimizer, "failed", str(error))
+    seconds = None if verdict.fit is None else _seconds(procedure, fitter, verdict)
+    cells = verdict.coverage.cells
+    row = Row(printable(path), settings.optimizer, str(verdict.outcome), verdict.message, points=cells)
+    return _judged(row, verdict, seconds)
+
+
+def _seconds(procedure: Procedure, fitter: Fitting, verdict: Judgement) -> float:
+    """How long the fit to all points takes alone."""
+    assert verdict.calibration is not None
+    points, model = procedure.result(), MODELS[verdict.calibration.model]
+    start = perf_counter()
+    fitter.fit((points,), model)
+    return perf_counter() - start
+
+
+def _judged(row: Row, verdict: Judgement, seconds: float | None) -> Row:
+    """The row with the errors, and with what it cost where there is a calibration."""
+    holdout, fit = verdict.holdout, verdict.fit
+    if holdout is None:
+        return row
+    row = replace(row, postures=holdout.postures, before_mg=holdout.before.mean)
+    if fit is None or verdict.calibration is None:
+        return row
+    operations = fit.operations
+    return replace(
+        row,
+        model=verdict.calibration.model,
+        after_mg=holdout.after.mean,
+        improvement_percent=holdout.improvement_percent(),
+        iterations=fit.iterations,
+        additions=operations.additions or None,
+        multiplications=operations.multiplications or None,
+        seconds=seconds,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Mean:
+    """One optimizer over several recordings.
+
+    Attributes:
+        recordings: how many it could calibrate; the others are left out.
+        improvement_percent: ratio of the means, as all R of F are.
+    """
+
+    optimizer: str
+    recordings: int
+    before_mg: float
+    after_mg: float
+    improvement_percent: float
+
+
+def means(rows: Sequence[Row]) -> list[Mean]:
+    """Of each optimizer that calibrated a recording; none if there is only one recording."""
+    found = []
+    for name in dict.fromkeys(row.optimizer for row in rows):
+        pairs = [
+            (row.before_mg, row.after_mg)
+            for row in rows
+            if row.optimizer == name and row.before_mg is not None and row.after_mg is not None
+        ]
+        if pairs and len({row.recording for row in rows}) > 1:
+            before, after = (mean(list(column)) for column in zip(*pairs, strict=True))
+            found.append(Mean(name, len(pairs), before, after, 100 * before / after))
+    return found
+
+
+def as_json(rows: list[Row]) -> dict[str, Any]:
+    """All rows, their means over recordings, and the published ones beside them."""
+    names = ("method", "before_mg", "after_mg", "improvement_percent")
+    return {
+        "rows": [{name: getattr(row, name) for name in row.__dataclass_fields__} for row in rows],
+        "means": [asdict(one) for one in means(rows)],
+        "published": [dict(zip(names, row, strict=True)) for row in TABLE_3_OF_F],
+    }
+
+
+HEAD = ("optimizer", "model", "before mg", "after mg", "improved %", "iterations", "operations", "ms")
+MEANS = ("mean over recordings", "calibrated", "before mg", "after mg", "improved %")
+PUBLISHED = ("Table 3 of Farago, Maczak, Gingl 2024 (own recordings)", "before mg", "after mg", "improved %")
+
+
+@click.command("methods")
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
+@click.option(
+    "--only", type=options.OPTIMIZERS, metavar="A,B", help="Compare only these optimizers.  [default: all]"
+)
+@click.option("--json", "as_json_", is_flag=True, help="Print one JSON object.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@options.reading_options
+@options.comparing_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Fit the same points of each RECORDING with every optimizer and judge them all by the same hold-out.
+
+    Before and after are the mean held-out errors, improved is before / after x 100 (eq. 21 of the
+    paper), operations are additions and multiplications where they are counted, ms is the time of
+    one fit. All fit without a prior, so that they can be compared; `calibrate` has one by default,
+    and its figures differ. With --profile paper: 18 points and a second set to judge by, as in the paper.
+    """
+    refuse_both(as_json=values["as_json_"], as_csv=values["as_csv"])
+    names = _names(values["only"])
+
+    def work(path: Path, bars: ProgressMaker) -> list[Row]:
+        return list(compare(path, given.read_options(values), given.settings(values), names, bars))
+
+    found, code = each_recording(recordings, work, quiet=values["quiet"])
+    if rows := list(chain.from_iterable(found)):
+        exit_codes.show(_shown(rows, values))
+    return code
+
+
+def _names(only: str | None) -> tuple[str, ...]:
+    if only is None:
+        return tuple(item.name for item in all_optimizers())
+    names = tuple(name.strip() for name in only.split(",") if name.strip())
+    if not names:
+        raise UsageError("--only names no optimizer")
+    return tuple(named_optimizer(name).name for name in names)
+
+
+def _shown(rows: list[Row], values: dict[str, Any]) -> str:
+    if values["as_json_"]:
+        return json.dumps(as_json(rows))
+    if values["as_csv"]:
+        fields = list(Row.__dataclass_fields__)
+        return csv_text(fields, [[getattr(row, name) for name in fields] for row in rows]).rstrip("\n")
+    published = [[name, str(before), str(after), str(gain)] for name, before, after, gain in TABLE_3_OF_F]
+    return "\n\n".join([*_tables(rows), *_means(rows), aligned(PUBLISHED, published)])
+
+
+def _tables(rows: list[Row]) -> list[str]:
+    tables = []
+    for recording in dict.fromkeys(row.recording for row in rows):
+        own = [row for row in rows if row.recording == recording]
+        refusals = [f"{row.optimizer}: {row.outcome}: {row.message}" for row in own if row.model is None]
+        tables.append("\n".join([recording, aligned(HEAD, [_cells(row) for row in own]), *refusals]))
+    return tables
+
+
+def _means(rows: list[Row]) -> list[str]:
+    """A table of the means over recordings; none for a single one."""
+    lines = [
+        [
+            one.optimizer,
+            str(one.recordings),
+            number(one.before_mg, ".3f"),
+            number(one.after_mg, ".3f"),
+            number(one.improvement_percent, ".0f"),
+        ]
+        for one in means(rows)
+    ]
+    return [aligned(MEANS, lines)] if lines else []
+
+
+def _cells(row: Row) -> list[str]:
+    counted = None if row.additions is None else row.additions + (row.multiplications or 0)
+    return [
+        row.optimizer,
+        row.model or row.outcome,
+        number(row.before_mg, ".3f"),
+        number(row.after_mg, ".3f"),
+        number(row.improvement_percent, ".0f"),
+        number(row.iterations, "d"),
+        number(counted, "d"),
+        number(None if row.seconds is None else row.seconds * 1000, ".1f"),
+    ]

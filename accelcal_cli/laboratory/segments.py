@@ -1,0 +1,465 @@
+"""`accelcal evaluate segments`: claims of segments of a recording, held against the rest of it.
+
+A segment of a few hours is calibrated as if it were all there is. What its report claims is then compared
+with the error that the calibration leaves on the still windows of the rest of the recording, where the wrist
+was in other postures too. With `--sensors`, simulated sensors with known errors are worn on the segments, and
+the claim is compared with their true error.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.output import aligned, each_recording, number
+from accelcal_cli.collect.cells import CellCollector
+from accelcal_cli.collect.table import read_table, windows_of
+from accelcal_cli.core.errors import DivergedError, UsageError, printable
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.points import Windows
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.core.results import Judgement
+from accelcal_cli.core.settings import Settings
+from accelcal_cli.judge.errors import mean
+from accelcal_cli.judge.verdict import held_out
+from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
+from accelcal_cli.pipeline import given
+from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.stated import options_of
+from accelcal_cli.pipeline.survey import (
+    CellProcedure,
+    StillWindows,
+    fitting,
+    local_lsb_per_g,
+    make_method,
+    open_marked,
+    survey,
+)
+
+REST = "the rest of the recording"
+HOUR_S = 3600.0
+USUAL = Population()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stillness:
+    """The still windows of a recording.
+
+    Attributes:
+        hours: (m,) when each began, from the start of the recording.
+        lsb_per_g: counts of one local g.
+    """
+
+    windows: Windows
+    hours: NDArray[np.float64]
+    span_h: float
+    lsb_per_g: float
+    has_temperature: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """What became of one segment.
+
+    Attributes:
+        hours, start_h: length, and start in the recording.
+        raw_mg: error on the rest without calibration; None if there is too little of it. Of a simulated
+            sensor: the true one over the whole sphere.
+        true_mg: the same with the segment's calibration, None without one.
+        claimed_mg, ci95_mg: the report's headline, None without one.
+        holdout_mg: held-out error within the segment.
+        sensor: number of the simulated sensor, None if it is the recording's own.
+        measured_mg: of a simulated sensor, `true_mg` as rests on a wrist would show it, whose |a| scatters.
+    """
+
+    hours: float
+    start_h: float
+    outcome: str
+    model: str | None
+    raw_mg: float | None
+    true_mg: float | None
+    claimed_mg: float | None
+    ci95_mg: tuple[float, float] | None
+    holdout_mg: float | None
+    sensor: int | None = None
+    measured_mg: float | None = None
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval holds the error, with the scatter of rests, of which the claim is."""
+        error_mg = self.true_mg if self.measured_mg is None else self.measured_mg
+        if self.ci95_mg is None or error_mg is None:
+            return None
+        return self.ci95_mg[0] <= error_mg <= self.ci95_mg[1]
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Segments together; None where there is none to say it of.
+
+    Attributes:
+        usable: how many have a calibration.
+        true_mg: mean error of these on the rest; raw_mg without calibration.
+        above_limit: how many have an error on the rest of `max_error_mg` or more.
+        worse: how many have a larger error on the rest than without calibration.
+        holds: share of the intervals that hold the error on the rest.
+        measured_mg: of simulated sensors, the mean error as rests show it.
+    """
+
+    segments: int
+    usable: int
+    raw_mg: float | None
+    true_mg: float | None
+    claimed_mg: float | None
+    above_limit: int
+    worse: int
+    holds: float | None
+    measured_mg: float | None = None
+
+
+def stillness(
+    path: Path,
+    options: ReadOptions,
+    settings: Settings,
+    chunk_samples: int,
+    progress: ProgressMaker = no_progress,
+) -> Stillness:
+    """All still windows of a recording.
+
+    Raises:
+        AccelcalError: it cannot be read.
+    """
+    with open_marked(path, options_of(path, options)) as reader:
+        recording = reader.recording
+        kept = StillWindows()
+        shown = progress("finding stillness", recording.total_bytes)
+        segmenter = make_method(recording, settings).segmenter
+        survey(reader.chunks(chunk_samples), segmenter, (kept,), shown)
+        windows = kept.result()
+        hours = windows.first_sample / (recording.rate_hz * HOUR_S)
+        temperature = settings.temperature and recording.has_temperature
+        lsb_per_g = local_lsb_per_g(recording, settings)
+        return Stillness(windows, hours, float(hours.max(initial=0)), lsb_per_g, temperature)
+
+
+def stillness_of_table(path: Path, settings: Settings, span_h: float) -> Stillness:
+    """The windows of a table in the order of time, spread evenly over so many hours.
+
+    Raises:
+        UnreadableError: it is no table of points.
+    """
+    table = read_table(path)
+    windows = windows_of(table)
+    hours = windows.first_sample / max(1, len(table)) * span_h
+    temperature = settings.temperature and table.temperature_mc is not None
+    lsb_per_g = table.lsb_per_g * float(settings.gravity.local_g())
+    return Stillness(windows, hours, span_h, lsb_per_g, temperature)
+
+
+def segments(still: Stillness, hours: float, number: int, settings: Settings) -> Iterator[Segment]:
+    """Segments of so many hours, at most `number` of them and half overlapping at most, evenly spread.
+
+    Raises:
+        UsageError: the settings have a profile without orientation cells.
+    """
+    for start in starts(still, hours, number, settings):
+        yield _segment(still, start, hours, settings)
+
+
+def starts(still: Stillness, hours: float, number: int, settings: Settings) -> list[float]:
+    """When segments begin [h]; raises UsageError for a profile without orientation cells."""
+    if settings.profile != "default":
+        raise UsageError("segments are judged with --profile default only", hint="omit --profile")
+    room = still.span_h - hours
+    if room < 0:
+        return []
+    count = min(number, max(1, int(2 * room / hours) + 1))
+    found: list[float] = np.linspace(0, room, count).tolist()
+    return found
+
+
+def _segment(still: Stillness, start_h: float, hours: float, settings: Settings) -> Segment:
+    which = inside(still, start_h, hours)
+    judgement = collected(still, which, settings).judge(fitting(settings))
+    rest = collected(still, ~which, settings).result()
+    raw = true = None
+    if judgement.calibration is not None:
+        held = held_out(rest, judgement.calibration, settings.gravity, settings.posture_degrees, REST)
+        raw, true = (None, None) if held is None else (held.before.mean, held.after.mean)
+    return claimed(judgement, hours, start_h, raw, true)
+
+
+def inside(still: Stillness, start_h: float, hours: float) -> NDArray[np.bool_]:
+    """Which windows lie in a segment, (m,)."""
+    return np.asarray((still.hours >= start_h) & (still.hours < start_h + hours))
+
+
+def claimed(
+    judgement: Judgement, hours: float, start_h: float, raw: float | None, true: float | None
+) -> Segment:
+    """A segment's own claim, beside the errors without and with its calibration."""
+    calibration, sphere, holdout = judgement.calibration, judgement.sphere, judgement.holdout
+    claimed, interval = None, None
+    if calibration is not None and sphere is not None:
+        claimed, interval = sphere.mean, sphere.ci95
+    elif calibration is not None and holdout is not None:
+        claimed, interval = holdout.after.mean, holdout.ci95
+    return Segment(
+        hours=hours,
+        start_h=start_h,
+        outcome=str(judgement.outcome),
+        model=None if calibration is None else calibration.model,
+        raw_mg=raw,
+        true_mg=true,
+        claimed_mg=claimed,
+        ci95_mg=interval,
+        holdout_mg=None if holdout is None else holdout.after.mean,
+    )
+
+
+def collected(still: Stillness, which: NDArray[np.bool_], settings: Settings) -> CellProcedure:
+    """Some windows, as the procedure takes them in."""
+    collector = CellCollector(still.lsb_per_g, settings, temperature=still.has_temperature)
+    collector.add(still.windows.select(which))
+    return CellProcedure(collector)
+
+
+@dataclass(frozen=True, slots=True)
+class Simulation:
+    """Which sensors are simulated: so many, drawn from a population with a seed."""
+
+    sensors: int
+    seed: int = 1
+    population: Population = USUAL
+
+
+def simulated(
+    still: Stillness, places: Sequence[tuple[float, float]], settings: Settings, simulation: Simulation
+) -> Iterator[Segment]:
+    """Simulated sensors, each worn on one of the segments, over which they are evenly spread.
+
+    Args:
+        places: length and start of each segment [h].
+
+    Raises:
+        DivergedError: the recording has no calibration that would show its true directions.
+    """
+    if not places:
+        return
+    rests = rests_of(still, settings)
+    for index in range(simulation.sensors):
+        place = places[index * len(places) // simulation.sensors]
+        yield _worn(still, rests, place, settings, simulation, index)
+
+
+def rests_of(still: Stillness, settings: Settings) -> Track:
+    """The rests of a recording, by the calibration that all of them give; raises DivergedError if none."""
+    every = np.ones(len(still.windows), np.bool_)
+    calibration = collected(still, every, settings).judge(fitting(settings)).calibration
+    if calibration is None:
+        raise DivergedError(
+            "all of its rests give no calibration, so that their true directions are not known",
+            hint="take a recording that `accelcal calibrate` calibrates",
+        )
+    local_g = float(settings.gravity.local_g())
+    raw_g = still.windows.sums * (local_g / (still.lsb_per_g * still.windows.samples[:, np.newaxis]))
+    return track(still.windows, raw_g, calibration, settings.posture_degrees)
+
+
+def _worn(
+    still: Stillness,
+    rests: Track,
+    place: tuple[float, float],
+    settings: Settings,
+    simulation: Simulation,
+    number: int,
+) -> Segment:
+    """One segment with the sensor of this number."""
+    hours, start_h = place
+    random = np.random.default_rng((simulation.seed, number))
+    sensor = simulation.population.draw(random)
+    local_g = float(settings.gravity.local_g())
+    worn = rests.worn(sensor, simulation.population, random)
+    again = replace(still, windows=worn, lsb_per_g=FLOAT_LSB_PER_G)
+    judgement = collected(again, inside(still, start_h, hours), settings).judge(fitting(settings))
+    raw = sphere_error_mg(sensor, np.eye(3), np.zeros(3), local_g)
+    found = replace(claimed(judgement, hours, start_h, raw, None), sensor=number)
+    if judgement.calibration is None:
+        return found
+    best = judgement.calibration.gain(), judgement.calibration.offset_g()
+    return replace(
+        found,
+        true_mg=sphere_error_mg(sensor, *best, local_g),
+        measured_mg=sphere_error_mg(sensor, *best, local_g, simulation.population.scatter_g),
+    )
+
+
+def summary(found: list[Segment], limit_mg: float) -> Summary:
+    """All segments together."""
+    usable = [item for item in found if item.true_mg is not None and item.raw_mg is not None]
+    held = [item.holds for item in usable if item.holds is not None]
+    return Summary(
+        segments=len(found),
+        usable=len(usable),
+        raw_mg=_mean([item.raw_mg for item in usable]),
+        true_mg=_mean([item.true_mg for item in usable]),
+        claimed_mg=_mean([item.claimed_mg for item in usable]),
+        above_limit=sum((item.true_mg or 0) >= limit_mg for item in usable),
+        worse=sum((item.true_mg or 0) > (item.raw_mg or 0) for item in usable),
+        holds=sum(held) / len(held) if held else None,
+        measured_mg=_mean([item.measured_mg for item in usable]),
+    )
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return mean(known) if known else None
+
+
+FIGURES = {
+    "segments": "d",
+    "usable": "d",
+    "raw_mg": ".2f",
+    "true_mg": ".2f",
+    "claimed_mg": ".2f",
+    "above_limit": "d",
+    "worse": "d",
+    "holds": ".3f",
+}
+"""Columns of the table and how their values are shown."""
+
+OF_SENSORS = {"measured_mg": ".2f"}
+"""Those that simulated sensors have besides."""
+
+
+ERRORS = ("gain_percent", "misalignment_percent", "offset_mg", "one_misalignment_percent")
+
+
+def _error_option(name: str, unit: str, text: str, largest: int) -> Callable[[Any], Any]:
+    """The option that sets an error of the simulated sensors."""
+    default = getattr(USUAL, name)
+    shown = "as the others" if default is None else f"{default:g}"
+    words = f"{text}, with --sensors.  [default: {shown}]"
+    option = f"--{name.replace('_', '-')}"
+    return click.option(option, type=options.Within(0, largest), metavar=unit, help=words)
+
+
+@click.command("segments")
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
+@click.option(
+    "--hours",
+    type=options.Listed(float, 0.1, 10_000),
+    default="3,6,12,24,48,72",
+    show_default=True,
+    help="Lengths of the segments.",
+)
+@click.option(
+    "--number",
+    type=click.IntRange(1, 10_000),
+    default=24,
+    show_default=True,
+    help="Segments of each length at most.",
+)
+@click.option(
+    "--table-hours",
+    type=options.Positive(100_000),
+    metavar="HOURS",
+    help="The files are tables of still windows in the order of time that span so many hours.",
+)
+@click.option(
+    "--sensors",
+    type=click.IntRange(1, 100_000),
+    help="Let so many simulated sensors, with known errors, measure each recording's rests.",
+)
+@click.option("--seed", type=click.IntRange(0), default=1, show_default=True, help="Seed of these sensors.")
+@_error_option("gain_percent", "PERCENT", "Their gains differ by up to this", 20)
+@_error_option("misalignment_percent", "PERCENT", "Their misalignments are up to this", 20)
+@_error_option("offset_mg", "MG", "Their offsets are up to this", 500)
+@_error_option("one_misalignment_percent", "PERCENT", "One misalignment of each is this", 20)
+@click.option("--json", "as_json", is_flag=True, help="Print each segment as a JSON object on a line.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@options.reading_options
+@options.method_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Calibrate segments of each RECORDING and hold the claims against the rest of it.
+
+    For each length: how many segments there are and how many have a calibration, then for these the mean
+    error on the rest of the recording without and with it, the mean that their reports claim, how many are
+    above the limit or worse than raw data, and the share of the 95 % intervals that hold the error.
+
+    With --sensors, what the sensor measured in its still windows is replaced by what simulated ones would
+    have measured, each in one of the segments. The errors are then the true ones over the whole sphere;
+    `measured` is what rests would show of them, whose |a| scatters: the intervals are held against that.
+    """
+
+    def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:
+        chosen = given.settings(values)
+        still = _stillness(path, chosen, values, bars)
+        return printable(path), list(_found(still, chosen, values))
+
+    found, code = each_recording(recordings, work, quiet=values["quiet"])
+    if found:
+        exit_codes.show(_shown(dict(found), given.settings(values), as_json=values["as_json"]))
+    return code
+
+
+def _found(still: Stillness, chosen: Settings, values: dict[str, Any]) -> Iterator[Segment]:
+    """The recording's segments, or simulated sensors in them."""
+    simulation = _simulation(values)
+    if simulation is None:
+        for hours in values["hours"]:
+            yield from segments(still, hours, values["number"], chosen)
+        return
+    lengths = [(hours, starts(still, hours, values["number"], chosen)) for hours in values["hours"]]
+    places = [(hours, start) for hours, found in lengths for start in found]
+    yield from simulated(still, places, chosen, simulation)
+
+
+def _simulation(values: dict[str, Any]) -> Simulation | None:
+    """Which sensors are to be simulated; None if none are. Raises UsageError for errors of none."""
+    given = {name: values[name] for name in ERRORS if values[name] is not None}
+    if values["sensors"] is not None:
+        return Simulation(values["sensors"], values["seed"], replace(USUAL, **given))
+    if given:
+        name = next(iter(given)).replace("_", "-")
+        raise UsageError(f"--{name} is of simulated sensors", hint="add --sensors, or omit it")
+    return None
+
+
+def _stillness(path: Path, chosen: Settings, values: dict[str, Any], bars: ProgressMaker) -> Stillness:
+    if values["table_hours"] is not None:
+        return stillness_of_table(path, chosen, values["table_hours"])
+    return stillness(path, given.read_options(values), chosen, values["chunk_samples"], bars)
+
+
+def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool) -> str:
+    if as_json:
+        pairs = [(path, item) for path, found in results.items() for item in found]
+        return "\n".join(
+            json.dumps({"recording": path, **asdict(item), "holds": item.holds}) for path, item in pairs
+        )
+    tables = [f"{path}\n{_table(found, chosen.max_error_mg)}" for path, found in results.items()]
+    if len(results) > 1:
+        every = [item for found in results.values() for item in found]
+        tables.append(f"all recordings\n{_table(every, chosen.max_error_mg)}")
+    return "\n\n".join(tables)
+
+
+def _table(found: list[Segment], limit_mg: float) -> str:
+    """A row for each length, and one for all."""
+    shown = FIGURES | (OF_SENSORS if any(item.sensor is not None for item in found) else {})
+    lengths = dict.fromkeys(item.hours for item in found)
+    groups = {f"{hours:g}": [item for item in found if item.hours == hours] for hours in lengths}
+    rows = []
+    for name, group in {**groups, "all": found}.items():
+        row = asdict(summary(group, limit_mg))
+        rows.append([name, *(number(row[key], form) for key, form in shown.items())])
+    return aligned(["hours", *(key.replace("_", " ") for key in shown)], rows)

@@ -1,0 +1,167 @@
+"""Simulated sensors, with known errors, on the still windows of a real recording.
+
+What a wrist really does is hard to simulate: which postures it rests in, for how long, and in which order.
+So these are taken from a recording, and only its sensor is replaced by one that is drawn. Its true error in
+every direction is then known, also where the wrist has not been.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import erf, exp, pi, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.points import Calibration, Windows
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+
+Floats = NDArray[np.float64]
+
+DIRECTIONS = 1000
+"""Over which a true error is averaged, evenly spread."""
+
+LOOK_AHEAD = 1024
+"""Windows that are looked at together."""
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """How sensors, and rests on a wrist, differ.
+
+    Attributes:
+        gain_percent, misalignment_percent, offset_mg: the entries on and below the diagonal of K differ from
+            the ideal ones, and the offsets from 0, by up to so much, drawn evenly.
+        one_misalignment_percent: one of the three misalignments is so large, on either side; None: as the
+            others.
+        bout_mg, window_mg: standard deviation of |a| from bout to bout, and from window to window within one
+            (as the still windows of wrists have; docs/prior.md).
+    """
+
+    gain_percent: float = 3.0
+    misalignment_percent: float = 2.0
+    offset_mg: float = 50.0
+    one_misalignment_percent: float | None = None
+    bout_mg: float = 1.8
+    window_mg: float = 0.6
+
+    @property
+    def scatter_g(self) -> float:
+        """Standard deviation of |a| of a window [g]."""
+        return sqrt(self.bout_mg**2 + self.window_mg**2) / 1000
+
+    def draw(self, random: np.random.Generator) -> Sensor:
+        """A sensor."""
+        gain = np.eye(3) + np.diag(random.uniform(-1, 1, 3)) * self.gain_percent / 100
+        below = random.uniform(-1, 1, 3) * self.misalignment_percent / 100
+        place, side = int(random.integers(3)), int(random.choice((-1, 1)))
+        if self.one_misalignment_percent is not None:
+            below[place] = side * self.one_misalignment_percent / 100
+        gain[1, 0], gain[2, 0], gain[2, 1] = below
+        return Sensor(gain, random.uniform(-1, 1, 3) * self.offset_mg / 1000)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensor:
+    """What puts a simulated sensor right: a = gain (v + offset_g), as in a report.
+
+    Attributes:
+        gain: (3, 3), lower triangular.
+        offset_g: (3,).
+    """
+
+    gain: Floats
+    offset_g: Floats
+
+    def raw(self, true_g: Floats) -> Floats:
+        """What it measures of true accelerations, (n, 3) in g."""
+        return np.asarray(np.linalg.solve(self.gain, true_g.T).T - self.offset_g)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """The rests of a recording.
+
+    Attributes:
+        windows: m still windows.
+        directions: (m, 3) unit vectors of the true acceleration.
+        bout: (m,) number of the bout that each is in: windows of one posture, one after the other.
+    """
+
+    windows: Windows
+    directions: Floats
+    bout: NDArray[np.int64]
+
+    def worn(self, sensor: Sensor, people: Population, random: np.random.Generator) -> Windows:
+        """The windows as a sensor would have measured them, in counts of 1/FLOAT_LSB_PER_G g."""
+        bouts = random.standard_normal(int(self.bout.max(initial=-1)) + 1)
+        each = random.standard_normal(len(self.bout))
+        length = 1 + (people.bout_mg * bouts[self.bout] + people.window_mg * each) / 1000
+        raw = sensor.raw(self.directions * length[:, np.newaxis])
+        counts = raw * FLOAT_LSB_PER_G * self.windows.samples[:, np.newaxis]
+        return replace(self.windows, sums=np.rint(counts).astype(np.int64))
+
+
+def track(windows: Windows, raw_g: Floats, calibration: Calibration, posture_degrees: float) -> Track:
+    """The rests of a recording whose calibration is known.
+
+    Args:
+        raw_g: (m, 3) mean of each window.
+        posture_degrees: a bout ends where a window is farther from its first one.
+    """
+    corrected = raw_g + calibration.offset_g()
+    if windows.temperature_sums is not None:
+        celsius = windows.temperature_sums / (1000 * windows.samples)
+        warmer = celsius - calibration.reference_c()
+        corrected = corrected + warmer[:, np.newaxis] * calibration.slope_g_per_c()
+    true = corrected @ calibration.gain().T
+    unit = true / np.linalg.norm(true, axis=1, keepdims=True)
+    return Track(windows, unit, bouts(unit, posture_degrees))
+
+
+def bouts(directions: Floats, posture_degrees: float) -> NDArray[np.int64]:
+    """The number of each window's bout, (m,), from unit vectors (m, 3)."""
+    nearest = np.cos(np.radians(posture_degrees))
+    number = np.zeros(len(directions), np.int64)
+    start = bout = 0
+    for row in range(0, len(directions), LOOK_AHEAD):
+        stop = min(row + LOOK_AHEAD, len(directions))
+        number[row:stop] = bout
+        begin = row
+        while len(away := np.flatnonzero(directions[begin:stop] @ directions[start] < nearest)):
+            start = begin = begin + int(away[0])
+            bout += 1
+            number[start:stop] = bout
+    return number
+
+
+def sphere_error_mg(
+    sensor: Sensor, gain: Floats, offset_g: Floats, local_g: float = 1.0, scatter_g: float = 0.0
+) -> float:
+    """Mean | |a| - 1 | of rest in all directions [thousandths of local gravity], from the sensor itself.
+
+    Args:
+        gain, offset_g: of a calibration, (3, 3) and (3,) in standard g; the identity and 0: raw data.
+        local_g: what rest measures.
+        scatter_g: standard deviation of |a| of the rests.
+    """
+    raw_g = local_g * sensor.raw(sphere(DIRECTIONS))
+    deviation = np.linalg.norm((raw_g + offset_g) @ gain.T, axis=1) / local_g - 1
+    if not scatter_g:
+        return 1000 * float(np.abs(deviation).mean())
+    return 1000 * float(np.mean([_mean_size(one, scatter_g) for one in deviation.tolist()]))
+
+
+def _mean_size(deviation: float, scatter: float) -> float:
+    """Mean of |d + e| where e is normal with this standard deviation."""
+    ratio = deviation / scatter
+    return scatter * (sqrt(2 / pi) * exp(-ratio * ratio / 2) + ratio * erf(ratio / sqrt(2)))
+
+
+def sphere(number: int) -> Floats:
+    """Unit vectors in all directions, (number, 3): a golden spiral."""
+    index = np.arange(number) + 0.5
+    z = 1 - 2 * index / number
+    turn = pi * (1 + sqrt(5)) * index
+    ring = np.sqrt(1 - z * z)
+    return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)

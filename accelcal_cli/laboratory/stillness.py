@@ -1,0 +1,244 @@
+"""`accelcal evaluate stillness`: the rules of stillness compared on one recording.
+
+Each rule finds its own points, and its calibration is judged on them by held-out error. Since easy
+points flatter a rule, every calibration is also judged on the points of every other rule.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
+from accelcal_cli.core.errors import printable
+from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.points import IDENTITY, Calibration, PointSet, TemperatureScale
+from accelcal_cli.core.recording import Reader
+from accelcal_cli.core.results import Judgement
+from accelcal_cli.core.settings import STILLNESS, Settings, with_stillness
+from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
+from accelcal_cli.judge.model_ladder import postures
+from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.report import rounded
+from accelcal_cli.pipeline import given
+from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
+from accelcal_cli.pipeline.stated import options_of
+from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
+
+RAW = "raw"
+"""Instead of a rule: no calibration."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """What one rule of stillness found in a recording, and the calibration that came of it.
+
+    Attributes:
+        rule: a key of STILLNESS.
+        windows: still windows that were used; joined ones count once.
+        still_s: their seconds.
+        label: (n,) postures of the points.
+    """
+
+    rule: str
+    windows: int
+    still_s: float
+    points: PointSet
+    label: NDArray[np.int64]
+    judgement: Judgement
+
+    @property
+    def postures(self) -> int:
+        """Number of postures."""
+        return int(self.label.max(initial=-1)) + 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """All rules on one recording; the truth where it is known."""
+
+    found: tuple[Found, ...]
+    truth: TrueParameters | None
+
+    def errors_mg(self) -> dict[str, dict[str, float | None]]:
+        """Mean over postures of | |a| - 1 g |, by rule that calibrated (or `raw`) and by rule of the points.
+
+        None if there is no calibration, or no point.
+        """
+        return {
+            rule: {on.rule: _error_mg(by, on) for on in self.found}
+            for rule, by in [(RAW, None), *((found.rule, found) for found in self.found)]
+        }
+
+
+def compare(
+    path: Path,
+    options: ReadOptions,
+    settings: Settings,
+    chunk_samples: int,
+    progress: ProgressMaker = no_progress,
+) -> Comparison:
+    """Calibrate a recording by every rule of stillness; reads it once for each.
+
+    Raises:
+        AccelcalError: it cannot be read, or its truth file cannot.
+    """
+    truth = true_parameters(path)
+    with open_marked(path, options_of(path, options)) as reader:
+        found = [
+            _by_rule(reader, with_stillness(settings, rule), chunk_samples, progress) for rule in STILLNESS
+        ]
+    return Comparison(tuple(found), truth)
+
+
+def _by_rule(reader: Reader, settings: Settings, chunk_samples: int, progress: ProgressMaker) -> Found:
+    recording = reader.recording
+    method = make_method(recording, settings)
+    shown = progress(f"by rule {settings.stillness}", recording.total_bytes)
+    survey(reader.chunks(chunk_samples), method.segmenter, (method.procedure,), shown)
+    use, points = method.procedure.window_use(method.segmenter.counts), method.procedure.result()
+    still_s = (use.used + use.joined) * method.segmenter.length / recording.rate_hz
+    label = postures(points, settings.posture_degrees)
+    return Found(
+        settings.stillness, use.used, still_s, points, label, method.procedure.judge(fitting(settings))
+    )
+
+
+def _error_mg(by: Found | None, on: Found) -> float | None:
+    """Error on one rule's points with the calibration of another, or with none."""
+    if not len(on.points):
+        return None
+    parameters, points = IDENTITY, on.points
+    if by is not None:
+        if by.judgement.fit is None or by.judgement.calibration is None:
+            return None
+        parameters, points = by.judgement.fit.parameters, on_scale(points, by.points.temperature)
+    return mean(list(per_posture(deviations_mg(points, parameters), points.weights, on.label).values()))
+
+
+def on_scale(points: PointSet, scale: TemperatureScale | None) -> PointSet:
+    """Points with their temperatures scaled in another way, as a fit to other points understands them."""
+    own_scale = points.temperature
+    if points.tau is None or own_scale is None or scale is None:
+        return points
+    milli = points.tau * round(1000 * own_scale.span_c) + (own_scale.reference_mc - scale.reference_mc) * ONE
+    return replace(points, tau=milli // round(1000 * scale.span_c), temperature=scale)
+
+
+def true_errors(calibration: Calibration, truth: TrueParameters) -> tuple[float, float]:
+    """The largest error of an entry of K, and of an offset [mg] at the truth's reference temperature."""
+    drift_g = calibration.slope_g_per_c() * (truth.reference_c - calibration.reference_c())
+    offsets_g = calibration.offset_g() + drift_g - truth.offset_g
+    return float(np.abs(calibration.gain() - truth.gain).max()), float(np.abs(offsets_g).max() * 1000)
+
+
+Row = dict[str, Any]
+FIGURES = {
+    "windows": "d",
+    "still_h": ".2f",
+    "points": "d",
+    "postures": "d",
+    "outcome": "",
+    "model": "",
+    "before_mg": ".2f",
+    "after_mg": ".3f",
+    "gain_error": ".1e",
+    "offset_error_mg": ".3f",
+}
+"""Columns of the first table and how their values are shown."""
+
+
+@click.command("stillness")
+@click.argument("recordings", nargs=-1, required=True, type=options.FILE)
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object per line.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print a CSV table.")
+@click.option("-q", "--quiet", is_flag=True, help="No progress bar.")
+@options.reading_options
+@options.fitting_options
+def command(recordings: tuple[Path, ...], **values: Any) -> int:
+    """Calibrate each RECORDING by every stillness rule and compare the results.
+
+    Shows what each rule found and the held-out error on its own points, then the mean error that each
+    calibration leaves on the points of every rule. For a simulated recording with STEM.truth.json
+    beside it, also the largest error of a gain term and of an offset.
+    """
+    refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
+
+    def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Row]]:
+        chosen, chunk_samples = given.fitting_settings(values), values["chunk_samples"]
+        compared = compare(path, given.read_options(values), chosen, chunk_samples, bars)
+        return printable(path), rows(compared)
+
+    found, code = each_recording(recordings, work, quiet=values["quiet"])
+    if found:
+        exit_codes.show(_shown(dict(found), values))
+    return code
+
+
+def _shown(results: dict[str, list[Row]], values: dict[str, Any]) -> str:
+    if values["as_json"]:
+        return "\n".join(json.dumps({"recording": path, "rules": rules}) for path, rules in results.items())
+    if values["as_csv"]:
+        head = ["recording", "rule", *FIGURES, *(f"on_{rule}_mg" for rule in STILLNESS)]
+        cells = [_cells(path, row) for path, rules in results.items() for row in rules]
+        return csv_text(head, cells).rstrip("\n")
+    return "\n\n".join(f"{path}\n{text(rules)}" for path, rules in results.items())
+
+
+def _cells(path: str, row: Row) -> list[Any]:
+    return [path, row["rule"], *(row.get(name) for name in FIGURES), *row["on_points_of_mg"].values()]
+
+
+def rows(comparison: Comparison) -> list[Row]:
+    """A row for raw data and for each rule; None if there is nothing to say."""
+    on = {
+        rule: {name: rounded(error) for name, error in errors.items()}
+        for rule, errors in comparison.errors_mg().items()
+    }
+    rows_of_rules = [_row(item, comparison) | {"on_points_of_mg": on[item.rule]} for item in comparison.found]
+    return [{"rule": RAW, "on_points_of_mg": on[RAW]}, *rows_of_rules]
+
+
+def _row(result: Found, comparison: Comparison) -> Row:
+    holdout, calibration = result.judgement.holdout, result.judgement.calibration
+    gain, offset_mg = None, None
+    if calibration is not None and comparison.truth is not None:
+        gain, offset_mg = true_errors(calibration, comparison.truth)
+    return {
+        "rule": result.rule,
+        "windows": result.windows,
+        "still_h": round(result.still_s / 3600, 4),
+        "points": len(result.points),
+        "postures": result.postures,
+        "outcome": str(result.judgement.outcome),
+        "model": None if calibration is None else calibration.model,
+        "before_mg": None if holdout is None else rounded(holdout.before.mean),
+        "after_mg": None if holdout is None else rounded(holdout.after.mean),
+        "gain_error": None if gain is None else round(gain, 8),
+        "offset_error_mg": rounded(offset_mg),
+    }
+
+
+def text(shown: list[Row]) -> str:
+    """The two tables for people."""
+    known = any(row.get("gain_error") is not None for row in shown)
+    columns = [name for name in FIGURES if known or name not in ("gain_error", "offset_error_mg")]
+    first = [
+        [row["rule"], *(number(row[name], FIGURES[name]) for name in columns)]
+        for row in shown
+        if row["rule"] != RAW
+    ]
+    cross = [
+        [row["rule"], *(number(error, ".3f") for error in row["on_points_of_mg"].values())] for row in shown
+    ]
+    head = ["rule", *(name.replace("_", " ") for name in columns)]
+    return f"{aligned(head, first)}\n\n{aligned(['mg on the points of', *STILLNESS], cross)}"
