@@ -21,6 +21,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError, listed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.retime import Retiming, retimed
 from accelcal_cli.core.settings import Option, setting, setting_of
+from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
 HEAD_BYTES = 65_536
 GZIP_MAGIC = b"\x1f\x8b"
@@ -45,9 +46,7 @@ class ReadOptions:
         option=Option("--format", "Format of the recording.", "NAME", default="recognised by its content"),
     )
     rate_hz: float | None = setting(None, 1e-3, 100_000, Option("--rate", "Sampling rate.", "HZ", above=0))
-    unit: str | None = setting(
-        None, option=Option("--unit", "Unit of the raw values."), choices=("g", "mg", "m/s2", "counts")
-    )
+    unit: str | None = setting(None, option=Option("--unit", "Unit of the raw values."), choices=UNIT_CHOICES)
     lsb_per_g: float | None = setting(None, 1e-9, 10**9, Option("--lsb-per-g", "Counts per g.", "N", above=0))
     columns: tuple[str, str, str] | None = setting(
         None, option=Option("--columns", "Columns of x, y and z: names, or numbers counted from 0.")

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, StampClock
 from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.rolling import width_for
 from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
@@ -34,9 +35,6 @@ from accelcal_cli.output.columns import Column
 from accelcal_cli.output.files import output_error, replacing
 from accelcal_cli.output.parquet import SOURCE_ROWS, ParquetSink, Stored, copied, stored_schema
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
-
-STANDARD_GRAVITY = 9.80665
-"""m/s^2 in one g: BIDS takes SI units alone, in which g is the gram."""
 
 MOTION = re.compile(r"sub-[a-zA-Z0-9]+_(?:[a-z]+-[a-zA-Z0-9]+_)*task-([a-zA-Z0-9]+)_tracksys-([a-zA-Z0-9]+)_"
                     r"(?:[a-z]+-[a-zA-Z0-9]+_)*motion\.tsv")  # fmt: skip
@@ -212,6 +210,7 @@ def bids(places: Sequence[Path], output: Path, portions: Iterator[Rows], written
 
 def _motion(rows: Rows, written: Written) -> dict[str, pa.Array]:
     seconds = (rows.time_us - written.first_us) / MICROSECONDS
+    # BIDS takes SI units, in which g is the gram.
     metres = (rows.xyz.astype(np.float64) * STANDARD_GRAVITY).astype(np.float32)
     return {"latency": pa.array(seconds), **_axes(metres), **_celsius(rows)}
 

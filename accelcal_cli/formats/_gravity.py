@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.vocabulary import ACCELERATION_UNITS, GIVE_UNIT
 
-GUESSES = (("g", 0.7, 1.4), ("m/s2", 7.0, 13.0), ("mg", 700.0, 1400.0))
 USUAL_LSB_PER_G = tuple(1 << bits for bits in range(4, 15))
 SURE_SHARE = 0.15
 
@@ -23,13 +23,13 @@ def guess_unit(values: NDArray[np.float64], path: Path) -> str:
         UnreadableError: the length fits no unit.
     """
     median = usual_length(values)
-    for unit, low, high in GUESSES:
-        if low <= median <= high:
-            return unit
+    for name, unit in ACCELERATION_UNITS.items():
+        if unit.rest[0] <= median <= unit.rest[1]:
+            return name
     raise UnreadableError(
         f"the unit of the acceleration is not clear (its usual length is {median:g})",
         path=path,
-        hint=f"give --unit g, mg or m/s2, or --unit counts with --lsb-per-g{likely_counts(median)}",
+        hint=GIVE_UNIT + likely_counts(median),
     )
 
 

@@ -10,6 +10,7 @@ from accelcal_cli.core.errors import counted, listed
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Facts, Rest
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.vocabulary import PER_G
 
 NEAR_ONE_G = (0.7, 1.4)
 """Between these is the median of |a| at rest [g] for any sensor whose unit and counts per g are right."""
@@ -20,11 +21,8 @@ WIDEST_G = 0.5
 STUCK_G, TURNED_G = 0.02, 0.5
 """An axis that stays within the first while rest turns others by more than the second [g] is none."""
 
-UNITS = {
-    9.80665: "as if values in m/s2 were read as g",
-    1000.0: "as if values in mg were read as g",
-    1 / 9.80665: "as if values in g were read as m/s2",
-    1 / 1000.0: "as if values in g were read as mg",
+UNITS = {per_g: f"as if values in {unit} were read as g" for unit, per_g in PER_G.items() if unit != "g"} | {
+    1 / per_g: f"as if values in g were read as {unit}" for unit, per_g in PER_G.items() if unit != "g"
 }
 """What rest measures [g] if the unit is wrong, and how to say so."""
 

@@ -15,12 +15,15 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.text_files import read_text
+from accelcal_cli.core.vocabulary import ACCELERATION_UNITS
 
 TIMES = ("start", "end")
 FILE = "file"
 AXES = ("ax", "ay", "az")
-UNITS = {"": Fraction(1), "_g": Fraction(1), "_ms2": 1 / Fraction("9.80665")}
-"""By the end of the names of the three columns: their unit in g; without one they are directions of rest."""
+UNITS = {"": Fraction(1)} | {
+    unit.pose_ending: 1 / unit.per_g for unit in ACCELERATION_UNITS.values() if unit.pose_ending
+}
+"""Units [g] by the end of the names of the three columns; without one they hold directions of rest."""
 
 HEADERS = "start,end,ax,ay,az"
 LENGTH_TOLERANCE = 0.02

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Problem, Reader
+from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._packed import PackedStream, PlainStream
-from accelcal_cli.formats._tables.attributes import Attributes, normal
+from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.description import Plan
 from accelcal_cli.formats._tables.reader import TableReader
 from accelcal_cli.formats._tables.table import Table
@@ -177,10 +178,12 @@ class ArrayTable(Table):
                 return Attributes(layers)
 
     def _own(self, path: str) -> dict[str, object]:
-        name = normal(basename(path))
+        name = normalized(basename(path))
         known = {name + ending for ending in UNIT_ENDINGS} | {ending + name for ending in UNIT_ENDINGS}
         beside = [
-            one for one in self.scalars if dirname(one) == dirname(path) and normal(basename(one)) in known
+            one
+            for one in self.scalars
+            if dirname(one) == dirname(path) and normalized(basename(one)) in known
         ]
         return {"unit": self.scalars[beside[0]]} if beside else {}
 

@@ -4,15 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 
 import numpy as np
 
-
-@lru_cache(maxsize=4096)
-def normal(name: str) -> str:
-    """A name without case and punctuation: `Sample_Rate [Hz]` gives `sampleratehz`."""
-    return "".join(letter for letter in name.lower() if letter.isalnum())
+from accelcal_cli.core.vocabulary import normalized
 
 
 def readable(text: str) -> str:
@@ -45,18 +40,18 @@ class Attributes:
 
     def __init__(self, layers: Sequence[Mapping[str, object]] = ()) -> None:
         self.damaged: list[str] = []
-        self._layers = [{normal(name): value for name, value in layer.items()} for layer in layers]
+        self._layers = [{normalized(name): value for name, value in layer.items()} for layer in layers]
 
     def value(self, *names: str) -> str | float | None:
         """The first one of these names that says something."""
         for depth in range(len(self._layers)):
             for name in names:
-                if (found := self.read(depth, normal(name))) is not None:
+                if (found := self.read(depth, normalized(name))) is not None:
                     return found
         return None
 
     def read(self, depth: int, name: str) -> str | float | None:
-        """What a layer says under a name as `normal` leaves it, None if nothing."""
+        """What a layer says under a name as `normalized` returns it, None if nothing."""
         return plain_value(self._layers[depth].get(name))
 
     def text(self, *names: str) -> str | None:

@@ -6,7 +6,6 @@ number for each row is one more `ColumnRule` there, and an entry of `opal.LAYOUT
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +15,19 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import NOT_CALIBRATED, Counts, Validity
+from accelcal_cli.core.vocabulary import (
+    ROTATION,
+    TEMPERATURE,
+    THERMOMETER,
+    In,
+    UnitNames,
+    names_in,
+)
 from accelcal_cli.formats._tables import tracks as tracks_of
 from accelcal_cli.formats._tables.attributes import readable
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, READ_ERRORS, RowSelection, RowSource, Table
 from accelcal_cli.formats._tables.tracks import Group, Track, chosen_axes, described, split_unit
-from accelcal_cli.formats._tables.units import Scale, count_scale, factor_of
+from accelcal_cli.formats._tables.units import Scale, count_scale
 
 FAULTS = {
     "missing_value": "rows without a value (NaN) left out",
@@ -106,7 +113,7 @@ class ColumnRule:
     Attributes:
         noun: what it is, in messages; `unit`: of its limits, in messages.
         names: of its track, as `normal` leaves them.
-        units: how much one such unit is in others, and names of these.
+        units: find how much one such unit is in others.
         endings: of names that state the unit; decimal fractions that state nothing have it too.
         low, high: values beyond these are not believed.
         steps: of the channel in one unit.
@@ -114,8 +121,8 @@ class ColumnRule:
 
     noun: str
     unit: str
-    names: str
-    units: dict[float, str]
+    names: frozenset[str]
+    units: UnitNames[float]
     endings: tuple[str, ...]
     low: float
     high: float
@@ -128,7 +135,7 @@ class ColumnRule:
 
     def find(self, table: Table, group: Group, unit: str | None = None) -> Column | str:
         """The channel in a track, or why it is not used; `unit` outweighs what is stated."""
-        factor = factor_of(unit, self.units) if unit else self._stated_factor(table, group[0])
+        factor = self.units.find_in_table(unit) if unit else self._stated_factor(table, group[0])
         if factor is None:
             return f"its unit is not {self.unit}"
         try:
@@ -140,7 +147,7 @@ class ColumnRule:
     def _stated_factor(self, table: Table, track: Track) -> float | None:
         unit = table.own(track.path).text("units", "unit")
         if unit is not None:
-            return factor_of(unit, self.units)
+            return self.units.find_in_table(unit)
         return 1.0 if track.name.lower().endswith(self.endings) or track.dtype.kind == "f" else None
 
     def _first(self, source: RowSource, rows: int, factor: float) -> int | None:
@@ -172,7 +179,6 @@ class TurnRule:
 
     noun: str
     unit: str
-    units: dict[float, str]
     width: int = 3
 
     def candidates(self, tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
@@ -186,7 +192,7 @@ class TurnRule:
         if lsb is not None:
             scale: Scale | None = _in_counts(lsb, group)
         else:
-            scale = self.scale_of(unit) if unit else self._stated_scale(group, table)
+            scale = turn_scale(unit) if unit else self._stated_scale(group, table)
         if scale is None:
             return f"its unit is not {self.unit}"
         try:
@@ -204,12 +210,13 @@ class TurnRule:
         if lsb is not None and lsb > 0:
             return _in_counts(lsb, group)
         named = own or split_unit(group[0].name)[1] or stated.text("units", "unit")
-        return self.scale_of(named or "")
+        return turn_scale(named or "")
 
-    def scale_of(self, unit: str) -> Scale | None:
-        """That of decimal fractions in a unit; None if it is not known."""
-        factor = factor_of(unit, self.units)
-        return None if factor is None else Scale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
+
+def turn_scale(unit: str) -> Scale | None:
+    """Return the scale of rotation rates in a unit, written as decimal fractions; None if it is not known."""
+    factor = ROTATION.find_in_table(unit)
+    return None if factor is None else Scale(GYRO_LSB_PER_DPS, factor, LARGEST_DPS)
 
 
 def _in_counts(lsb: float, group: Group) -> Scale:
@@ -218,25 +225,13 @@ def _in_counts(lsb: float, group: Group) -> Scale:
     return count_scale(lsb, widest) if widest.kind in "iu" else Scale(lsb)
 
 
-GYROSCOPE = TurnRule(
-    noun="gyroscope",
-    unit="deg/s, rad/s or counts per deg/s",
-    units={
-        1.0: "degs dps degsec degps degpersec degreespersecond degreess °s degs1 degpersecond",
-        1000.0: "mdps mdegs mdegsec millidegs",
-        math.pi / 180: "rads radsec rps radps radianspersecond radianss rads1 radpersec",
-    },
-)
 CHANNELS: dict[str, TurnRule | ColumnRule] = {
-    "gyro_counts": GYROSCOPE,
+    "gyro_counts": TurnRule(noun="gyroscope", unit="deg/s, rad/s or counts per deg/s"),
     "temperature_mc": ColumnRule(
         noun="temperature",
         unit="degrees Celsius",
-        names="temperature temperaturec temp tempc temperaturedegc",
-        units={
-            1.0: "c degc °c celsius degreescelsius degreesc degreec degreecelsius",
-            1000.0: "mc mdegc m°c millidegc millicelsius millidegreescelsius millidegreecelsius",
-        },
+        names=names_in(THERMOMETER, In.TABLES),
+        units=TEMPERATURE,
         endings=("_c", "_degc"),
         low=-273.15,
         high=1000.0,

@@ -16,6 +16,7 @@ from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Problem, Recording
+from accelcal_cli.core.vocabulary import PER_SECOND
 from accelcal_cli.formats._stamps import LOST, NO_TIME, Pace, jittered_step, nice_rate, spread, stamp_pace
 from accelcal_cli.formats._tables import tracks as tracks_of
 from accelcal_cli.formats._tables import units
@@ -307,7 +308,7 @@ def _stamp_scale(
     since = parse_moment(stated.split(" since ", 1)[1].strip()) if stated and " since " in stated else None
     if since is not None and since.us:
         return StampScale(unit, since.us), since
-    first = float(head[0]) / units.PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
+    first = float(head[0]) / PER_SECOND[unit] * MICROSECONDS if len(head) else 0.0
     if first >= units.EARLIEST_ABSOLUTE_US:
         return StampScale(unit), Moment(0, is_utc=not track.clock)
     return StampScale(unit, start.us if start else 0), start
@@ -330,7 +331,7 @@ def _stated_unit(table: Table, track: Track, stated: str | None) -> str | None:
 def _unit_by_rate(head: Any, rate: float | None) -> str | None:
     """The unit in which the steps between times fit the sampling rate within 5 %, or else an actigraph's."""
     low, high = units.PLAUSIBLE_HZ if rate is None else (rate / 1.05, rate * 1.05)
-    for unit, per_second in units.PER_SECOND.items():
+    for unit, per_second in PER_SECOND.items():
         typical = _typical_step(head - head[0], per_second) if len(head) > 1 else None
         if typical and low < 1 / typical < high:
             return unit

@@ -15,6 +15,7 @@ from accelcal_cli.core import recording as recordings
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
+from accelcal_cli.core.vocabulary import ACCELERATION, PER_G
 from accelcal_cli.formats._gravity import guess_unit, likely_counts, usual_length
 from accelcal_cli.formats._tables import description, units
 from accelcal_cli.formats._tables.attributes import Attributes, readable
@@ -151,12 +152,12 @@ def _unit_and_lsb(source: Source) -> tuple[str | None, float | None]:
         return "counts", lsb
     if file_unit is None:
         return "counts" if whole else None, lsb
-    if (unit := units.accel_unit(file_unit)) is not None:
+    if (unit := ACCELERATION.find_in_table(file_unit)) is not None:
         return unit, lsb
     raise UnreadableError(
         f"the unit {file_unit!r} of {readable(source.accel.path)} is not known",
         path=source.path,
-        hint=f"give --unit {'|'.join(units.PER_G)}|counts",
+        hint=f"give --unit {'|'.join(PER_G)}|counts",
     )
 
 
@@ -180,7 +181,7 @@ def _checked_lsb(lsb: float | None, source: Source) -> float:
         raise UnreadableError(
             "the file does not state the counts per g",
             path=path,
-            hint=f"give --lsb-per-g N{likely}, or --unit if its whole numbers are in {'|'.join(units.PER_G)}",
+            hint=f"give --lsb-per-g N{likely}, or --unit if its whole numbers are in {'|'.join(PER_G)}",
         )
     if not LEAST_LSB <= lsb <= recordings.FLOAT_LSB_PER_G * units.LARGEST_G:
         raise UnreadableError(f"{lsb:g} counts per g cannot be right", path=path, hint="give --lsb-per-g N")

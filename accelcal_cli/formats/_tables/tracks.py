@@ -5,7 +5,6 @@ Acceleration, time, temperature and rates of turn are found by name.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,22 +14,22 @@ from typing import Any, Protocol
 import numpy as np
 
 from accelcal_cli.core.errors import NoRecordingError, UnreadableError, UsageError
-from accelcal_cli.formats._tables.attributes import normal
+from accelcal_cli.core.vocabulary import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    TIMES,
+    UNIT_AT_END,
+    In,
+    names_in,
+    normalized,
+)
 
-_ACCEL = (
-    "accel accels acceleration accelerations acc accelerometer accelerometers accelerometerdata "
-    "acceldata accdata accelraw rawaccel rawacc accelxyz accxyz accelerationxyz xyz raw"
-)
-_GYRO = "gyro gyros gyr gyroscope gyroscopes gyrodata gyroraw gyroxyz gyroscopexyz angularvelocity"
-_TIME = "time times timestamp timestamps t unixtime epoch epochtime datetime"
-_VALUES = "data values value samples xyz"
-_ACCEL_PREFIXES = ("", "a", "acc", "accel", "acceleration", "accelerometer")
-_GYRO_PREFIXES = ("g", "gyr", "gyro", "gyroscope")
-_UNIT_AT_END = re.compile(
-    r"(.*[a-z0-9\])]?)[\s_\[(./:-]+(m?g|m[/_ ]?s(?:ec)?(?:\^|\*\*)?-?[2²]|m/s/s|counts?|lsb|"
-    r"dps|deg[/_]?s(?:ec)?|°/s|rad[/_]?s(?:ec)?)[\])]?",
-    re.IGNORECASE,
-)
+_ACCEL = names_in(ACCELEROMETER, In.TABLES)
+_GYRO = names_in(GYROSCOPE, In.TABLES)
+_TIME = names_in(TIMES, In.TABLES)
+_VALUES = frozenset({"data", "values", "value", "samples", "xyz"})
+_ACCEL_PREFIXES = sorted(names_in(ACCELEROMETER, In.AXES))
+_GYRO_PREFIXES = sorted(names_in(GYROSCOPE, In.AXES))
 _OTHER_SENSORS = ("gyr", "mag", "angular", "orient", "quat")
 
 
@@ -120,7 +119,7 @@ def named_track(tracks: tuple[Track, ...], name: str, file: File) -> Track:
     """
     full = "/" + name.strip().strip("/")
     exact = [item for item in tracks if item.path == full]
-    found = exact or [item for item in tracks if normal(item.name) == normal(name)]
+    found = exact or [item for item in tracks if normalized(item.name) == normalized(name)]
     if len(found) != 1:
         what = f"several {file.word}s" if found else f"no {file.word}"
         raise UsageError(
@@ -180,31 +179,31 @@ def _refuse_without_accel(tracks: tuple[Track, ...], file: File, sensor: str | N
 def find_gyro(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """The nearest gyroscope tracks of the same length."""
     groups = _groups(tracks, _GYRO, _GYRO_PREFIXES)
-    own = sorted({item.parent for item in tracks if normal(basename(item.parent)) in _GYRO.split()})
+    own = sorted({item.parent for item in tracks if normalized(basename(item.parent)) in _GYRO})
     groups += [triple for parent in own if (triple := _triple(tracks, parent, ""))]
     groups = [group for group in groups if group[0].rows == accel.rows]
     return _nearest(groups, accel) or _beside(groups, accel)
 
 
-def find_named(tracks: tuple[Track, ...], accel: Track, names: str) -> tuple[Group, ...]:
+def find_named(tracks: tuple[Track, ...], accel: Track, names: frozenset[str]) -> tuple[Group, ...]:
     """The nearest tracks of one of these names with one number for each row of the acceleration."""
-    return _nearest(_columns(tracks, accel, lambda name: name in names.split()), accel)
+    return _nearest(_columns(tracks, accel, lambda name: name in names), accel)
 
 
 def find_time(tracks: tuple[Track, ...], accel: Track) -> tuple[Group, ...]:
     """The nearest tracks of times of the same length."""
-    return _nearest(_columns(tracks, accel, lambda name: split_time_name(name)[0] in _TIME.split()), accel)
+    return _nearest(_columns(tracks, accel, lambda name: split_time_name(name)[0] in _TIME), accel)
 
 
 def split_unit(name: str) -> tuple[str, str | None]:
     """A sensor's name without its unit, and the unit: `acc_x_mg` gives accx and mg."""
-    found = _UNIT_AT_END.fullmatch(name.strip())
-    return (normal(name), None) if found is None else (normal(found[1]), found[2])
+    found = UNIT_AT_END.fullmatch(name.strip())
+    return (normalized(name), None) if found is None else (normalized(found[1]), found[2])
 
 
 def split_time_name(name: str) -> tuple[str, str | None]:
     """A name without its unit, and the unit: `timestamp_us` gives timestamp and us."""
-    plain, known = normal(name), _TIME.split()
+    plain, known = normalized(name), _TIME
     for unit in ("us", "ms", "ns", "s"):
         if plain not in known and plain.removesuffix(unit) in known:
             return plain.removesuffix(unit), unit
@@ -213,11 +212,13 @@ def split_time_name(name: str) -> tuple[str, str | None]:
 
 def _columns(tracks: tuple[Track, ...], accel: Track, fits: Callable[[str], bool]) -> list[Group]:
     return [
-        (item,) for item in tracks if item.width == 1 and item.rows == accel.rows and fits(normal(item.name))
+        (item,)
+        for item in tracks
+        if item.width == 1 and item.rows == accel.rows and fits(normalized(item.name))
     ]
 
 
-def _groups(tracks: tuple[Track, ...], names: str, prefixes: tuple[str, ...]) -> list[Group]:
+def _groups(tracks: tuple[Track, ...], names: frozenset[str], prefixes: list[str]) -> list[Group]:
     """Tracks of three columns, and triples of one column each, whose names fit."""
     wide: list[Group] = [(item,) for item in tracks if item.width == 3 and _is_named(item, names)]
     parents = sorted({item.parent for item in tracks})
@@ -226,10 +227,10 @@ def _groups(tracks: tuple[Track, ...], names: str, prefixes: tuple[str, ...]) ->
     ]
 
 
-def _is_named(track: Track, names: str) -> bool:
-    parent = normal(basename(track.parent))
-    own, known = split_unit(track.name)[0], names.split()
-    return own in known or (own in _VALUES.split() and parent in known)
+def _is_named(track: Track, names: frozenset[str]) -> bool:
+    parent = normalized(basename(track.parent))
+    own = split_unit(track.name)[0]
+    return own in names or (own in _VALUES and parent in names)
 
 
 def _triple(tracks: tuple[Track, ...], parent: str, prefix: str) -> Group | None:
@@ -246,7 +247,7 @@ def _triple(tracks: tuple[Track, ...], parent: str, prefix: str) -> Group | None
 
 
 def _of_other_sensor(track: Track) -> bool:
-    parts = [normal(part) for part in track.path.split("/")]
+    parts = [normalized(part) for part in track.path.split("/")]
     return any(part.startswith(_OTHER_SENSORS) for part in parts)
 
 
@@ -268,5 +269,5 @@ def _beside(groups: list[Group], accel: Track) -> tuple[Group, ...]:
     return tuple(
         group
         for group in groups
-        if dirname(group[0].parent) in places and normal(basename(group[0].parent)) in _GYRO.split()
+        if dirname(group[0].parent) in places and normalized(basename(group[0].parent)) in _GYRO
     )

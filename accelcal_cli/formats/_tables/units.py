@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Counts
-from accelcal_cli.formats._tables.attributes import normal
+from accelcal_cli.core.vocabulary import PER_G, PER_SECOND, TIME, In
 
 LARGEST_G = 127.0
 EMPTY = -(1 << 63)
@@ -31,33 +30,6 @@ LATEST_US = 4_102_444_800 * MICROSECONDS
 
 EARLIEST_ABSOLUTE_US = 315_532_800 * MICROSECONDS
 """1980-01-01: a smaller number counts from the start of the recording, not from 1970."""
-
-PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-_UNIT_NAMES = {
-    "s": "s sec secs second seconds",
-    "ms": "ms msec millisecond milliseconds",
-    "us": "us usec microsecond microseconds µs μs",
-    "ns": "ns nsec nanosecond nanoseconds",
-}
-PER_G = {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}
-_ACCEL_UNITS = {
-    "g": "g gs gee grav gravity gravities gforce standardgravity",
-    "mg": "mg millig milligs milligee mgravity",
-    "m/s2": "ms2 mss ms² mpss mpers2 meterpersecondsquared meterspersecondsquared meterspersecond2 mps2",
-    "counts": "count counts lsb lsbs raw adc adccounts adu digit digits bits rawcounts",
-}
-
-
-def accel_unit(text: str) -> str | None:
-    """One of g, mg, m/s2, counts for what a unit attribute says; None if unknown."""
-    name = normal(text.replace("m s-2", "m/s2").replace("s^-2", "s2").replace("s-2", "s2"))
-    return next((unit for unit, names in _ACCEL_UNITS.items() if name in names.split()), None)
-
-
-def factor_of(text: str, table: dict[float, str]) -> float | None:
-    """The factor of a unit in a table of factors and the units' names; None if it is in none."""
-    name = normal(text)
-    return next((factor for factor, names in table.items() if name in map(normal, names.split())), None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,8 +122,7 @@ def physical_scale(unit: str, dtype: np.dtype[Any]) -> Scale:
 
 def time_unit(text: str) -> str | None:
     """One of s, ms, us, ns for what an attribute says (`seconds since ...` too); None if unknown."""
-    first = next(iter(text.lower().split()), None)
-    return next((unit for unit, names in _UNIT_NAMES.items() if first in names.split()), None)
+    return TIME.find(next(iter(text.lower().split()), ""), In.TABLES)
 
 
 def unit_by_size(value: float) -> str | None:

@@ -15,10 +15,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
+from accelcal_cli.core.vocabulary import (
+    ACCELERATION,
+    GIVE_UNIT,
+    PER_G,
+    PER_SECOND,
+    ROTATION,
+    TEMPERATURE,
+    TIME,
+    UNIT_CHOICES,
+    In,
+)
 from accelcal_cli.formats._gravity import usual_length
 
 MISSING = (
@@ -34,24 +45,9 @@ DATE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}([T ].*)?")
 DATE_ALONE = re.compile(r"\d{1,4}[-/.]\d{1,2}[-/.]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d.*)?( ?[AaPp][Mm])?")
 BRACKET = re.compile(r"[\[(]")
-WORDS = {
-    "g": ("g", "gs", "gn", "g0", "gravity"),
-    "mg": ("mg", "millig", "milli-g"),
-    "m/s2": (
-        *("m/s2", "m/s^2", "m/s**2", "m/s²", "m/s/s", "m/(s^2)", "m/(s^2", "mps2"),
-        *("ms2", "ms-2", "ms^-2", "m.s-2", "m s-2", "m s^-2"),
-    ),
-    "counts": ("counts", "count", "lsb", "raw", "adc", "digits"),
-}
-TIME_WORDS = {
-    1.0: ("us", "µs", "μs", "usec", "micros", "microseconds", "microsecond"),
-    1e-3: ("ns", "nsec", "nanos", "nanoseconds", "nanosecond"),
-    1e3: ("ms", "msec", "millis", "milliseconds", "millisecond", "millisec"),
-    1e6: ("s", "sec", "secs", "second", "seconds"),
-}
-OTHER_WORDS = (
-    *("-", "", "°c", "degc", "deg_c", "c", "celsius", "deg/s", "dps", "rad/s", "°/s", "deg/sec"),
-    *("no units", "no_units", "n/a", "local_flux", "ut", "µt", "hz", "v", "mv", "lux", "pa", "kpa", "cal"),
+OTHER_UNITS = (
+    *("-", "", "deg_c", "no units", "no_units", "n/a", "local_flux", "ut", "µt", "hz", "v", "mv", "lux"),
+    *("pa", "kpa", "cal"),
 )
 LARGEST_G = 127.0
 USUAL_G = (0.3, 3.0)
@@ -97,21 +93,21 @@ def number_of(cell: str) -> float | None:
 
 def acceleration_unit(text: str) -> str | None:
     """One of g, mg, m/s2, counts for a word such as `m/s^2`; None for any other."""
-    text = text.strip().lower()
-    return next((unit for unit, words in WORDS.items() if text in words), None)
+    return ACCELERATION.find(text.strip().lower(), In.CSV)
 
 
 def microseconds_in(text: str) -> float | None:
     """Microseconds in a unit of time such as `ms`; None for any other word."""
-    text = text.strip().lower()
-    return next((size for size, words in TIME_WORDS.items() if text in words), None)
+    unit = TIME.find(text.strip().lower(), In.CSV)
+    return None if unit is None else MICROSECONDS / PER_SECOND[unit]
 
 
 def is_unit_cell(text: str) -> bool:
     """Whether a cell below a column's name can be its unit."""
     text = text.strip().strip("[]()").lower()
     known = acceleration_unit(text) is not None or microseconds_in(text) is not None
-    return known or text in OTHER_WORDS
+    others = (*OTHER_UNITS, *ROTATION.names(In.CSV), *TEMPERATURE.names(In.CSV))
+    return known or text in others
 
 
 def name_and_hint(name: str) -> tuple[str, str | None]:
@@ -147,7 +143,7 @@ class Scale:
     @property
     def per_g(self) -> float:
         """How much one g is in the unit."""
-        return {"g": 1.0, "mg": 1000.0, "m/s2": STANDARD_GRAVITY}.get(self.unit, self.lsb_per_g)
+        return PER_G.get(self.unit, self.lsb_per_g)
 
 
 def scale_for(unit: str, lsb_per_g: float | None, zero: int = 0) -> Scale:
@@ -168,7 +164,9 @@ def stated_unit(options: ReadOptions, hints: set[str]) -> str | None:
     if options.unit is not None:
         unit = acceleration_unit(options.unit)
         if unit is None:
-            raise UsageError(f"unknown unit {options.unit!r}", hint="--unit is one of g, mg, m/s2, counts")
+            raise UsageError(
+                f"unknown unit {options.unit!r}", hint=f"--unit is one of {', '.join(UNIT_CHOICES)}"
+            )
         return unit
     if len(hints) == 1:
         return next(iter(hints))
@@ -186,5 +184,5 @@ def check_unit(values: NDArray[np.float64], scale: Scale, path: Path) -> None:
         raise UnreadableError(
             f"its usual acceleration would be {length:.3g} g, so that its unit is in doubt",
             path=path,
-            hint="give --unit g, mg or m/s2, or --unit counts with --lsb-per-g",
+            hint=GIVE_UNIT,
         )

@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats._tables.channels import GYROSCOPE
+from accelcal_cli.core.vocabulary import (
+    ACCELEROMETER,
+    GYROSCOPE,
+    NOT_RAW,
+    ROTATION,
+    TEMPERATURE,
+    THERMOMETER,
+    TIMES,
+    In,
+    names_in,
+)
 from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
     MISSING,
@@ -28,16 +38,14 @@ from accelcal_cli.formats.csv.cells import (
 )
 from accelcal_cli.formats.csv.dialect import Dialect
 
-ACCELEROMETER = frozenset({"acc", "accel", "accelerometer", "acceleration", "accelerations", "a"})
+ACCEL_NAMES = names_in(ACCELEROMETER, In.CSV)
 NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
-TURNING = frozenset({"gyr", "gyro", "gyros", "gyroscope", "gyroscopes", "omega"})
+GYRO_NAMES = names_in(GYROSCOPE, In.CSV)
 SHORT = frozenset({"g", "w"})
 """What `gx` and `wx` begin with: rates of turn, beside `ax`."""
 
-OTHER_SENSORS = frozenset({*TURNING, "mag", "magnetometer", "gravity", "linear", "lin", "user"})
-TIME_NAMES = frozenset(
-    {"time", "timestamp", "timestamps", "datetime", "epoch", "unix", "unixtime", "utc", "ts", "date"}
-)
+OTHER_SENSORS = frozenset({*GYRO_NAMES, *NOT_RAW, "mag", "magnetometer", "user"})
+TIME_NAMES = names_in(TIMES, In.CSV)
 BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
 G_FORCE = re.compile(r"^gF([xyz])$")
 """As Physics Toolbox names the acceleration in g."""
@@ -52,13 +60,13 @@ class ChannelRule:
     """How a column of numbers becomes a channel.
 
     Attributes:
-        names: of the column, each as its words in lower case.
+        names: of the column, in lower case.
         units: that its title may mention, in lower case; "" for none.
         steps: of the channel in one unit of the column.
         limit: values of this magnitude (in the column's unit) and above are not believed.
     """
 
-    names: tuple[set[str], ...]
+    names: frozenset[str]
     units: frozenset[str]
     steps: int
     limit: float
@@ -75,7 +83,7 @@ class ChannelRule:
 
 CHANNELS = {
     "temperature_mc": ChannelRule(
-        ({"temperature"}, {"temp"}), frozenset({"", "c", "°c", "degc", "deg", "celsius"}), 1000, 1000.0
+        names_in(THERMOMETER, In.CSV), frozenset({"", "deg", *TEMPERATURE.names(In.CSV)}), 1000, 1000.0
     )
 }
 """Channels that a text file may have, by their name in Chunk. This is all that there is to know of one."""
@@ -141,9 +149,9 @@ class Title:
 
 def _axis_apart(word: str) -> tuple[str, ...]:
     """`accx` and `xacc` as two words, and so `gyrox` and `gx`."""
-    if word[:-1] in ACCELEROMETER | TURNING | SHORT and word[-1] in AXES:
+    if word[:-1] in ACCEL_NAMES | GYRO_NAMES | SHORT and word[-1] in AXES:
         return word[:-1], word[-1]
-    if word[1:] in ACCELEROMETER | TURNING and word[:1] in AXES:
+    if word[1:] in ACCEL_NAMES | GYRO_NAMES and word[:1] in AXES:
         return word[1:], word[0]
     return (word,)
 
@@ -155,7 +163,7 @@ def _is_unit(word: str) -> bool:
 
 def _is_rate(word: str) -> bool:
     """Whether it is a unit of rates of turn: `dps`, or `rads` of `gyro_x_rad_s`."""
-    return GYROSCOPE.scale_of(word) is not None
+    return ROTATION.find_in_table(word) is not None
 
 
 def find_roles(
@@ -251,7 +259,7 @@ def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
         if title.axis and not OTHER_SENSORS & set(title.stem):
             groups.setdefault(title.stem, {}).setdefault(title.axis, title.number)
     full = {stem: group for stem, group in groups.items() if len(group) == 3}
-    named = [group for stem, group in full.items() if ACCELEROMETER & set(stem)]
+    named = [group for stem, group in full.items() if ACCEL_NAMES & set(stem)]
     found = named or [group for stem, group in full.items() if not stem]
     if len(found) > 1:
         raise UnreadableError(
@@ -365,7 +373,7 @@ def _channels(dialect: Dialect, titles: list[Title]) -> dict[str, int]:
         found = [
             title.number
             for title in titles
-            if set(title.words) in rule.names and title.hint.lower() in rule.units
+            if {*title.words} <= rule.names and len({*title.words}) == 1 and title.hint.lower() in rule.units
         ]
         if len(found) == 1 and dialect.kinds[found[0]] is Kind.NUMBER:
             columns[name] = found[0]

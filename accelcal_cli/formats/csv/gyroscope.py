@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats._tables.channels import GYROSCOPE, NOT_READ
+from accelcal_cli.formats._tables.channels import NOT_READ, turn_scale
 from accelcal_cli.formats._tables.units import Scale
 from accelcal_cli.formats.csv.cells import Kind, microseconds_in
 from accelcal_cli.formats.csv.columns import (
-    ACCELEROMETER,
+    ACCEL_NAMES,
+    GYRO_NAMES,
     SHORT,
-    TURNING,
     Roles,
     Title,
     chosen_axes,
@@ -115,13 +115,15 @@ def _turns(stem: tuple[str, ...]) -> bool:
         return False
     pairs = pairwise(stem)
     return (
-        bool(TURNING & set(stem)) or (len(stem) == 1 and stem[0] in SHORT) or any(p in ANGULAR for p in pairs)
+        bool(GYRO_NAMES & set(stem))
+        or (len(stem) == 1 and stem[0] in SHORT)
+        or any(p in ANGULAR for p in pairs)
     )
 
 
 def _place(stem: tuple[str, ...]) -> tuple[str, ...]:
     """What is left of a name without the sensor, such as a side of the body."""
-    sensor = {*ACCELEROMETER, *TURNING, *SHORT, *(word for pair in ANGULAR for word in pair)}
+    sensor = {*ACCEL_NAMES, *GYRO_NAMES, *SHORT, *(word for pair in ANGULAR for word in pair)}
     return tuple(word for word in stem if word not in sensor)
 
 
@@ -134,4 +136,4 @@ def _scale(
     hints = {title.hint for title in titles if title.number in xyz and microseconds_in(title.hint) is None}
     named = next(iter(hints)) if len(hints) == 1 else ""
     unit = options.gyro_unit or named or export.gyro_unit
-    return None if unit is None else GYROSCOPE.scale_of(unit)
+    return None if unit is None else turn_scale(unit)

@@ -19,6 +19,7 @@ from accelcal_cli.core.daylight import LocalStamps
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
+from accelcal_cli.core.vocabulary import PHYSICAL_UNITS
 from accelcal_cli.formats._idle import RepeatedSamples
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, Pace, SharedStamps
 from accelcal_cli.formats._tables.units import Scale as TurnScale
@@ -170,7 +171,7 @@ class RowParser:
     def _refuse_fractions(self, cells: ParsedTable) -> None:
         """Raise UnreadableError for the first value that should be a whole number of counts."""
         if self._scale.unit == "counts":
-            self._refuse(cells.values, cells.line, "--unit g, mg or m/s2")
+            self._refuse(cells.values, cells.line, f"--unit {PHYSICAL_UNITS}")
         if self._gyro is not None and self._gyro.divisor is None and cells.rates is not None:
             self._refuse(cells.rates, cells.line, "--gyro-unit deg/s or rad/s")
 

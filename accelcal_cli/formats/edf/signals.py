@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -22,23 +21,25 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, LARGEST_LSB_PER_G, Counts
+from accelcal_cli.core.vocabulary import (
+    ACCELERATION,
+    ACCELERATION_UNITS,
+    ACCELEROMETER,
+    GIVE_UNIT,
+    GYROSCOPE,
+    NOT_RAW,
+    ROTATION,
+    TEMPERATURE,
+    THERMOMETER,
+    In,
+    UnitNames,
+    names_in,
+)
 from accelcal_cli.formats.edf.header import ANNOTATIONS, Header, Signal, number_in
 
-G = Fraction("9.80665")
-PER_G = {"g": Fraction(1), "mg": Fraction(1000), "m/s2": G}
-UNITS = {
-    **dict.fromkeys(("g", "gn", "g0", "gravity"), "g"),
-    **dict.fromkeys(("mg", "mgn", "milli-g", "millig"), "mg"),
-    **dict.fromkeys(("m/s2", "m/s^2", "m/s\u00b2", "m/s/s", "ms-2", "m/ss", "m/sec2", "m/sec^2"), "m/s2"),
-}
-DEGREES = ("deg/s", "dps", "\u00b0/s", "deg/sec", "degree/s")
-CELSIUS = ("degc", "c", "\u00b0c", "celsius", "deg c")
-
-ACCELEROMETER = ("acc", "accel", "accelerometer", "acceleration", "accelero")
-GYROSCOPE = ("gyr", "gyro", "gyroscope")
-TEMPERATURE = ("temp", "temperature")
-NOT_RAW = {"gravity", "linear", "lin"}
-GLUED = re.compile(rf"({'|'.join((*ACCELEROMETER, *GYROSCOPE))})([xyz])")
+ACCEL_NAMES = names_in(ACCELEROMETER, In.EDF)
+GYRO_NAMES = names_in(GYROSCOPE, In.EDF)
+GLUED = re.compile(rf"({'|'.join(sorted(ACCEL_NAMES | GYRO_NAMES))})([xyz])")
 MOST_COUNTS = (1 << 31) - 1
 
 
@@ -158,15 +159,15 @@ def _labels(header: Header) -> str:
 
 
 def _groups(
-    header: Header, names: Sequence[str], units: Sequence[str]
+    header: Header, names: frozenset[str], units: UnitNames[Any]
 ) -> dict[str, tuple[Signal, Signal, Signal]]:
     """Sensors of a kind by the rest of their labels: such as have one signal for each axis."""
     found: dict[str, dict[str, list[Signal]]] = {}
     for signal in header.signals:
         parts = words(signal.label)
         axes = [part for part in parts if part in ("x", "y", "z")]
-        known = set(names) & set(parts) or signal.dimension.lower() in units
-        other = ({*ACCELEROMETER, *GYROSCOPE} - set(names)) & set(parts)
+        known = names & set(parts) or units.find(signal.dimension.lower(), In.EDF) is not None
+        other = ((ACCEL_NAMES | GYRO_NAMES) - names) & set(parts)
         if len(axes) == 1 and known and not other and not NOT_RAW & set(parts):
             rest = " ".join(part for part in parts if part not in (*axes, *names, "axis"))
             found.setdefault(rest, {}).setdefault(axes[0], []).append(signal)
@@ -179,14 +180,14 @@ def _groups(
 
 
 def _found(header: Header, options: ReadOptions, path: Path) -> tuple[Signal, Signal, Signal]:
-    groups = _groups(header, ACCELEROMETER, [*UNITS])
+    groups = _groups(header, ACCEL_NAMES, ACCELERATION)
     if options.sensor is not None:
         wanted = " ".join(words(options.sensor))
         groups = {name: group for name, group in groups.items() if name == wanted}
     if len(groups) == 1:
         return next(iter(groups.values()))
     if groups or options.sensor is not None:
-        names = ", ".join(name or "(no name)" for name in _groups(header, ACCELEROMETER, [*UNITS]))
+        names = ", ".join(name or "(no name)" for name in _groups(header, ACCEL_NAMES, ACCELERATION))
         what = (
             f"no sensor is called {options.sensor!r}" if options.sensor else "it has several accelerometers"
         )
@@ -233,16 +234,16 @@ def _in_g(signals: tuple[Signal, Signal, Signal], options: ReadOptions, path: Pa
             )
         step = 1 / Fraction(options.lsb_per_g)
         return Axes(signals, (1, 1, 1), (0, 0, 0), step, ())
-    units = {options.unit or UNITS.get(signal.dimension.lower()) for signal in signals}
+    units = {options.unit or ACCELERATION.find(signal.dimension.lower(), In.EDF) for signal in signals}
     unit = units.pop()
     if units or unit is None:
         written = ", ".join(repr(signal.dimension) for signal in signals)
         raise UnreadableError(
             f"the unit of the acceleration is not known ({written})",
             path=path,
-            hint="give --unit g, mg or m/s2, or --unit counts with --lsb-per-g",
+            hint=GIVE_UNIT,
         )
-    axes = _axes(signals, PER_G[unit], path)
+    axes = _axes(signals, ACCELERATION_UNITS[unit].per_g, path)
     if not 1 <= axes.per_unit <= LARGEST_LSB_PER_G:
         raise UnreadableError(
             f"{axes.per_unit:g} counts in one g are impossible",
@@ -278,11 +279,14 @@ def _common_step(values: list[Fraction]) -> Fraction:
 
 def _gyro(header: Header, accel: tuple[Signal, Signal, Signal], path: Path) -> Axes | None:
     """The one gyroscope of the same rate in deg/s; None if there is none whose scale is usable."""
-    groups = _groups(header, GYROSCOPE, DEGREES)
+    groups = _groups(header, GYRO_NAMES, ROTATION)
     fitting = [
         group
         for group in groups.values()
-        if all(s.dimension.lower() in DEGREES and s.samples == accel[0].samples for s in group)
+        if all(
+            ROTATION.find(one.dimension.lower(), In.EDF) is not None and one.samples == accel[0].samples
+            for one in group
+        )
     ]
     if len(fitting) != 1:
         return None
@@ -297,8 +301,8 @@ def _temperature(header: Header, path: Path) -> tuple[Signal, float, float] | No
     found = [
         signal
         for signal in header.signals
-        if set(TEMPERATURE) & set(words(signal.label))
-        and signal.dimension.lower() in CELSIUS
+        if names_in(THERMOMETER, In.EDF) & set(words(signal.label))
+        and TEMPERATURE.find(signal.dimension.lower(), In.EDF) is not None
         and signal.samples
     ]
     if len(found) != 1:

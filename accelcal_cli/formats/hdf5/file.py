@@ -20,8 +20,9 @@ import h5py
 import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.vocabulary import normalized
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._tables.attributes import Attributes, normal, plain_value
+from accelcal_cli.formats._tables.attributes import Attributes, plain_value
 from accelcal_cli.formats._tables.table import READ_ERRORS
 
 HEAP_MAGIC = b"GCOL\x01\0\0\0"
@@ -279,7 +280,7 @@ class NodeAttributes(Attributes):
 
     def _names(self, node: Any) -> dict[str, object]:
         try:
-            return {normal(name): name for name in node.attrs}
+            return {normalized(name): name for name in node.attrs}
         except H5PY_ERRORS:
             self.damaged.append("*")
             return {}
@@ -306,7 +307,7 @@ def _scalars(node: Any) -> dict[str, Any]:
     """Datasets in a group that may hold one number or text, by their names."""
     if not isinstance(node, h5py.Group):
         return {}
-    return {normal(name): item for name, item in members(node)[0] if is_scalar(item)}
+    return {normalized(name): item for name, item in members(node)[0] if is_scalar(item)}
 
 
 def is_scalar(node: Any) -> bool:

@@ -17,6 +17,7 @@ from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, counted
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Device, Recording
+from accelcal_cli.core.vocabulary import ACCELERATION, PER_G
 from accelcal_cli.formats._tables import description, units
 from accelcal_cli.formats._tables.attributes import Attributes, readable
 from accelcal_cli.formats._tables.channels import CHANNELS, Axes, Channel, dps_per_lsb
@@ -201,12 +202,12 @@ def _units(file: Any, track: Track, usual: str) -> str:
 
 
 def _scale(file: Any, track: Track, options: ReadOptions, path: Path) -> Scale:
-    unit = options.unit or units.accel_unit(_units(file, track, "m/s2"))
-    if unit not in units.PER_G:
+    unit = options.unit or ACCELERATION.find_in_table(_units(file, track, "m/s2"))
+    if unit not in PER_G:
         raise UnreadableError(
             f"the unit of {track.path} is not known or cannot be counts",
             path=path,
-            hint=f"give --unit {'|'.join(units.PER_G)}",
+            hint=f"give --unit {'|'.join(PER_G)}",
         )
     return units.physical_scale(unit, track.dtype)
 
@@ -229,7 +230,7 @@ def _range_g(file: Any, track: Track) -> float | None:
     """The smaller of the two limits that the vendor gives, in g."""
     settings = h5.NodeAttributes([file[track.path]])
     limits = [settings.number(name) for name in ("Upper Limit", "Lower Limit")]
-    unit = units.PER_G.get(units.accel_unit(_units(file, track, "m/s2")) or "")
+    unit = PER_G.get(ACCELERATION.find_in_table(_units(file, track, "m/s2")) or "")
     found = [abs(limit) for limit in limits if limit]
     return min(found) / unit if found and unit else None
 

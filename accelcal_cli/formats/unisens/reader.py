@@ -24,6 +24,16 @@ from accelcal_cli.core.recording import (
     Reader,
     Recording,
 )
+from accelcal_cli.core.vocabulary import (
+    ACCELERATION,
+    ACCELEROMETER,
+    GYROSCOPE,
+    PER_G,
+    ROTATION,
+    THERMOMETER,
+    In,
+    names_in,
+)
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._pages.pages import MISSING, first_values
@@ -36,10 +46,8 @@ from accelcal_cli.formats.unisens.description import (
     load_description,
 )
 
-ACC, GYRO, WARM = ("acc",), ("angularrate", "gyro"), ("temp", "temperature")
+ACC, GYRO, WARM = (names_in(names, In.UNISENS) for names in (ACCELEROMETER, GYROSCOPE, THERMOMETER))
 AXES = "xyz"
-PER_G = {"g": 1.0, "mg": 1e3, "m/s2": 9.80665, "m/s^2": 9.80665, "m/s²": 9.80665}
-DEGREES_PER_SECOND = ("dps", "°/s", "deg/s")
 LARGEST_G = 100.0
 WARMEST_MC = 200_000
 WIDE = np.iinfo(np.int32)
@@ -257,11 +265,11 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
     """
     if options.lsb_per_g is not None:
         return options.lsb_per_g
-    per_g = PER_G.get((options.unit or signal.unit).lower())
-    if per_g is None:
+    unit = ACCELERATION.find((options.unit or signal.unit).lower(), In.UNISENS)
+    if unit is None:
         what = f"gives {signal.name} the unit {signal.unit!r}, which is none of acceleration"
         raise UnreadableError(what, path=xml, hint="give --unit or --lsb-per-g")
-    found = per_g / signal.lsb if signal.lsb > 0 else 0.0
+    found = PER_G[unit] / signal.lsb if signal.lsb > 0 else 0.0
     if not SMALLEST_LSB_PER_G <= found <= LARGEST_LSB_PER_G:
         what = f"gives {signal.name} an impossible scale of {signal.lsb:g} {signal.unit}"
         raise UnreadableError(what, path=xml, hint="give --lsb-per-g")
@@ -288,6 +296,6 @@ def is_rotation(signal: Signal) -> bool:
     return (
         whole
         and len(signal.channels) == len(AXES)
-        and signal.unit.lower() in DEGREES_PER_SECOND
+        and ROTATION.find(signal.unit.lower(), In.UNISENS) is not None
         and signal.lsb > 0
     )

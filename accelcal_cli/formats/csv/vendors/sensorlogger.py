@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from math import hypot
 
+from accelcal_cli.core.vocabulary import ACCELERATION_UNITS
 from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Vendor
 
 NAMES = ["time", "seconds_elapsed", "z", "y", "x"]
-WITH_GRAVITY = ((7.0, 13.0), (0.7, 1.4))
+WITH_GRAVITY = (ACCELERATION_UNITS["m/s2"].rest, ACCELERATION_UNITS["g"].rest)
 """The usual length of acceleration with gravity, in m/s2 and in g."""
 
 LEAST_SHARE = 0.5

@@ -1,0 +1,274 @@
+"""The units, and the names of sensors and times, that recordings use: one home for all formats.
+
+Each name stands with the kinds of files in which it is understood (`In`). They differ, because a name that is
+new to a kind of file could change what such a file means. A unit of acceleration is one entry of
+`ACCELERATION_UNITS`: --unit, all formats, lists of poses and the advice in messages follow from it.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from enum import Flag, auto
+from fractions import Fraction
+from functools import lru_cache
+from typing import Generic, TypeVar
+
+from accelcal_cli.core.gravity import STANDARD_GRAVITY
+
+Unit = TypeVar("Unit", str, float)
+
+
+class In(Flag):
+    """The kinds of files that understand a name."""
+
+    CSV = auto()
+    TABLES = auto()
+    """HDF5, Parquet, Feather, NumPy and MATLAB files; names are compared as `normalized` gives them."""
+
+    AXES = auto()
+    """Columns of one axis in these files: the name stands before or behind x, y or z."""
+
+    EDF = auto()
+    UNISENS = auto()
+    ALL = CSV | TABLES | AXES | EDF | UNISENS
+
+
+Names = Mapping[In, tuple[str, ...]]
+"""Names in lower case, by the kinds of files that understand them."""
+
+
+@lru_cache(maxsize=4096)
+def normalized(name: str) -> str:
+    """Return a name in lower case without punctuation: `Sample_Rate [Hz]` gives `sampleratehz`."""
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+def names_in(names: Names, files: In) -> frozenset[str]:
+    """Return the names that any of some kinds of files understands."""
+    return frozenset(name for known, some in names.items() if known & files for name in some)
+
+
+class UnitNames(Generic[Unit]):
+    """Finds a unit by one of its names.
+
+    Args:
+        names: of each unit.
+    """
+
+    def __init__(self, names: Mapping[Unit, Names]) -> None:
+        self._units: dict[In, dict[str, Unit]] = {
+            files: {name: unit for unit, known in names.items() for name in names_in(known, files)}
+            for files in In
+        }
+        self._units[In.TABLES] = {normalized(name): unit for name, unit in self._units[In.TABLES].items()}
+
+    def names(self, files: In) -> Iterable[str]:
+        """Return all names that one kind of files understands."""
+        return self._units[files]
+
+    def find(self, name: str, files: In) -> Unit | None:
+        """Return the unit of a name in lower case, None if it is not known there."""
+        return self._units[files].get(name)
+
+    def find_in_table(self, name: str) -> Unit | None:
+        """Return the unit of a name in a table, which may have any case and punctuation."""
+        return self._units[In.TABLES].get(normalized(name))
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerationUnit:
+    """A unit of acceleration.
+
+    Attributes:
+        per_g: how much of it is one standard g, exactly.
+        rest: between these the median length of acceleration at rest lies, in the unit.
+        ending: a pattern of the unit at the end of a column's name in a table, such as `acc_x_mg`.
+        pose_ending: the end of the names of columns in a list of poses; None if it is not used there.
+    """
+
+    per_g: Fraction
+    rest: tuple[float, float]
+    names: Names
+    ending: str
+    pose_ending: str | None = None
+
+
+ACCELERATION_UNITS = {
+    "g": AccelerationUnit(
+        per_g=Fraction(1),
+        rest=(0.7, 1.4),
+        names={
+            In.ALL: ("g",),
+            In.CSV | In.TABLES | In.EDF: ("gravity",),
+            In.CSV | In.TABLES: ("gs",),
+            In.CSV | In.EDF: ("gn", "g0"),
+            In.TABLES: ("gee", "grav", "gravities", "gforce", "standardgravity"),
+        },
+        ending="g",
+        pose_ending="_g",
+    ),
+    "mg": AccelerationUnit(
+        per_g=Fraction(1000),
+        rest=(700.0, 1400.0),
+        names={
+            In.ALL: ("mg",),
+            In.CSV | In.TABLES | In.EDF: ("millig", "milli-g"),
+            In.EDF: ("mgn",),
+            In.TABLES: ("milligs", "milligee", "mgravity"),
+        },
+        ending="mg",
+    ),
+    "m/s2": AccelerationUnit(
+        per_g=Fraction(str(STANDARD_GRAVITY)),
+        rest=(7.0, 13.0),
+        names={
+            In.ALL: ("m/s2", "m/s^2", "m/s²"),
+            In.CSV | In.TABLES | In.EDF: ("m/s/s", "ms-2"),
+            In.CSV | In.TABLES: (
+                *("m/s**2", "m/(s^2)", "m/(s^2", "mps2", "ms2", "ms^-2", "m.s-2", "m s-2", "m s^-2"),
+            ),
+            In.EDF: ("m/ss", "m/sec2", "m/sec^2"),
+            In.TABLES: (
+                "mpss",
+                "mpers2",
+                "meterpersecondsquared",
+                "meterspersecondsquared",
+                "meterspersecond2",
+            ),
+        },
+        ending=r"m[/_ ]?s(?:ec)?(?:\^|\*\*)?-?[2²]|m/s/s",
+        pose_ending="_ms2",
+    ),
+}
+"""The units of acceleration by their names on the command line and in reports."""
+
+PER_G = {name: float(unit.per_g) for name, unit in ACCELERATION_UNITS.items()}
+"""How much of each unit is one standard g."""
+
+COUNTS = "counts"
+"""The name of raw counts of a sensor in place of a unit."""
+
+UNIT_CHOICES = (*ACCELERATION_UNITS, COUNTS)
+"""What --unit may be."""
+
+PHYSICAL_UNITS = f"{', '.join([*ACCELERATION_UNITS][:-1])} or {[*ACCELERATION_UNITS][-1]}"
+"""The units in words, for advice."""
+
+GIVE_UNIT = f"give --unit {PHYSICAL_UNITS}, or --unit counts with --lsb-per-g"
+"""Advice where the unit of a file is not known."""
+
+ACCELERATION = UnitNames(
+    {name: unit.names for name, unit in ACCELERATION_UNITS.items()}
+    | {
+        COUNTS: {
+            In.CSV | In.TABLES: ("counts", "count", "lsb", "raw", "adc", "digits"),
+            In.TABLES: ("lsbs", "adccounts", "adu", "digit", "bits", "rawcounts"),
+        }
+    }
+)
+"""Finds units of acceleration, and `counts`."""
+
+ROTATION = UnitNames[float](
+    {
+        1.0: {
+            In.ALL: ("deg/s", "dps", "°/s"),
+            In.CSV | In.TABLES | In.EDF: ("deg/sec",),
+            In.EDF: ("degree/s",),
+            In.TABLES: ("degps", "degpersec", "degreespersecond", "degreess", "degs1", "degpersecond"),
+        },
+        1000.0: {In.TABLES: ("mdps", "mdegs", "mdegsec", "millidegs")},
+        math.pi / 180: {
+            In.CSV | In.TABLES: ("rad/s",),
+            In.TABLES: ("radsec", "rps", "radps", "radianspersecond", "radianss", "rads1", "radpersec"),
+        },
+    }
+)
+"""Finds how much of a unit of rotation rate is 1 deg/s."""
+
+TEMPERATURE = UnitNames[float](
+    {
+        1.0: {
+            In.CSV | In.TABLES | In.EDF: ("c", "degc", "°c", "celsius"),
+            In.TABLES | In.EDF: ("deg c",),
+            In.TABLES: ("degreescelsius", "degreesc", "degreec", "degreecelsius"),
+        },
+        1000.0: {
+            In.TABLES: (
+                *("mc", "mdegc", "millidegc", "millicelsius"),
+                *("millidegreescelsius", "millidegreecelsius"),
+            )
+        },
+    }
+)
+"""Finds how much of a unit of temperature is 1 degree Celsius."""
+
+PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+"""How many of each unit of time are one second."""
+
+TIME = UnitNames(
+    {
+        "s": {In.CSV | In.TABLES: ("s", "sec", "secs", "second", "seconds")},
+        "ms": {
+            In.CSV | In.TABLES: ("ms", "msec", "millisecond", "milliseconds"),
+            In.CSV: ("millis", "millisec"),
+        },
+        "us": {
+            In.CSV | In.TABLES: ("us", "usec", "microsecond", "microseconds", "µs", "μs"),
+            In.CSV: ("micros",),
+        },
+        "ns": {In.CSV | In.TABLES: ("ns", "nsec", "nanosecond", "nanoseconds"), In.CSV: ("nanos",)},
+    }
+)
+"""Finds units of time."""
+
+UNIT_AT_END = re.compile(
+    r"(.*[a-z0-9\])]?)[\s_\[(./:-]+("
+    + "|".join(unit.ending for unit in ACCELERATION_UNITS.values())
+    + r"|counts?|lsb|dps|deg[/_]?s(?:ec)?|°/s|rad[/_]?s(?:ec)?)[\])]?",
+    re.IGNORECASE,
+)
+"""The name of a column in a table, and the unit at its end."""
+
+ACCELEROMETER: Names = {
+    In.ALL: ("acc",),
+    In.CSV | In.TABLES | In.AXES | In.EDF: ("accel", "acceleration", "accelerometer"),
+    In.CSV | In.TABLES: ("accelerations",),
+    In.CSV | In.AXES: ("a",),
+    In.AXES: ("",),
+    In.EDF: ("accelero",),
+    In.TABLES: (
+        *("accels", "accelerometers", "accelerometerdata", "acceldata", "accdata", "accelraw", "rawaccel"),
+        *("rawacc", "accelxyz", "accxyz", "accelerationxyz", "xyz", "raw"),
+    ),
+}
+"""Names of an accelerometer's columns."""
+
+GYROSCOPE: Names = {
+    In.ALL: ("gyro",),
+    In.CSV | In.TABLES | In.AXES | In.EDF: ("gyr", "gyroscope"),
+    In.CSV | In.TABLES: ("gyros", "gyroscopes"),
+    In.CSV: ("omega",),
+    In.AXES: ("g",),
+    In.TABLES: ("gyrodata", "gyroraw", "gyroxyz", "gyroscopexyz", "angularvelocity"),
+    In.UNISENS: ("angularrate",),
+}
+"""Names of a gyroscope's columns."""
+
+THERMOMETER: Names = {
+    In.ALL: ("temp", "temperature"),
+    In.TABLES: ("temperaturec", "tempc", "temperaturedegc"),
+}
+"""Names of a column of temperatures."""
+
+TIMES: Names = {
+    In.CSV | In.TABLES: ("time", "timestamp", "timestamps", "datetime", "epoch", "unixtime"),
+    In.CSV: ("unix", "utc", "ts", "date"),
+    In.TABLES: ("times", "t", "epochtime"),
+}
+"""Names of a column of times."""
+
+NOT_RAW = frozenset({"gravity", "linear", "lin"})
+"""Words of an acceleration that was computed from the measured one."""
