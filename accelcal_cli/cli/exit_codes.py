@@ -18,7 +18,7 @@ from typing import Any
 
 import click
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, lacking, printable
+from accelcal_cli.core.errors import AccelcalError, OutputError, cause_of_kind, missing_resource, printable
 
 OK = 0
 SOME_FAILED = 1
@@ -84,7 +84,7 @@ def of_failure(error: Exception) -> int:
     Raises:
         InterruptedBySignalError: it was raised while a signal ended the command, whose code counts.
     """
-    if came_of(error, InterruptedBySignalError, KeyboardInterrupt):
+    if cause_of_kind(error, InterruptedBySignalError, KeyboardInterrupt):
         raise InterruptedBySignalError from None
     if isinstance(error, click.ClickException):
         _show_usage(error)
@@ -179,9 +179,9 @@ def report_bug(path: Path | None = None) -> int:
     import traceback
 
     kind, value, _ = sys.exc_info()
-    if came_of(value, InterruptedBySignalError, KeyboardInterrupt):
+    if cause_of_kind(value, InterruptedBySignalError, KeyboardInterrupt):
         raise InterruptedBySignalError from None
-    if (lack := lacking(value)) is not None:
+    if (lack := missing_resource(value)) is not None:
         where = "" if path is None else f"{path}: "
         say(f"{where}{lack}; free some, or give fewer --chunk-samples")
         return NO_MEMORY

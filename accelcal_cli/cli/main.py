@@ -11,7 +11,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from accelcal_cli.cli.exit_codes import run_safely
-from accelcal_cli.core.errors import near
+from accelcal_cli.core.errors import similar_words
 from accelcal_cli.core.system import (
     collect_seldom,
     hold_to_one_thread,
@@ -46,7 +46,7 @@ class LazyGroup(click.Group):
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
         """Find a command; one that does not exist may be a slip."""
-        if args[0] not in self.parts and (meant := near(args[0], self.parts, 3)):
+        if args[0] not in self.parts and (meant := similar_words(args[0], self.parts, 3)):
             ctx.fail(f"No such command {args[0]!r}. Did you mean {' or '.join(map(repr, meant))}?")
         return super().resolve_command(ctx, args)
 

@@ -16,7 +16,7 @@ from click.shell_completion import CompletionItem
 
 from accelcal_cli.core.errors import did_you_mean
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.parts import may_be_archive, pattern_of
+from accelcal_cli.core.input_files import may_be_archive, pattern_of
 from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers

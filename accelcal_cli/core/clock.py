@@ -1,7 +1,7 @@
 """Clocks of devices: their offsets from UTC, and the times of samples in whole microseconds.
 
 A device's clock is set once and then runs on: it keeps the offset from UTC that its zone had when
-the recording began, whatever daylight saving does in the meantime (`core/daylight.py`).
+the recording began, whatever daylight saving does in the meantime (`core/local_time.py`).
 
 Sample times are computed only where they are wanted: a `Clock` answers `times(start, stop)` for rows
 of one chunk. All arithmetic is integer, so that the time of a sample does not depend on where the
@@ -11,17 +11,17 @@ chunk that holds it begins.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, timezone, tzinfo
 from fractions import Fraction
 from math import gcd
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UsageError, did_you_mean
-from accelcal_cli.core.steps import WIDEST, Steps, joined_steps, steps_of
 
 _EPOCH = datetime(1970, 1, 1)
 WIDEST_OFFSET_H = 14
@@ -29,19 +29,25 @@ MICROSECONDS = 1_000_000
 _DAY_S = 86_400
 
 FIRST_US, LAST_US = -62_135_596_800 * MICROSECONDS, 253_402_300_800 * MICROSECONDS - 1
-"""The years 1 to 9999, which calendars know; a recording that begins outside them is not read."""
+"""First and last moment [us since 1970] of the years 1 to 9999; a recording that begins outside them is
+refused."""
 
 DIVIDED = 1 << 10
-"""Terms of `quotients` that are divided at least: shorter stretches are no faster."""
+"""Smallest number of terms that `quotients` divides; dividing fewer is no faster."""
 
 _CYCLE_YEARS, _CYCLE_US = 400, 146_097 * _DAY_S * MICROSECONDS
-"""After which the Gregorian calendar repeats itself."""
+"""Length of the cycle after which the Gregorian calendar repeats itself."""
 
 _FIXED = re.compile(r"(?:UTC|GMT)?\s*([+-])(\d{1,2}):?(\d{2})?")
+CACHED = 1 << 14
+"""Number of steps that are looked at together; the processor's cache holds them."""
+
+WIDEST = int(np.iinfo(np.uint8).max)
+"""Largest difference between steps [us] that fits into one byte each."""
 
 
 def utc_offset_s(zone: str | None, start_us: int, *, fold: int = 0) -> int | None:
-    """Seconds that a clock of this zone was ahead of UTC at `start_us`; None for no zone.
+    """Return the seconds that a clock of this zone was ahead of UTC at `start_us`; None for no zone.
 
     Args:
         zone: an IANA name of a region and place, such as Europe/Berlin; `UTC`; or a fixed offset
@@ -60,7 +66,7 @@ def utc_offset_s(zone: str | None, start_us: int, *, fold: int = 0) -> int | Non
 
 
 def _place_of(zone: str) -> tzinfo:
-    """A zone by its name; raises UsageError if there is none."""
+    """Return the zone of this name; raises UsageError if there is none."""
     if zone.upper() in ("UTC", "GMT", "Z"):
         return UTC
     fixed = _FIXED.fullmatch(zone)
@@ -82,7 +88,7 @@ def _place_of(zone: str) -> tzinfo:
 
 
 def offset_at_s(zone: str, utc_us: int) -> int:
-    """Seconds that a clock of this zone is ahead of UTC at a moment, microseconds since 1970 in UTC.
+    """Return the seconds that a clock of this zone is ahead of UTC at a moment [us since 1970, UTC].
 
     Raises:
         UsageError: the zone does not exist.
@@ -96,7 +102,8 @@ def offset_at_s(zone: str, utc_us: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class StartTime:
-    """Time of the first sample [us since 1970]; `timezone` is UTC if it was given with Z or an offset."""
+    """Time of the first sample [us since 1970]; `timezone` is UTC if the time was written with Z or an
+    offset."""
 
     start_us: int
     timezone: str | None
@@ -104,7 +111,7 @@ class StartTime:
 
 
 def start_of(written: datetime) -> StartTime | None:
-    """A start as it was written; None where it lies outside the years 1 to 9999 in UTC."""
+    """Return a start time that was written; None if it lies outside the years 1 to 9999 in UTC."""
     known = written.tzinfo is not None
     moment = written if known else written.replace(tzinfo=UTC)
     start_us = (moment - _EPOCH.replace(tzinfo=UTC)) // timedelta(microseconds=1)
@@ -114,9 +121,9 @@ def start_of(written: datetime) -> StartTime | None:
 
 
 def iso_time(time_us: int | None, offset_s: int | None) -> str | None:
-    """ISO 8601 of a device's clock with microseconds, and its offset from UTC where known.
+    """Format a time of a device's clock as ISO 8601 with microseconds, and its offset from UTC where known.
 
-    Outside the years 1 to 9999 in the expanded form, `+10000-01-01T...`.
+    Times outside the years 1 to 9999 take the expanded form, `+10000-01-01T...`.
     """
     if time_us is None:
         return None
@@ -131,30 +138,101 @@ def iso_time(time_us: int | None, offset_s: int | None) -> str | None:
     return f"{shown}{'-' if offset_s < 0 else '+'}{zone:%H:%M}"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Steps:
+    """Times of n rows, at least one, stored as the steps between them.
+
+    The steps of a steady clock differ by less than a byte holds, an eighth of the memory of times; and clocks
+    often know the steps without computing the time of any row.
+
+    Attributes:
+        first_us, last_us: times of the first and of the last row [us since 1970].
+        least_us: the shortest step from a row to the next, negative where time goes back; 0 for one row.
+        above: (n - 1,) how much longer each step is: uint8, or int64 if they differ by more than WIDEST.
+    """
+
+    first_us: int
+    last_us: int
+    least_us: int
+    above: NDArray[Any]
+
+    def __len__(self) -> int:
+        return len(self.above) + 1
+
+    def times(self) -> NDArray[np.int64]:
+        """Return the times of all rows [us since 1970], (n,)."""
+        times = np.empty(len(self), np.int64)
+        times[0] = self.first_us
+        np.add(self.above, self.least_us, out=times[1:], dtype=np.int64)
+        return np.cumsum(times, out=times)
+
+
+def steps_of(times_us: NDArray[np.int64]) -> Steps:
+    """Return the steps between times (n,) of at least one row."""
+    last = len(times_us) - 1
+    ends = [(start, min(start + CACHED, last)) for start in range(0, last, CACHED)]
+    bounds = [_bounds(np.diff(times_us[start : stop + 1])) for start, stop in ends]
+    least, most = min((low for low, _ in bounds), default=0), max((high for _, high in bounds), default=0)
+    above: NDArray[Any] = np.empty(last, _kind(least, most))
+    for start, stop in ends:
+        np.subtract(np.diff(times_us[start : stop + 1]), least, out=above[start:stop], casting="unsafe")
+    return Steps(int(times_us[0]), int(times_us[-1]), least, above)
+
+
+def joined_steps(parts: Sequence[Steps]) -> Steps:
+    """Join the steps of rows, at least one, that follow one another."""
+    if len(parts) == 1:
+        return parts[0]
+    first, last = (np.array([getattr(part, end) for part in parts]) for end in ("first_us", "last_us"))
+    between = first[1:] - last[:-1]
+    least, most = _bounds(between)
+    several = [part for part in parts if len(part.above)]
+    least = min([least, *(part.least_us for part in several)])
+    most = max([most, *(part.least_us + int(part.above.max()) for part in several)])
+    if _kind(least, most) is np.int64 or any(part.above.dtype == np.int64 for part in several):
+        return steps_of(np.concatenate([part.times() for part in parts]))
+    above, at = np.empty(sum(map(len, parts)) - 1, np.uint8), 0
+    for part, step in zip(parts, [*between.tolist(), least], strict=True):
+        if len(part.above):
+            np.add(part.above, np.uint8(part.least_us - least), out=above[at : at + len(part.above)])
+        at += len(part)
+        above[at - 1 : at] = step - least  # nothing behind the last part
+    return Steps(parts[0].first_us, parts[-1].last_us, least, above)
+
+
+def _bounds(steps: NDArray[np.int64]) -> tuple[int, int]:
+    return int(steps.min()), int(steps.max())
+
+
+def _kind(least: int, most: int) -> type:
+    """Return the type that holds the differences from the shortest step."""
+    return np.uint8 if most - least <= WIDEST else np.int64
+
+
 class Clock(Protocol):
     """Times of the rows of a chunk."""
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Times of rows start..stop-1 [us since 1970, device clock], shape (stop - start,)."""
+        """Return the times of rows start..stop-1 [us since 1970, device clock], (stop - start,)."""
 
     def steps(self, start: int, stop: int) -> Steps:
-        """The same times, of at least one row, as the steps between them."""
+        """Return the same times, of at least one row, as the steps between them."""
 
     def part(self, start: int, stop: int) -> Clock:
-        """The clock of rows start..stop-1, counted from 0."""
+        """Return the clock of rows start..stop-1, counted from 0."""
 
     def shifted(self, by_us: int) -> Clock:
-        """The clock of the same rows, put forward."""
+        """Return the clock of the same rows, put forward by `by_us`."""
 
 
 def rate_fraction(rate_hz: float) -> Fraction:
-    """The sampling rate as a fraction small enough for exact 64-bit time arithmetic."""
+    """Return the sampling rate as a fraction small enough for exact 64-bit time arithmetic."""
     return Fraction(rate_hz).limit_denominator(10_000)
 
 
 @dataclass(frozen=True, slots=True)
 class UniformClock:
-    """Sample number k of the recording lies at start_us + k / rate, rounded to the nearest us.
+    """Clock of an even rate: sample k lies at start_us + k / rate, rounded to the nearest us.
 
     `first_index` is the sample number of the chunk's row 0, counted from `start_us`.
     """
@@ -164,29 +242,28 @@ class UniformClock:
     rate: Fraction
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Times of rows start..stop-1 [us], shape (stop - start,)."""
+        """See `Clock`."""
         step = MICROSECONDS * self.rate.denominator
         base = (self.first_index + start) * step + self.rate.numerator // 2
         return self.start_us + quotients(base, step, self.rate.numerator, stop - start)
 
     def steps(self, start: int, stop: int) -> Steps:
-        """The same times, of at least one row, as the steps between them."""
+        """See `Clock`."""
         return steps_of(self.times(start, stop))
 
     def part(self, start: int, stop: int) -> UniformClock:
-        """The clock of rows start..stop-1, counted from 0."""
+        """See `Clock`."""
         return UniformClock(self.start_us, self.first_index + start, self.rate)
 
     def shifted(self, by_us: int) -> UniformClock:
-        """The clock of the same rows, put forward."""
+        """See `Clock`."""
         return UniformClock(self.start_us + by_us, self.first_index, self.rate)
 
 
 def quotients(first: int, step: int, divisor: int, number: int) -> NDArray[np.int64]:
-    """(first + i step) // divisor for i = 0 to number - 1, of a positive divisor.
+    """Return (first + i step) // divisor for i = 0 to number - 1, for a positive divisor.
 
-    After as many terms as the divisor has beyond what it shares with the step, they come again, plus a whole
-    number: so few are divided.
+    The terms repeat, plus a whole number, after divisor / gcd(step, divisor) of them: only these are divided.
     """
     whole, rest = divmod(first, divisor)
     period = divisor // gcd(step, divisor)
@@ -200,30 +277,30 @@ def quotients(first: int, step: int, divisor: int, number: int) -> NDArray[np.in
 
 @dataclass(frozen=True, slots=True)
 class StampClock:
-    """Every row carries its own time: `time_us` (n,) int64."""
+    """Clock that stores the time of every row: `time_us` (n,) int64."""
 
     time_us: NDArray[np.int64]
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Times of rows start..stop-1 [us], shape (stop - start,)."""
+        """See `Clock`."""
         return self.time_us[start:stop]
 
     def steps(self, start: int, stop: int) -> Steps:
-        """The same times, of at least one row, as the steps between them."""
+        """See `Clock`."""
         return steps_of(self.times(start, stop))
 
     def part(self, start: int, stop: int) -> StampClock:
-        """The clock of rows start..stop-1, counted from 0."""
+        """See `Clock`."""
         return StampClock(self.time_us[start:stop])
 
     def shifted(self, by_us: int) -> StampClock:
-        """The clock of the same rows, put forward."""
+        """See `Clock`."""
         return StampClock(self.time_us + by_us)
 
 
 @dataclass(frozen=True, slots=True)
 class PageClock:
-    """Rows between page stamps, evenly spread.
+    """Clock of rows that are evenly spread between the time stamps of pages.
 
     Page j starts at row `first_row[j]` and at `time_us[j]`; `span_rows[j]` rows take
     `span_us[j]`. All are int64 arrays of shape (pages,); first_row ascends from 0 or below.
@@ -235,7 +312,7 @@ class PageClock:
     span_us: NDArray[np.int64]
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Times of rows start..stop-1 [us], shape (stop - start,)."""
+        """See `Clock`."""
         if stop <= start:
             return np.empty(0, np.int64)
         pages = self._pages(start, stop)
@@ -253,43 +330,44 @@ class PageClock:
         return self._uneven(pages, on_each, skipped)
 
     def steps(self, start: int, stop: int) -> Steps:
-        """The same times, of at least one row, as the steps between them."""
+        """See `Clock`."""
         pages = self._pages(start, stop)
         rows = None if pages.stop - pages.start == 1 else self._rows_of_each(pages, stop)
         steps = None if rows is None or rows == 1 else self._even_steps(pages, rows, start, stop)
         return steps_of(self.times(start, stop)) if steps is None else steps
 
     def part(self, start: int, stop: int) -> PageClock:
-        """The clock of rows start..stop-1, counted from 0: the pages that they lie on."""
+        """See `Clock`; keeps only the pages that the rows lie on."""
         low = int(np.searchsorted(self.first_row, start, side="right")) - 1
         pages = slice(max(low, 0), int(np.searchsorted(self.first_row, stop, side="left")))
         first_row, columns = self.first_row[pages] - start, (self.time_us, self.span_rows, self.span_us)
         return PageClock(first_row, *(column[pages] for column in columns))
 
     def shifted(self, by_us: int) -> PageClock:
-        """The clock of the same rows, put forward."""
+        """See `Clock`."""
         return PageClock(self.first_row, self.time_us + by_us, self.span_rows, self.span_us)
 
     def _of_one(self, page: int, start: int, number: int) -> NDArray[np.int64]:
-        """Times of so many rows of one page from row `start` on."""
+        """Return the times of `number` rows of one page from row `start` on."""
         into, rows = start - int(self.first_row[page]), int(self.span_rows[page])
         span_us = int(self.span_us[page])
         return quotients(2 * into * span_us + rows, 2 * span_us, 2 * rows, number) + int(self.time_us[page])
 
     def _pages(self, start: int, stop: int) -> slice:
-        """The pages that rows lie on."""
         low, last = np.searchsorted(self.first_row, (start, stop - 1), side="right") - 1
         return slice(int(low), int(last) + 1)
 
     def _rows_of_each(self, pages: slice, stop: int) -> int | None:
-        """How many rows each page has, as if the last went on behind row stop-1; None if not all alike."""
+        """Return the number of rows of each page, as if the last went on behind row stop-1; None if they
+        differ."""
         rows = np.diff(np.append(self.first_row[pages], stop))
         longest = int(rows.max())
         alike = (rows[:-1] == longest).all() and (self.span_rows[pages] == longest).all()
         return longest if alike else None
 
     def _spread(self, pages: slice, rows: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """How long after its page's time each of `rows` rows lies, and which line of that is each page's.
+        """Return how long after its page's time each of `rows` rows lies, and which line of that is each
+        page's.
 
         Few different spans occur among the pages of a device: each is divided up once.
         """
@@ -300,7 +378,8 @@ class PageClock:
         return into, which
 
     def _even_steps(self, pages: slice, rows: int, start: int, stop: int) -> Steps | None:
-        """Steps between rows of several pages that have as many each; None if they differ too much."""
+        """Return the steps between rows of pages that have equally many each; None if they differ too
+        much."""
         into, which = self._spread(pages, rows)
         begins = self.time_us[pages]
         within, across = np.diff(into), np.diff(begins) - into[which[:-1], -1]
@@ -323,7 +402,8 @@ class PageClock:
         )
 
     def _uneven(self, pages: slice, rows: NDArray[np.int64], skipped: int) -> NDArray[np.int64]:
-        """Times of the first `rows[j]` rows of each page j, in the first one after `skipped` others."""
+        """Return the times of the first `rows[j]` rows of each page j, in the first page after `skipped`
+        others."""
         span = np.repeat(self.span_rows[pages], rows)
         first = np.repeat(np.cumsum(rows) - rows, rows)
         into = np.arange(len(first), dtype=np.int64) - first
@@ -334,20 +414,20 @@ class PageClock:
 
 @dataclass(frozen=True, slots=True)
 class JoinedClock:
-    """The rows of one clock, then those of another: `rows` are the first one's."""
+    """Clock of the `rows` rows of one clock, then those of another."""
 
     first: Clock
     rows: int
     second: Clock
 
     def times(self, start: int, stop: int) -> NDArray[np.int64]:
-        """Times of rows start..stop-1 [us], shape (stop - start,)."""
+        """See `Clock`."""
         before = self.first.times(min(start, self.rows), min(stop, self.rows))
         after = self.second.times(max(start - self.rows, 0), max(stop - self.rows, 0))
         return np.concatenate((before, after))
 
     def steps(self, start: int, stop: int) -> Steps:
-        """The same times, of at least one row, as the steps between them."""
+        """See `Clock`."""
         if start >= self.rows:
             return self.second.steps(start - self.rows, stop - self.rows)
         if stop <= self.rows:
@@ -355,7 +435,7 @@ class JoinedClock:
         return joined_steps([self.first.steps(start, self.rows), self.second.steps(0, stop - self.rows)])
 
     def part(self, start: int, stop: int) -> Clock:
-        """The clock of rows start..stop-1, counted from 0."""
+        """See `Clock`."""
         if start >= self.rows:
             return self.second.part(start - self.rows, stop - self.rows)
         if stop <= self.rows:
@@ -365,5 +445,5 @@ class JoinedClock:
         )
 
     def shifted(self, by_us: int) -> JoinedClock:
-        """The clock of the same rows, put forward."""
+        """See `Clock`."""
         return JoinedClock(self.first.shifted(by_us), self.rows, self.second.shifted(by_us))

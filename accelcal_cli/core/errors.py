@@ -1,7 +1,4 @@
-"""The tree of errors that users see, with the exit code of each kind, and text for their messages.
-
-Names of files as text that any terminal, table and JSON file can hold, and numbers with what they count.
-"""
+"""The errors that users see, each kind with its exit code, and helpers that put values into messages."""
 
 from __future__ import annotations
 
@@ -16,9 +13,9 @@ NO_BYTES = re.compile("[\ud800-\udc7f\udd00-\udfff]")
 
 
 FORMULA = re.compile(r"[=@\t\r\n]|[+-](?![0-9.eE+-]*$)")
-"""How cells begin that spreadsheets calculate, or of which they pass over the beginning; no numbers."""
+"""Beginnings of cells that spreadsheets would calculate or swallow; numbers are excluded."""
 
-MACHINE = frozenset(
+ENVIRONMENT_ERRNOS = frozenset(
     getattr(errno, name)
     for name in (
         "EIO", "EMFILE", "ENFILE", "ENOMEM", "ENOSPC", "EDQUOT", "EAGAIN", "EACCES", "EPERM", "ENODEV",
@@ -26,14 +23,15 @@ MACHINE = frozenset(
     )
     if hasattr(errno, name)
 )  # fmt: skip
-"""What a system says of its disks, networks, limits and rights, whatever is in a file."""
+"""Error numbers of disks, networks, limits and rights, which no file's content causes."""
 
 NO_THREAD = ("can't start new thread", "Failed to launch worker thread")
-"""What Python (Modules/_threadmodule.c) and Arrow (util/thread_pool.cc) say where they are given none."""
+"""Messages of Python (Modules/_threadmodule.c) and Arrow (util/thread_pool.cc) when no thread can be
+started."""
 
 
 def printable(path: Path | str, *, kept: str = "") -> str:
-    """A name with control characters escaped and bytes that are not UTF-8 replaced.
+    """Return a name with control characters escaped and bytes that are not UTF-8 replaced.
 
     Args:
         kept: characters that stay as they are.
@@ -48,22 +46,22 @@ def _escaped(char: str) -> str:
 
 
 def spreadsheet_cell(value: Any) -> Any:
-    """A text that a spreadsheet would take for a formula with an apostrophe before it; all else as it is."""
+    """Return a value, with an apostrophe before a text that a spreadsheet would take for a formula."""
     return f"'{value}" if isinstance(value, str) and FORMULA.match(value) else value
 
 
 def counted(number: int, what: str) -> str:
-    """`1 recording`, `2 recordings`."""
+    """Return a number with what it counts: `1 recording`, `2 recordings`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 def listed(items: Sequence[str]) -> str:
-    """`x`, `x and y`, `x, y and z`."""
+    """Return items as a phrase: `x`, `x and y`, `x, y and z`."""
     return " and ".join(filter(None, (", ".join(items[:-1]), *items[-1:])))
 
 
-def near(word: str, known: Iterable[str], most: int = 1) -> list[str]:
-    """Known words that a word may be a slip for, the nearest first; case does not count."""
+def similar_words(word: str, known: Iterable[str], most: int = 1) -> list[str]:
+    """Return known words that a word may be a slip for, the nearest first; case does not count."""
     import difflib  # few words are slips
 
     names = {name.lower(): name for name in known}
@@ -71,25 +69,25 @@ def near(word: str, known: Iterable[str], most: int = 1) -> list[str]:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """`did you mean 'both'?`; empty where nothing is near."""
-    return "".join(f"did you mean {name!r}?" for name in near(word, known))
+    """Return `did you mean 'both'?`; empty if no known word is similar."""
+    return "".join(f"did you mean {name!r}?" for name in similar_words(word, known))
 
 
-def came_of(error: BaseException | None, *kinds: type[BaseException]) -> BaseException | None:
-    """The error, or that in whose handling it was raised, if it is of one of these kinds; else None."""
+def cause_of_kind(error: BaseException | None, *kinds: type[BaseException]) -> BaseException | None:
+    """Return the error, or the one it was raised while handling, that is of one of these kinds; else None."""
     while error is not None and not isinstance(error, kinds):
         error = error.__context__
     return error
 
 
-def of_the_machine(error: BaseException) -> bool:
-    """Whether an error came of the machine, and not of what a file holds: it may be gone the next time."""
-    cause = came_of(error, OSError)
-    return isinstance(cause, OSError) and cause.errno in MACHINE
+def is_environment_error(error: BaseException) -> bool:
+    """Return True if the environment (disk, network, limits) caused the error; a retry may succeed."""
+    cause = cause_of_kind(error, OSError)
+    return isinstance(cause, OSError) and cause.errno in ENVIRONMENT_ERRNOS
 
 
-def lacking(error: BaseException | None) -> str | None:
-    """What this machine had not enough of, if that is what went wrong: memory, or another thread."""
+def missing_resource(error: BaseException | None) -> str | None:
+    """Return a sentence on what this machine lacked, memory or another thread; None if neither."""
     if isinstance(error, MemoryError) or getattr(error, "errno", None) == errno.ENOMEM:
         return "there was not enough memory"
     if any(words in str(error) for words in NO_THREAD):
@@ -137,7 +135,7 @@ class AccelcalError(Exception):
 
 
 class UsageError(AccelcalError):
-    """The command's words do not fit together."""
+    """The words of the command do not fit together."""
 
     exit_code = 2
 
@@ -153,7 +151,7 @@ class NoFormatError(UnreadableError):
 
 
 class NoRecordingError(UnreadableError):
-    """A sound table, but nothing in it is acceleration."""
+    """The table is sound, but nothing in it is acceleration."""
 
 
 class OutputError(AccelcalError):
@@ -169,7 +167,7 @@ class LockedError(AccelcalError):
 
 
 class ClusterError(AccelcalError):
-    """The cluster cannot be reached, or cannot be used."""
+    """The cluster cannot be reached or used."""
 
     exit_code = 69
 

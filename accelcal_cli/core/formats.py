@@ -18,8 +18,8 @@ from typing import Any
 
 from accelcal_cli.core.clock import FIRST_US, LAST_US, MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, listed
+from accelcal_cli.core.local_time import Retiming, retimed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
-from accelcal_cli.core.retime import Retiming, retimed
 from accelcal_cli.core.settings import Option, setting, setting_of
 from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
@@ -30,7 +30,7 @@ RATE_AGREEMENT = 0.05
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """What the user states about a recording; None: to be found out.
+    """What the user states about a recording; None: to be found out from the file.
 
     Attributes:
         unit: one of g, mg, m/s2, counts.
@@ -38,7 +38,7 @@ class ReadOptions:
         date_format: order of day, month and year in dates: dmy, mdy or ymd.
         layout: a layout file for raw dumps.
         sensor: which sensor of a file with several.
-        gyro_columns: as `columns`, of the gyroscope; gyro_unit: deg/s, rad/s, or none: it is not read.
+        gyro_columns: like `columns`, for the gyroscope; gyro_unit: deg/s, rad/s, or none: it is not read.
     """
 
     format: str | None = setting(
@@ -94,7 +94,7 @@ class ReadOptions:
 
     @property
     def times(self) -> Retiming:
-        """What the user states about its times."""
+        """What the user states about the times."""
         by_user = "--timezone" if self.configured_zone is None else "--configured-zone"
         zone = self.configured_zone or self.timezone
         shift_us = round((self.shift_s or 0) * MICROSECONDS)
@@ -102,41 +102,41 @@ class ReadOptions:
 
 
 GYRO_OPTIONS = ("gyro_columns", "gyro_unit", "lsb_per_dps")
-"""Those of a gyroscope, which mean something to tables alone."""
+"""Options on the gyroscope, which only tables understand."""
 
 IF_GIVEN = ("start", "shift_s", "configured_zone", "worn_zone", *GYRO_OPTIONS)
-"""Options that a report names only where they were given."""
+"""Options that a report names only if they were given."""
 
 UNUSED = re.compile(r"(--.*) means? nothing for format (\S+) and (?:was|were) not used")
-"""A note that names options, and the format."""
+"""Pattern of a note on unused options; the groups are the options and the format."""
 
 
 def option_name(name: str) -> str:
-    """The option of a field of `ReadOptions`, such as `--time-column`."""
+    """Return the command-line option of a field of `ReadOptions`, such as `--time-column`."""
     option = setting_of(ReadOptions, name).option
     assert option is not None
     return option.name
 
 
 def without(options: ReadOptions, names: Iterable[str]) -> ReadOptions:
-    """Options as if some had not been given."""
+    """Return options with some fields set back to their defaults."""
     default = ReadOptions()
     return replace(options, **{name: getattr(default, name) for name in names})
 
 
 def mean_nothing(names: Sequence[str]) -> str:
-    """Some options and a verb: `--unit and --columns mean nothing`."""
+    """Return some options and a verb: `--unit and --columns mean nothing`."""
     return f"{listed([option_name(name) for name in names])} {'means' if len(names) == 1 else 'mean'} nothing"
 
 
 def unused_note(names: Sequence[str], format_name: str) -> str:
-    """The note of a recording for which some options mean nothing."""
+    """Return the note of a recording for which some options mean nothing."""
     verb = "was" if len(names) == 1 else "were"
     return f"{mean_nothing(names)} for format {format_name} and {verb} not used"
 
 
 def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
-    """The options that the notes of a report's `recording` say were not used, as fields of `ReadOptions`."""
+    """Return the fields of `ReadOptions` that the notes of a report's `recording` call unused."""
     notes = recording.get("notes")
     found = [UNUSED.fullmatch(str(note)) for note in (notes if isinstance(notes, list) else [])]
     named = " ".join(note[1] for note in found if note and note[2] == recording.get("format"))
@@ -145,7 +145,7 @@ def noted_unused(recording: Mapping[str, Any]) -> tuple[str, ...]:
 
 
 def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:
-    """The rate that a recording states itself, or the user's where it is about the same.
+    """Return the rate that a recording states, or the user's if it is about the same.
 
     Raises:
         UsageError: the two contradict each other; the file's own times would become gaps.
@@ -163,13 +163,13 @@ def agreed_rate(options: ReadOptions, stated_hz: float, path: Path) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What a sniffer may look at: never the whole file.
+    """The part of a file that a sniffer may look at.
 
     Attributes:
         path: the recording.
-        head: its first 64 KiB, uncompressed where the file is gzip.
+        head: its first 64 KiB, uncompressed if the file is gzip.
         size: bytes on disk.
-        compressed: whether the file is gzip.
+        compressed: True if the file is gzip.
         options: what the user states.
     """
 
@@ -193,12 +193,12 @@ class Format:
     Attributes:
         name: as in `--format` and in the report.
         title: for people, one line.
-        suffixes: usual lower-case suffixes, with the dot; only a hint.
+        suffixes: usual lower-case suffixes, with the dot; they only decide which formats are asked first.
         sniff: confidence 0..100 that the probed file is of this format. 0: certainly not;
             100: a magic number or signature matches. Never raises.
-        is_table: such files hold tables of all kinds; that of a study may be no recording.
-        ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
         reader: "module:function" that opens a file, imported by the first file that is opened.
+        ignores: reading options that mean nothing to it, such as `columns`: the one place that says so.
+        is_table: such files hold tables of all kinds; that of a study may be no recording.
     """
 
     name: str
@@ -210,7 +210,7 @@ class Format:
     is_table: bool = False
 
     def unused(self, options: ReadOptions) -> tuple[str, ...]:
-        """Options that are given and mean nothing to it."""
+        """Return the options that are given and mean nothing to this format."""
         return tuple(name for name in self.ignores if getattr(options, name) is not None)
 
     def open(self, path: Path, options: ReadOptions) -> Reader:
@@ -239,7 +239,7 @@ def _refuse_no_calendar(recording: Recording) -> None:
 
 
 def probe_file(path: Path, options: ReadOptions) -> Probe:
-    """Look at the beginning of a file.
+    """Read the beginning of a file.
 
     Raises:
         UnreadableError: it is missing, empty, not a file, or its gzip header is damaged.
@@ -258,7 +258,7 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
             head = file.read(HEAD_BYTES)
         compressed = head.startswith(GZIP_MAGIC)
         if compressed:
-            head = gzip_head(path)
+            head = read_gzip_head(path)
     except OSError as error:
         raise UnreadableError(
             f"cannot be read ({error.strerror or error})", path=path, hint="check the path and permissions"
@@ -266,8 +266,8 @@ def probe_file(path: Path, options: ReadOptions) -> Probe:
     return Probe(path, head, size, compressed, options)
 
 
-def gzip_head(path: Path) -> bytes:
-    """The first uncompressed bytes of a gzip file, as many as a truncated one still gives.
+def read_gzip_head(path: Path) -> bytes:
+    """Return the first uncompressed bytes of a gzip file, as many as a truncated one still gives.
 
     Raises:
         UnreadableError: nothing can be decompressed.
@@ -287,7 +287,7 @@ def gzip_head(path: Path) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Companion:
-    """A text file beside a recording: what its name ends with, and its text."""
+    """A text file that lies beside a recording: the end of its name, and its text."""
 
     suffix: str
     text: Callable[[Recording], str]
@@ -307,13 +307,13 @@ class Sampling:
 
 
 def any_sampling(recording: Recording) -> Sampling:
-    """Any rate and scale, any number of samples."""
+    """Return the sampling of a format that takes any rate, scale and number of samples."""
     return Sampling(recording.rate_hz)
 
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """Writes recordings of one format.
+    """A writer of recordings of one format.
 
     Attributes:
         name: the format's name, as in `--format`; a reader of that name reads it back.

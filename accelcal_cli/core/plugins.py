@@ -1,4 +1,4 @@
-"""How plug-ins are found: formats, writers and optimizers are what the files of a folder bind."""
+"""Discovery of plug-ins: formats, writers and optimizers are objects that the modules of a folder bind."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Named(Protocol):
 
     @property
     def name(self) -> str:
-        """As in the command's options."""
+        """Name as in the options of the command."""
 
 
 def find_plugins(package: str, folder: Iterable[str], attribute: str) -> list[Any]:
-    """`attribute` of every module of a package, by the items' names; `_` modules are helpers.
+    """Return `attribute` of every module of a package, sorted by the items' names; `_` modules are helpers.
 
     A module binds one item, or a tuple of them.
     """
@@ -34,7 +34,7 @@ def find_plugins(package: str, folder: Iterable[str], attribute: str) -> list[An
 
 @cache
 def _modules(folder: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of the modules in a package's folder, listed once."""
+    """Return the names of the modules in a package's folder, listed once."""
     return tuple(info.name for info in pkgutil.iter_modules(folder))
 
 
@@ -44,7 +44,8 @@ def _items(module: ModuleType, attribute: str) -> tuple[Any, ...]:
 
 
 def find_plugin(package: str, folder: Iterable[str], attribute: str, name: str) -> Any:
-    """`attribute` of the one module that is called like the item, `_` for hyphens; None if there is none."""
+    """Return `attribute` of the module that is called like the item, `_` for hyphens; None if there is
+    none."""
     module = name.replace("-", "_")
     if module.startswith("_") or module not in _modules(tuple(folder)):
         return None
@@ -56,7 +57,7 @@ T = TypeVar("T", bound=Named)
 
 
 def named_plugin(name: str, items: tuple[T, ...], what: str) -> T:
-    """The item of a name; raises UsageError with the known names where there is none."""
+    """Return the item of a name; raises UsageError with the known names if there is none."""
     for item in items:
         if item.name == name:
             return item

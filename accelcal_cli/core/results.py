@@ -8,7 +8,7 @@ from math import fsum
 from typing import Literal
 
 from accelcal_cli.core.course import Course
-from accelcal_cli.core.daylight import ZoneChange
+from accelcal_cli.core.local_time import ZoneChange
 from accelcal_cli.core.points import Calibration, Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.recording import Problem
 

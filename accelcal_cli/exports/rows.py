@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError, printable
+from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.core.zones import UTC
 from accelcal_cli.output.columns import described
 from accelcal_cli.output.files import metadata_of
 from accelcal_cli.output.parquet import ParquetSource, stored_schema

@@ -1,8 +1,8 @@
 """The registry of formats: one folder each, found by listing this one. Nothing registers itself.
 
 Every start of the command imports `formats/NAME/__init__.py` of all formats, for their suffixes and `sniff`,
-so those import no more than that takes. What reads (`reader.py`) is imported by the first file that is
-opened, what writes (`writer.py`) by `accelcal simulate`.
+so these import no more than that takes. The first file that is opened imports the reader (`reader.py`);
+`accelcal simulate` imports the writer (`writer.py`).
 """
 
 from __future__ import annotations
@@ -27,35 +27,42 @@ from accelcal_cli.core.formats import (
     unused_note,
     without,
 )
-from accelcal_cli.core.parts import ARCHIVES, TAR_MAGIC, TAR_MAGIC_AT, files_of, may_be_archive, set_of
+from accelcal_cli.core.input_files import (
+    ARCHIVES,
+    TAR_MAGIC,
+    TAR_MAGIC_AT,
+    files_of,
+    may_be_archive,
+    pattern_of_siblings,
+)
 from accelcal_cli.core.plugins import find_plugin, find_plugins, named_plugin
 from accelcal_cli.core.recording import Reader
-from accelcal_cli.formats._others import refuse_others
+from accelcal_cli.formats._not_recordings import refuse_not_recordings
 
 SIGNED = 90
-"""The confidence from which on a sniffer has seen a signature."""
+"""Confidence from which on a sniffer has seen a signature."""
 
 CERTAIN = 100
-"""The confidence that no other format exceeds; HDF5 gives its signature less, as Opal files have it, too."""
+"""Confidence that no other format exceeds; HDF5 gives its signature less, since Opal files have it, too."""
 
 LOOKED_AT = 8
-"""Members of an archive whose names are looked at."""
+"""Number of members of an archive whose names are looked at."""
 
 
 @cache
 def all_formats() -> tuple[Format, ...]:
-    """Every format, by name. A module whose name starts with `_` is a helper, not a format."""
+    """Return every format, by name; a module whose name starts with `_` is a helper, not a format."""
     return tuple(find_plugins(__name__, __path__, "FORMAT"))
 
 
 def load_all() -> None:
-    """Import every reader once, before many processes are forked that open files."""
+    """Import every reader once, before processes are forked that open files."""
     for module in pkgutil.walk_packages(__path__, f"{__name__}."):
         importlib.import_module(module.name)
 
 
 def find_format(path: Path, options: ReadOptions) -> Format:
-    """The format of a file, by its content, or as the user named it.
+    """Return the format of a file, by its content or as the user named it.
 
     Raises:
         UnreadableError: no format fits, it is known to be no recording, or it cannot be read.
@@ -66,7 +73,7 @@ def find_format(path: Path, options: ReadOptions) -> Format:
         return named_format(options.format)
     confidence, item = _most_confident(probe)
     if confidence < SIGNED:
-        refuse_others(probe)
+        refuse_not_recordings(probe)
     if confidence == 0:
         raise NoFormatError(
             "its content matches no known format",
@@ -97,13 +104,13 @@ def _most_confident(probe: Probe) -> tuple[int, Format]:
 
 
 def named_format(name: str) -> Format:
-    """Look a format up by name; raises UsageError if there is none."""
+    """Return the format of a name; raises UsageError if there is none."""
     found = find_plugin(__name__, __path__, "FORMAT", name)
     return found or named_plugin(name, all_formats(), "format")
 
 
 def has_parts(path: Path) -> bool:
-    """Whether a path stands for the parts of one recording: a folder, a pattern, or an archive."""
+    """Return True if a path stands for the parts of one recording: a folder, a pattern, or an archive."""
     if files_of(path) is not None:
         return True
     if not may_be_archive(path):
@@ -119,18 +126,18 @@ def has_parts(path: Path) -> bool:
 
 
 def holds_parts(path: Path) -> bool:
-    """Whether a file is an archive in which one of the first members is named as the part of a recording."""
+    """Return True for an archive in which one of the first members is named like a part of a recording."""
     if not path.name.lower().endswith(ARCHIVES) or not has_parts(path):
         return False
     from accelcal_cli.formats._parts.archive import first_names
 
-    return any(set_of(Path(name)) is not None for name in first_names(path, LOOKED_AT))
+    return any(pattern_of_siblings(Path(name)) is not None for name in first_names(path, LOOKED_AT))
 
 
 def unused_options(path: Path, options: ReadOptions) -> tuple[str, ...]:
-    """Options that mean nothing for a file's format; raises what `find_format` raises.
+    """Return the options that mean nothing for a file's format; raises what `find_format` raises.
 
-    Of parts the first counts; those in an archive are all meant.
+    For parts, the first one decides; options are all used for parts in an archive.
     """
     if not _may_be_unused(options):
         return ()
@@ -145,7 +152,7 @@ def _may_be_unused(options: ReadOptions) -> set[str]:
 def refuse_unused(paths: Iterable[Path], options: ReadOptions) -> None:
     """Raise UsageError for an option that means nothing for the format of any of several recordings.
 
-    What cannot be read has no format.
+    Files that cannot be read have no format.
     """
     pending, found = _may_be_unused(options), set()
     for path in paths:
@@ -160,7 +167,7 @@ def refuse_unused(paths: Iterable[Path], options: ReadOptions) -> None:
 
 
 def _refuse_options(names: Sequence[str], formats: Sequence[str], path: Path | None = None) -> None:
-    """Raise UsageError if there are names of options, which mean nothing for these formats."""
+    """Raise UsageError if any options are named, which mean nothing for these formats."""
     if names:
         kinds, them = "formats" if len(formats) > 1 else "format", "it" if len(names) == 1 else "them"
         text = f"{mean_nothing(names)} for {kinds} {listed(formats)}"
@@ -176,12 +183,12 @@ def open_recording(
     *,
     session: bool = False,
 ) -> Reader:
-    """Open a recording of any format for streaming, or one in parts.
+    """Open a recording of any format, or one in parts, for streaming.
 
     Args:
         threads: how many may work at a time on reading it.
         unused: options that were given for other recordings and mean nothing for this one; it is noted.
-        session: parts are no stretches of one recording, but recordings of one device, in which it rested.
+        session: the parts are not stretches of one recording, but recordings of one device at rest.
 
     Raises:
         UnreadableError, UsageError: see `find_format` and the format's own `open`; or an option means
@@ -213,11 +220,11 @@ def _open_file(path: Path, options: ReadOptions, unused: tuple[str, ...]) -> Rea
 
 @cache
 def all_encoders() -> tuple[Encoder, ...]:
-    """All of them, by name."""
+    """Return every writer, by name."""
     writers = (f"{__name__}.{item.name}.writer" for item in pkgutil.iter_modules(__path__) if item.ispkg)
     return tuple(importlib.import_module(name).ENCODER for name in writers if importlib.util.find_spec(name))
 
 
 def named_encoder(name: str) -> Encoder:
-    """Look one up by name; raises UsageError if there is none."""
+    """Return the writer of a name; raises UsageError if there is none."""
     return named_plugin(name, all_encoders(), "format to write")

@@ -17,10 +17,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS, Clock
+from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.rotations import Gyroscope
-from accelcal_cli.core.zones import UNKNOWN, UTC
 
 TIME_ZONE_KEY = b"time_zone"
 """Of the schema's metadata: what `time` is in, UTC or unknown."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core import thrift
-from accelcal_cli.core.steps import Steps
+from accelcal_cli.core.clock import Steps
 from accelcal_cli.output.column_chunks import (
     DATA_PAGE,
     DELTA_BINARY_PACKED,

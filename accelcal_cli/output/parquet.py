@@ -20,11 +20,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import Clock
-from accelcal_cli.core.errors import UnreadableError, lacking
+from accelcal_cli.core.clock import Clock, Steps, joined_steps
+from accelcal_cli.core.errors import UnreadableError, missing_resource
 from accelcal_cli.core.helpers import Helper, helpers
 from accelcal_cli.core.parallel import BackgroundCalls
-from accelcal_cli.core.steps import Steps, joined_steps
 from accelcal_cli.output.column_chunks import MAGIC, ColumnChunk
 from accelcal_cli.output.columns import Column, Portion, schema_of
 from accelcal_cli.output.delta_pages import delta_chunk
@@ -401,7 +400,7 @@ class ParquetSource:
         try:
             batch = next(self._batches, None)
         except (OSError, pa.ArrowException) as error:
-            if lacking(error) is not None:
+            if missing_resource(error) is not None:
                 raise
             raise self._unreadable(error) from error
         return None if batch is None else [_values(batch.column(name)) for name in self.names]

@@ -13,9 +13,9 @@ from typing import Any
 
 from accelcal_cli.core import results
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.daylight import ZoneChange
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS
+from accelcal_cli.core.local_time import ZoneChange, zone_of_times
 from accelcal_cli.core.operations import predicted_seconds
 from accelcal_cli.core.points import (
     PARAMETER_NAMES,
@@ -32,7 +32,6 @@ from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
-from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report_reading import SCHEMA_VERSION

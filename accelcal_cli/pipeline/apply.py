@@ -15,7 +15,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import noted_unused
-from accelcal_cli.core.parts import size_of
+from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment

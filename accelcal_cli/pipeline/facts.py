@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.collect.rest import RestSums
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
-from accelcal_cli.core.daylight import FOLLOWED, ZoneChange, zone_changes
+from accelcal_cli.core.local_time import FOLLOWED, ZoneChange, zone_changes
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import Facts, Gap, Jumps, SampleCounts

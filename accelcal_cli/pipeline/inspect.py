@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.daylight import zone_change
 from accelcal_cli.core.errors import printable
+from accelcal_cli.core.local_time import zone_changes, zone_of_times
 from accelcal_cli.core.points import WindowCounts
 from accelcal_cli.core.recording import Chunk, Reader, Recording, as_json_device
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.settings import DEFAULT, NO_PRIOR, Settings
 from accelcal_cli.core.version import __version__
-from accelcal_cli.core.zones import zone_of_times
 from accelcal_cli.judge.errors import coverage
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import advised, as_it_is, damage_verdict
@@ -145,7 +144,7 @@ def _to_its_end(facts: Facts, recording: Recording) -> Facts:
     """The facts with a change of the zone that the pieces end before, or lie on both sides of."""
     start_us, lasts_s, change = recording.start_us, recording.duration_s, facts.zone_change
     if change is None and start_us is not None and lasts_s is not None:
-        change = zone_change(recording.timezone, start_us, start_us + round(1e6 * lasts_s))
+        change = next(zone_changes(recording.timezone, start_us, start_us + round(1e6 * lasts_s)), None)
     if change is None or change.followed:
         return replace(facts, zone_change=change)
     return replace(facts, zone_change=replace(change, followed=None if recording.stamped else False))

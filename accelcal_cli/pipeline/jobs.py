@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from accelcal_cli.core.errors import OutputError, UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import IF_GIVEN, ReadOptions, without
-from accelcal_cli.core.parts import ANY, ARCHIVES, files_of, is_pattern
+from accelcal_cli.core.input_files import ANY, ARCHIVES, files_of, is_pattern
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder

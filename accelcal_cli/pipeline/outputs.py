@@ -16,7 +16,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import OutputError, printable
 from accelcal_cli.core.formats import noted_unused
-from accelcal_cli.core.parts import size_of
+from accelcal_cli.core.input_files import size_of
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.settings import SIX_POSE, PoseSettings
 from accelcal_cli.core.version import __version__

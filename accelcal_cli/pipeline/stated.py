@@ -25,7 +25,7 @@ from typing import Any
 
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import ReadOptions, option_name
-from accelcal_cli.core.text_files import read_toml
+from accelcal_cli.core.input_files import read_toml
 from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, check_layout, is_file, named_layout
 from accelcal_cli.pipeline import given
 

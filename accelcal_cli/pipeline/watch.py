@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError, of_the_machine
+from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError, is_environment_error
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
 from accelcal_cli.core.freeze import frozen, thawed
 from accelcal_cli.core.points import Calibration
@@ -244,7 +244,7 @@ class Watch:
         try:
             stage, _ = self._whole(self._head)
         except AccelcalError as error:  # what is missing may still come
-            if isinstance(error, OutputError) or of_the_machine(error):
+            if isinstance(error, OutputError) or is_environment_error(error):
                 raise
             return
         self._look(stage, len(self._head), happened, ended=True)

@@ -14,7 +14,7 @@ from math import isfinite, sqrt
 from pathlib import Path
 
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.text_files import read_text
+from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.vocabulary import ACCELERATION_UNITS
 
 TIMES = ("start", "end")

@@ -13,11 +13,11 @@ from typing import Any
 from accelcal_cli.collect.cells import CellCollector, plausible
 from accelcal_cli.core.clock import utc_offset_s
 from accelcal_cli.core.errors import DivergedError, UnreadableError, UsageError
-from accelcal_cli.core.parts import files_of, is_never, pattern_of
+from accelcal_cli.core.input_files import files_of, is_no_part, pattern_of
+from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import PlacedFile, Recording
 from accelcal_cli.core.results import Judgement
-from accelcal_cli.core.retime import NO_START
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import STDIN, Job, ProgressMaker, Request, Result, no_progress, real
@@ -66,7 +66,7 @@ def session_of(recordings: Sequence[Path], poses: Path | None = None) -> Path:
         path = real(path) if path.name in ("", "..") else path
     else:
         path = _pattern(recordings, poses)
-    if poses is not None and not is_never(poses) and real(poses) in map(real, files_of(path) or ()):
+    if poses is not None and not is_no_part(poses) and real(poses) in map(real, files_of(path) or ()):
         hint = "call it poses.csv, or keep it elsewhere"
         raise UsageError("the list of poses lies among the files of the session", path=poses, hint=hint)
     return path
@@ -76,7 +76,7 @@ def _pattern(recordings: Sequence[Path], poses: Path | None) -> Path:
     """The pattern that stands for several recordings."""
     if STDIN in recordings:
         raise UsageError("standard input is one recording", hint="give the names of several, or - alone")
-    files = [one for one in dict.fromkeys(recordings) if not is_never(one)]
+    files = [one for one in dict.fromkeys(recordings) if not is_no_part(one)]
     for one in files:
         if not one.is_file():
             what = "is a folder" if one.is_dir() else "cannot be read (No such file or directory)"

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputError, UnreadableError, UsageError
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
-from accelcal_cli.core.parts import ANY, files_of, is_never, set_of
+from accelcal_cli.core.input_files import ANY, files_of, is_no_part, pattern_of_siblings
 from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.csv import channels_beside
 from accelcal_cli.formats.raw import folder_layout, named_layout
@@ -119,9 +119,9 @@ def _with_sets(where: Where, items: list[Item]) -> Iterator[Item]:
     """The items, with one for all parts of a recording in the place of those of its files and their logs."""
     sets: dict[Path | None, list[Item]] = {}
     for item in items:
-        sets.setdefault(set_of(item.source), []).append(item)
+        sets.setdefault(pattern_of_siblings(item.source), []).append(item)
     single, folders = sets.pop(None, []), {one.parent for one in sets if one is not None}
-    yield from (item for item in single if item.source.parent not in folders or not is_never(item.source))
+    yield from (item for item in single if item.source.parent not in folders or not is_no_part(item.source))
     for pattern, members in sets.items():
         assert pattern is not None
         whole = len(members) > 1 and {item.source for item in members} == set(files_of(pattern) or ())

@@ -10,7 +10,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, came_of, lacking, of_the_machine, printable
+from accelcal_cli.core.errors import (
+    AccelcalError,
+    OutputError,
+    cause_of_kind,
+    is_environment_error,
+    missing_resource,
+    printable,
+)
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.system import keep_freed_memory
 from accelcal_cli.pipeline.calibrate import calibrate
@@ -104,7 +111,7 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
         try:
             return work(task, report_progress)
         except Exception as error:
-            if (end := came_of(error, SystemExit)) is not None:
+            if (end := cause_of_kind(error, SystemExit)) is not None:
                 raise end from None
             return _failed(task, error)
 
@@ -113,9 +120,9 @@ def guarded(work: Work[AnyTask]) -> Work[AnyTask]:
 
 def _failed(task: Task, error: Exception) -> TaskResult:
     if isinstance(error, AccelcalError):
-        again = isinstance(error, OutputError) or of_the_machine(error)
+        again = isinstance(error, OutputError) or is_environment_error(error)
         return TaskResult(task.failure(error.exit_code, str(error), again=again))
-    if (lack := lacking(error)) is not None:
+    if (lack := missing_resource(error)) is not None:
         message = f"{printable(task.item.source)}: {lack}; use fewer --jobs"
         return TaskResult(task.failure(NO_MEMORY, message, again=True))
     message = printable(" ".join(f"a bug in accelcal ({type(error).__name__}: {error})".split()))

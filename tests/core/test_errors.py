@@ -46,7 +46,7 @@ def test_what_came_of_the_machine_is_told_from_what_is_in_a_file(cause: Exceptio
         except Exception as error:
             raise errors.UnreadableError("cannot be read") from error
     except errors.UnreadableError as error:
-        assert errors.of_the_machine(error) is again
+        assert errors.is_environment_error(error) is again
 
 
 def test_an_error_is_one_line() -> None:

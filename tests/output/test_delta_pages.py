@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.core.steps import CACHED, steps_of
+from accelcal_cli.core.clock import CACHED, steps_of
 from accelcal_cli.output.column_chunks import MAGIC
 from accelcal_cli.output.delta_pages import BLOCK, delta_chunk
 from accelcal_cli.output.row_groups import Footer, RowGroup

@@ -24,7 +24,7 @@ from accelcal_cli.core.errors import (
     listed,
     printable,
 )
-from accelcal_cli.core.parts import files_of, is_never, size_of
+from accelcal_cli.core.input_files import files_of, is_no_part, size_of
 from accelcal_cli.core.recording import Chunk, Problem, Reader, Recording
 from accelcal_cli.core.system import new_folder, remove_folder
 from accelcal_cli.formats._parts import archive
@@ -92,7 +92,7 @@ def open_parts(
             hint="set TMPDIR to a disk with more space",
         ) from error
     try:
-        unpacked = archive.unpack(path, folder, lambda name: not is_never(Path(name)), threads)
+        unpacked = archive.unpack(path, folder, lambda name: not is_no_part(Path(name)), threads)
         found = Found(unpacked.files, unpacked.damage, unpacked.lost_bytes, folder)
         return kind(path, found, partial(_open_member, path, open_part))
     except BaseException:

@@ -16,9 +16,9 @@ import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import NoFormatError, UnreadableError, UsageError, counted, printable
-from accelcal_cli.core.parts import size_of
+from accelcal_cli.core.input_files import size_of
+from accelcal_cli.core.local_time import NO_START
 from accelcal_cli.core.recording import Chunk, PlacedFile, Recording
-from accelcal_cli.core.retime import NO_START
 from accelcal_cli.formats._parts.reader import FilesReader, Found, Open, unlike
 
 SHOWN = 3

@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.daylight import FOLLOWED, LocalStamps
+from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
 from accelcal_cli.formats._stamps import LOST, NO_TIME, SharedStamps
 from accelcal_cli.formats._tables.description import Stamps, stored_stamps
 from accelcal_cli.formats._tables.table import RowSelection, RowSource

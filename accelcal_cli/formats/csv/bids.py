@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.input_files import read_text
 from accelcal_cli.core.recording import Device
-from accelcal_cli.core.text_files import read_text
 from accelcal_cli.formats.csv import CHANNELS, MOTION, channels_beside
 from accelcal_cli.formats.csv.vendors import ExportDescription, Start
 

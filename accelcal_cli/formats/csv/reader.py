@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core import recording
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
-from accelcal_cli.core.daylight import FOLLOWED
 from accelcal_cli.core.errors import UnreadableError, counted
 from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.local_time import FOLLOWED
 from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
 from accelcal_cli.formats._stamps import GAP_PERIODS

@@ -15,8 +15,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.daylight import LocalStamps
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.local_time import LocalStamps
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
 from accelcal_cli.core.vocabulary import PHYSICAL_UNITS

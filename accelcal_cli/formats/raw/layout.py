@@ -16,8 +16,8 @@ from typing import Any, TypeVar
 
 from accelcal_cli.core.clock import StartTime, start_of
 from accelcal_cli.core.errors import UsageError, did_you_mean
+from accelcal_cli.core.input_files import read_toml
 from accelcal_cli.core.recording import LARGEST_LSB_PER_G
-from accelcal_cli.core.text_files import read_toml
 
 AXES = ("x", "y", "z")
 GYRO = ("gx", "gy", "gz")

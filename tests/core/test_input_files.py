@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.text_files import read_text
+from accelcal_cli.core.input_files import read_text
 
 
 def test_line_ends_of_every_system_become_one(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Files of studies that are no recordings: epochs and counts of many devices, and tables of still windows.
 
-They are recognised by their content, so that the answer says what they are and what to give instead.
+They are recognised by their content, so that the error says what they are and what to give instead.
 """
 
 from __future__ import annotations
@@ -45,27 +45,27 @@ EPOCH_NAMES = frozenset(
         *("moderate-vigorous", "atividade", "enmo_t", "anglez"),
     }
 )
-"""Names of columns, in lower case, that tables of epochs have, without x, y and z beside them."""
+"""Lower-case names of columns of tables of epochs that have no columns of x, y and z."""
 
-MEANS = ({"x", "y", "z"}, {"meanx", "meany", "meanz"}, {"mean_x", "mean_y", "mean_z"})
-OF_WINDOWS = {"weight", "posture", "counts_per_g", "spread_x", "meanx", "mean_x"}
-"""What tables of still windows have beside the means, or as their names (`collect/table.py`)."""
+MEAN_COLUMNS = ({"x", "y", "z"}, {"meanx", "meany", "meanz"}, {"mean_x", "mean_y", "mean_z"})
+WINDOW_COLUMNS = {"weight", "posture", "counts_per_g", "spread_x", "meanx", "mean_x"}
+"""Columns of tables of still windows that are not the means, or names of the means (`collect/table.py`)."""
 
 
 @dataclass(frozen=True, slots=True)
-class Other:
-    """What a file is, after "holds", and what to do."""
+class NotRecording:
+    """What a file is, following the word "holds", and what to do instead."""
 
     what: str
     hint: str
 
 
-def _epochs(device: str, hint: str) -> Other:
-    return Other(f"{device} {NOT_RAW}", hint)
+def _epochs(device: str, hint: str) -> NotRecording:
+    return NotRecording(f"{device} {NOT_RAW}", hint)
 
 
 NO_RAW = "no raw acceleration can be exported from it"
-SIGNS: tuple[tuple[re.Pattern[bytes], Other], ...] = (
+SIGNS: tuple[tuple[re.Pattern[bytes], NotRecording], ...] = (
     (re.compile(rb'\s*\[\s*\{\s*"(?:dateTime|logId)"'), _epochs("Fitbit's", NO_RAW)),
     (re.compile(rb"[^<]{0,8}<\?xml[^>]*>\s*<motionfile"), _epochs("a MotionWatch's", NO_RAW)),
     (re.compile(rb"(?s).{0,2000}?Motion(?:Watch|Ware)"), _epochs("a MotionWatch's", NO_RAW)),
@@ -78,24 +78,25 @@ SIGNS: tuple[tuple[re.Pattern[bytes], Other], ...] = (
     (re.compile(rb"\W*Condor Instruments Report"), _epochs("an ActTrust's", NO_RAW)),
     (re.compile(rb"(?s).{0,1000}?Store rate:.{0,200}?Binning mode:"), _epochs("a Daqtometer's", NO_RAW)),
 )
-"""How they begin, as in the test files of github.com/wadpac/GGIRread and github.com/ghammad/pyActigraphy."""
+"""Beginnings of files, as in the test files of github.com/wadpac/GGIRread and
+github.com/ghammad/pyActigraphy."""
 
 SQLITE = b"SQLite format 3\0"
 AGD = _epochs("ActiGraph's", "give the .gt3x file of the same recording, from the device or from ActiLife")
-DATABASE = Other("an SQLite database", "export the recording as text (CSV)")
+DATABASE = NotRecording("an SQLite database", "export the recording as text (CSV)")
 TABLE = _epochs("a table of", "export the raw data" + INSIST)
-WINDOWS = Other("means of still windows, not samples", FIT)
+WINDOWS = NotRecording("means of still windows, not samples", FIT)
 
 
-def refuse_others(probe: Probe) -> None:
-    """Raise UnreadableError for what is known to be no recording, unless the user says how to read it."""
+def refuse_not_recordings(probe: Probe) -> None:
+    """Raise UnreadableError for a file known to be no recording, unless the user says how to read it."""
     options = probe.options
-    found = _other(probe)
+    found = _recognised(probe)
     if found is not None and options.columns is None and options.unit is None:
         raise UnreadableError(f"holds {found.what}", path=probe.path, hint=found.hint)
 
 
-def _other(probe: Probe) -> Other | None:
+def _recognised(probe: Probe) -> NotRecording | None:
     head = probe.head
     if head.startswith(SQLITE):
         return AGD if probe.suffix == ".agd" or b"epochlength" in head or b"inclineOff" in head else DATABASE
@@ -105,15 +106,16 @@ def _other(probe: Probe) -> Other | None:
     return _by_names(head, signed)
 
 
-def _by_names(head: bytes, signed: Other | None) -> Other | None:
-    """A table of epochs or of still windows, by the names of its columns; else what its beginning says.
+def _by_names(head: bytes, signed: NotRecording | None) -> NotRecording | None:
+    """Recognise a table of epochs or of still windows by its column names; else return what its beginning
+    says.
 
     A table with columns of x, y and z may be raw whatever its beginning says.
     """
     for line in head[: 4 * LOOKED_AT].decode("utf-8", "replace").lower().splitlines()[:HEADER_LINES]:
         names = {cell.strip(' "\ufeff#') for cell in SEPARATORS.split(line)}
         plain = {re.sub(r"\s*[\[(].*", "", name) for name in names}
-        if any(means <= plain for means in MEANS) and OF_WINDOWS & plain:
+        if any(means <= plain for means in MEAN_COLUMNS) and WINDOW_COLUMNS & plain:
             return WINDOWS
         if sum(map(bool, map(AXIS.fullmatch, plain))) >= len("xyz"):
             return None

@@ -1,4 +1,8 @@
-"""Paths that stand for several files, the parts of one recording: a folder, a pattern, or an archive."""
+"""Files that users name: paths that stand for the parts of a recording, and small text files read whole.
+
+Parts are given as a folder, a pattern or an archive. A text file (a layout, a list of poses, options of a
+study) may be a pipe or a device that never ends, so no more is read than such a file can hold.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import os
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
 
@@ -13,12 +18,12 @@ ANY = "*"
 ARCHIVES = (".tar", ".tar.gz", ".tgz", ".tar.bz2", ".tbz2", ".tbz", ".tar.xz", ".txz", ".zip")
 """Suffixes of files that may hold parts."""
 
-NEVER = re.compile(
+NO_PART = re.compile(
     r"\..*|(.*\.)?poses\.csv|.*\.(log\.csv|toml|(un)?calibrated\.parquet|(calibration|quality|integers)\.json)",
     re.I,
 )
-"""Names of files among parts that are none: logs (NHANES), options, layouts, lists of poses, and results of
-ours."""
+"""Names of files among parts that are none: logs (NHANES), options, layouts, lists of poses, our own
+results."""
 
 HOUR = re.compile(r"([^.]+\.[^.]+)\.\d{4}(?:-\d\d){5}-\d{3}-[PM]\d{4}(\.sensor\.csv(?:\.gz)?)", re.IGNORECASE)
 HALF_HOUR = re.compile(r"(.+)_\d{10}\.avro", re.IGNORECASE)
@@ -26,15 +31,17 @@ DAY = re.compile(r"\d{4}-\d\d-\d\d")
 
 MAGIC_BYTES, TAR_MAGIC, TAR_MAGIC_AT = 262, b"ustar", 257
 PACKED = (b"PK\x03\x04", b"\x1f\x8b", b"BZh", b"\xfd7zXZ\x00")
+LONGEST_LINE = 1000
+"""Most characters in a line of TOML: the time to parse a line grows with its square."""
 
 
-def is_never(path: Path) -> bool:
-    """Whether a file among parts is none, by its name."""
-    return NEVER.fullmatch(path.name) is not None
+def is_no_part(path: Path) -> bool:
+    """Return True if a file among parts is none, by its name."""
+    return NO_PART.fullmatch(path.name) is not None
 
 
 def may_be_archive(path: Path) -> bool:
-    """Whether a file, and no pipe, begins as an archive may; what cannot be read is none."""
+    """Return True if a regular file begins as an archive may; False for one that cannot be read."""
     try:
         if not path.is_file():
             return False
@@ -46,7 +53,7 @@ def may_be_archive(path: Path) -> bool:
 
 
 def files_of(path: Path) -> tuple[Path, ...] | None:
-    """The files that a folder or a pattern stands for, by name; None for any other path.
+    """Return the files that a folder or a pattern stands for, by name; None for any other path.
 
     Raises:
         UnreadableError: a folder cannot be looked into. What is in it may be parts.
@@ -58,7 +65,7 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
             found = _matching(path)
         else:
             return None
-        return tuple(sorted(one for one in found if one.is_file() and not is_never(one)))
+        return tuple(sorted(one for one in found if one.is_file() and not is_no_part(one)))
     except OSError as error:
         place = error.filename or path
         hint = "check its permissions and its disk"
@@ -66,7 +73,7 @@ def files_of(path: Path) -> tuple[Path, ...] | None:
 
 
 def _below(folder: Path) -> Iterable[Path]:
-    """All that is in a folder and in those in it; raises OSError where one cannot be looked into."""
+    """Yield all files in a folder and its subfolders; raises OSError if one cannot be listed."""
 
     def refuse(error: OSError) -> None:
         raise error
@@ -76,7 +83,7 @@ def _below(folder: Path) -> Iterable[Path]:
 
 
 def is_pattern(path: Path) -> bool:
-    """Whether a path is no file, but a pattern of files' names."""
+    """Return True if a path is no file, but a pattern of file names."""
     try:
         return ANY in str(path) and not os.path.lexists(path)
     except ValueError:
@@ -84,18 +91,18 @@ def is_pattern(path: Path) -> bool:
 
 
 def _matching(path: Path) -> Iterable[Path]:
-    """Files whose path fits a pattern in which only `*` has a meaning."""
+    """Return the files whose path fits a pattern in which only `*` has a meaning."""
     parts = path.parts
     first = next(number for number, part in enumerate(parts) if ANY in part)
     pattern = "/".join(part.replace("[", "[[]").replace("?", "[?]") for part in parts[first:])
     return Path(*parts[:first]).glob(pattern)
 
 
-def set_of(path: Path) -> Path | None:
-    """The pattern of all parts of the recording that a file is one of, if its name says so.
+def pattern_of_siblings(path: Path) -> Path | None:
+    """Return the pattern of all parts of the recording that a file is one of, if its name says so.
 
-    An hour of NHANES, or half an hour of an EmbracePlus, whose folders are DATE/PERSON-DEVICE/raw_data/v6
-    (Empatica, "Data Connection - raw data").
+    A part is an hour of NHANES, or half an hour of an EmbracePlus, whose folders are
+    DATE/PERSON-DEVICE/raw_data/v6 (Empatica, "Data Connection - raw data").
     """
     if (found := HOUR.fullmatch(path.name)) is not None:
         return path.with_name(f"{found[1]}.{ANY}{found[2]}")
@@ -108,7 +115,7 @@ def set_of(path: Path) -> Path | None:
 
 
 def pattern_of(paths: Sequence[Path]) -> Path:
-    """The pattern that stands for just these files of one folder.
+    """Return the pattern that stands for just these files of one folder.
 
     Raises:
         UsageError: there is none.
@@ -124,10 +131,58 @@ def pattern_of(paths: Sequence[Path]) -> Path:
 
 
 def size_of(path: Path) -> int:
-    """Bytes of a recording's file, or of all its parts.
+    """Return the bytes of a recording's file, or of all its parts.
 
     Raises:
         OSError, UnreadableError: one cannot be looked at.
     """
     files = files_of(path)
     return path.stat().st_size if files is None else sum(one.stat().st_size for one in files)
+
+
+def read_text(path: Path, what: str, most_bytes: int, encoding: str = "utf-8") -> str:
+    """Return the text of a file, with lines ended by `\\n`.
+
+    Args:
+        what: what to call it in errors, such as `the layout`.
+        most_bytes: the longest that it may be.
+
+    Raises:
+        UsageError: it cannot be read, is longer, or is not UTF-8.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(most_bytes + 1)
+    except OSError as error:
+        raise UsageError(f"{what} cannot be read ({error.strerror or error})", path=path) from error
+    if len(data) > most_bytes:
+        raise UsageError(f"{what} is too large, more than {most_bytes} bytes", path=path)
+    try:
+        text = data.decode(encoding)
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{what} is not UTF-8 text", path=path, byte_offset=error.start) from error
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def read_toml(path: Path, what: str, most_bytes: int) -> dict[str, Any]:
+    """Return the content of a TOML file; arguments as for `read_text`.
+
+    Raises:
+        UsageError: it cannot be read, or is not TOML.
+    """
+    import tomllib  # few recordings have such a file
+
+    text = read_text(path, what, most_bytes, "utf-8-sig")
+    for number, line in enumerate(text.split("\n"), 1):
+        if len(line) > LONGEST_LINE:
+            raise UsageError(
+                f"{what} has a line of more than {LONGEST_LINE} characters", path=path, line=number
+            )
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise UsageError(f"{what} is not valid: its brackets are nested too deep", path=path) from error
+    except ValueError as error:
+        match = re.search(r"at line (\d+)", str(error))
+        place = int(match[1]) if match else None
+        raise UsageError(f"{what} is not valid TOML ({error})", path=path, line=place) from error
