@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from accelcal_cli.core.calibration import RawRows, Transform
 from accelcal_cli.core.clock import MICROSECONDS, utc_offset_s
 from accelcal_cli.core.errors import AccelcalError, UsageError
 from accelcal_cli.core.formats import ReadOptions
@@ -400,27 +401,8 @@ def apply(
             raise ValueError(f"temperature has the shape {warmth.shape}, not {v.shape[:1]}")
     elif calibration.temperature is not None:
         raise UsageError("the calibration needs temperatures", hint="give one for each row")
-    transform = export.Transform(
-        calibration.gain(),
-        calibration.offset_g(),
-        calibration.slope_g_per_c(),
-        calibration.reference_c(),
-        lsb_per_g=1.0,
-        course=calibration.course,
-    )
-    return np.stack(transform.apply(_Rows(first_sample, v, warmth)), axis=1)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Rows:
-    """See `export.Rows`."""
-
-    first_sample: int
-    counts: NDArray[np.float64]
-    temperature_mc: NDArray[np.int32] | None
-
-    def __len__(self) -> int:
-        return len(self.counts)
+    transform = Transform.of(calibration, lsb_per_g=1.0)
+    return np.stack(transform.apply(RawRows(v, warmth, first_sample)), axis=1)
 
 
 def effect(

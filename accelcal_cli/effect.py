@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Recording
@@ -18,7 +19,6 @@ from accelcal_cli.pipeline.activity import MG, Table
 from accelcal_cli.pipeline.apply import at_reference
 from accelcal_cli.pipeline.calibrate import FirstPass, RecordingRun, open_run
 from accelcal_cli.pipeline.effect import DIGITS, TRUE, Effect, Version, versions, versions_of
-from accelcal_cli.pipeline.export import Transform
 from accelcal_cli.pipeline.jobs import (
     Job,
     ProgressMaker,

@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from accelcal_cli.cli import exit_codes, options
+from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.files import exists, output_error
 from accelcal_cli.pipeline import watch_state
-from accelcal_cli.pipeline.export import transform
 from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
 from accelcal_cli.pipeline.watch import Calibrated, Happened, Watch
@@ -252,7 +252,7 @@ class _Rows:
             return
         if self._stream is None:
             self._stream = self._stack.enter_context(self._begun(rows.recording))
-        right = transform(rows.calibration, rows.recording.lsb_per_g, self._precision_mg)
+        right = Transform.of(rows.calibration, rows.recording.lsb_per_g, self._precision_mg)
         self._stream.write(rows.chunk, right.apply(rows.chunk))
 
     def _begun(self, recording: Recording) -> RowStream:

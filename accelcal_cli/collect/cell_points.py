@@ -19,8 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.grid import Key
+from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
-from accelcal_cli.core.points import WEIGHT_ONE, PointSet, TemperatureScale
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 
 MAX_POINTS = 4096
 

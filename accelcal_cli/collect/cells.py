@@ -26,7 +26,7 @@ from accelcal_cli.collect.cell_points import Sums, Width, numbers_of, points_of,
 from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, group_of
 from accelcal_cli.collect.previous import PreviousPosture
 from accelcal_cli.collect.saturation import Saturation
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import (
     Fates,
@@ -36,6 +36,7 @@ from accelcal_cli.core.points import (
     Windows,
 )
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.statistics import weighted_percentile
 
 MAX_TIMED, MAX_BLOCKS = 1 << 15, 1 << 9
 """Cells of all blocks of time, and blocks; if there are more, blocks are twice as long."""
@@ -100,12 +101,7 @@ class Histogram:
 
     def quantile(self, percent: int) -> int | None:
         """The smallest value that is not below so many percent of all; None without values."""
-        seen, total = 0, sum(self.numbers.values())
-        for value in sorted(self.numbers):
-            seen += self.numbers[value]
-            if 100 * seen >= percent * total:
-                return value
-        return None
+        return weighted_percentile(sorted(self.numbers.items()), percent) if self.numbers else None
 
 
 def _summed(keys: NDArray[np.int64], values: NDArray[np.int64]) -> Iterator[tuple[Key, Value]]:
@@ -199,22 +195,22 @@ class CellCollector:
         """Groups of 2 x 2 x 2 cells that hold windows, believed or not."""
         return self._cells.orientations()
 
-    def points(self, course: Course | None = None) -> PointSet:
+    def points(self, correction: Correction | None = None) -> PointSet:
         """The points: one per cell, in the order of the cells' coordinates.
 
         Args:
-            course: what puts a sensor right that changed, in units of local gravity; blocks of time as in
-                their middle.
+            correction: of a sensor that changed, in units of local gravity; applied as in the middle of each
+                block of time.
         """
         cells, scale = self._fitted(), Fraction(self.lsb_per_g)
         width = self._width(cells)
-        if course is not None:
-            along, scale = self._along(course), scale * scale.denominator * ONE
+        if correction is not None:
+            along, scale = self._along(correction), scale * scale.denominator * ONE
             cells = {key: along[key] for key in cells}
         sums = {key: _sums(value) for key, value in cells.items()}
         return points_of(sums, width, _shared, scale, temperature=self.temperature)[1]
 
-    def _along(self, course: Course) -> dict[Key, Value]:
+    def _along(self, correction: Correction) -> dict[Key, Value]:
         """The cells with sums put right, in whole parts of a count."""
         scale, real = Fraction(self.lsb_per_g), self._constants_are_real()
         found: dict[Key, Value] = {}
@@ -223,7 +219,7 @@ class CellCollector:
                 middle = key[BLOCK] * self.block_samples + self.block_samples // 2
                 right = [
                     total * scale.denominator * stretch + samples * scale.numerator * shift
-                    for total, stretch, shift in zip(sums[:3], *course.at(middle), strict=True)
+                    for total, stretch, shift in zip(sums[:3], *correction.at(middle), strict=True)
                 ]
                 before = [total * scale.denominator * ONE for total in sums[4:]]
                 add_sums(found, key[:CONSTANT], [windows, samples, *right, sums[3], *before])
@@ -338,10 +334,12 @@ def _sums(value: Value) -> Sums:
 
 def _far_off(cells: dict[Key, Value]) -> set[Key]:
     """Cells whose temperature is far from all others': one such point would decide the slopes."""
+    if not cells:
+        return set()
     means = {key: value[5] // value[1] for key, value in cells.items()}
-    middle = _median([(means[key], value[0]) for key, value in cells.items()])
+    middle = weighted_percentile(sorted((means[key], value[0]) for key, value in cells.items()), 50)
     away = {key: abs(mean - middle) for key, mean in means.items()}
-    usual = _median([(away[key], value[0]) for key, value in cells.items()])
+    usual = weighted_percentile(sorted((away[key], value[0]) for key, value in cells.items()), 50)
     limit = max(FAR_MC, FAR_DEVIATIONS * usual)
     return {key for key, distance in away.items() if distance > limit}
 
@@ -354,13 +352,3 @@ def _beyond(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> 
         for key, value in cells.items()
         if (limit_g - value[2 + axis] / (value[1] * lsb_per_g)) * (1 if limit_g > 0 else -1) < NEAR_G
     }
-
-
-def _median(values: list[tuple[int, int]]) -> int:
-    """Of pairs of a value and how often it counts: the lower median, 0 of none."""
-    half, seen = sum(number for _, number in values), 0
-    for value, number in sorted(values):
-        seen += 2 * number
-        if seen >= half:
-            return value
-    return 0

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from fractions import Fraction
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.course import Course
-from accelcal_cli.core.fixed import ONE, Fixed, rounded_quotient, to_float
-from accelcal_cli.core.gravity import STANDARD, Gravity
+from accelcal_cli.core.calibration import Correction, TemperatureScale
+from accelcal_cli.core.fixed import ONE, Fixed
 from accelcal_cli.core.recording import cut_columns, joined_columns
 
 PARAMETER_NAMES = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz", "sx", "sy", "sz")
@@ -107,11 +105,10 @@ class TimedMeans:
         """Length of all blocks."""
         return self.blocks() * self.block_h
 
-    def along(self, course: Course) -> TimedMeans:
-        """The same of a sensor that is put right; blocks as in their middle."""
+    def corrected(self, correction: Correction) -> TimedMeans:
+        """Return these with a correction applied, as in the middle of each block."""
         middle = self.block * self.block_samples + self.block_samples // 2
-        stretch, shift = course.values(middle)
-        return replace(self, mean_g=stretch * self.mean_g + shift)
+        return replace(self, mean_g=correction.applied(self.mean_g, middle))
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,19 +206,6 @@ MODELS: dict[str, Model] = {
     }.items()
 }
 """The model ladder: identity, offset, scale + offset, full; T adds a slope per axis."""
-
-
-@dataclass(frozen=True, slots=True)
-class TemperatureScale:
-    """How temperatures become fixed-point numbers: (T - reference) / span.
-
-    Attributes:
-        reference_mc: reference temperature, thousandths of a degree C.
-        span_c: a power of two [degrees C], so that the scaled values lie within +-2.
-    """
-
-    reference_mc: int
-    span_c: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -351,53 +335,3 @@ class Optimizer:
         if self.fit_each is not None:
             return self.fit_each(sets, model, settings)
         return [self.fit(points, model, settings) for points in sets]
-
-
-@dataclass(frozen=True, slots=True)
-class Calibration:
-    """a = K (v + o + s (T - Tref)), v in raw g (F eq. 7-9, with slopes).
-
-    Attributes:
-        model: name of the model that was fitted.
-        parameters: twelve fixed-point integers, offsets in standard g.
-        temperature: scale of the slopes, None if the model has none.
-        gravity: what rest measures.
-        upper: entries of K above its diagonal, in the order of UPPER_NAMES.
-        course: what takes the place of v, sample by sample, where the sensor changed; None: v itself.
-    """
-
-    model: str
-    parameters: tuple[int, ...]
-    temperature: TemperatureScale | None = None
-    gravity: Gravity = STANDARD
-    upper: tuple[int, int, int] = (0, 0, 0)
-    course: Course | None = None
-
-    def gain(self) -> NDArray[np.float64]:
-        """K, (3, 3); lower triangular unless orientations were known."""
-        k = [to_float(value) for value in self.parameters[:6]]
-        xy, xz, yz = (to_float(value) for value in self.upper)
-        return np.array([[k[0], xy, xz], [k[3], k[1], yz], [k[4], k[5], k[2]]])
-
-    def offset_g(self) -> NDArray[np.float64]:
-        """o, (3,) in g."""
-        return np.array([to_float(value) for value in self.parameters[6:9]])
-
-    def slope_g_per_c(self) -> NDArray[np.float64]:
-        """s, (3,) in g per degree C; zeros without temperature."""
-        if self.temperature is None:
-            return np.zeros(3)
-        return np.array([to_float(value) / self.temperature.span_c for value in self.parameters[9:]])
-
-    def reference_c(self) -> float:
-        """Tref in degrees C; 0 without temperature."""
-        return 0.0 if self.temperature is None else self.temperature.reference_mc / 1000
-
-
-def in_standard_g(parameters: tuple[int, ...], local_g: Fraction) -> tuple[int, ...]:
-    """Parameters for points in standard g, of those fitted to points in units of local gravity.
-
-    With v = u g: K (v + o g) = g K (u + o); K stays as it is, offsets and slopes grow with g.
-    """
-    scaled = [rounded_quotient(value * local_g.numerator, local_g.denominator) for value in parameters[6:]]
-    return (*parameters[:6], *scaled)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.points import PARAMETER_NAMES
 
 MG = 1e-3
 

@@ -7,9 +7,9 @@ from enum import StrEnum
 from math import fsum
 from typing import Literal
 
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.local_time import ZoneChange
-from accelcal_cli.core.points import Calibration, Fit, Penalty, Quietest, Saturated
+from accelcal_cli.core.points import Fit, Penalty, Quietest, Saturated
 from accelcal_cli.core.recording import Problem
 
 
@@ -158,7 +158,7 @@ class Change:
         unchecked: why this could not be seen, None if it could.
         at_block: number of the block of time at which a sudden change took place; at_us: when that begins, on
             the device's clock.
-        course: what puts the sensor right, in standard g; None where one calibration cannot follow.
+        correction: what puts the sensor right, in standard g; None where one calibration cannot follow.
         size_mg: the largest change of |a|, over all directions.
         offset_mg, scale_percent: by how much those of raw x, y, z changed from beginning to end.
     """
@@ -168,7 +168,7 @@ class Change:
     holdout: TimeHoldout | None = None
     at_block: int | None = None
     at_us: int | None = None
-    course: Course | None = None
+    correction: Correction | None = None
     size_mg: float | None = None
     offset_mg: tuple[float, float, float] | None = None
     scale_percent: tuple[float, float, float] | None = None

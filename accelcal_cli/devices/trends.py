@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import atan, erfc, isnan, nan, pi, sqrt
+from math import isnan, nan
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.statistics import normal_probability, student_t_probability
 from accelcal_cli.devices import table
 from accelcal_cli.devices.table import OFFSETS, SLOPES, Floats, Indices, Mask, Parameter, Records, Usage, mask
 
@@ -266,34 +267,6 @@ def _of_devices(records: Records, sloped: Mask, temperature_c: float | None) -> 
     return chosen, slope
 
 
-def normal(deviation: float) -> float:
-    """Probability that a normal variable is as far from 0 as so many standard deviations, or farther."""
-    return erfc(abs(deviation) / sqrt(2))
-
-
-def t_test(t: float, freedom: int) -> float:
-    """The same of Student's t with `freedom` (1 or more) degrees of freedom.
-
-    The finite sums of Abramowitz, Stegun, Handbook of Mathematical Functions (1964), 26.7.3 and 26.7.4.
-    """
-    angle = atan(abs(t) / sqrt(freedom))
-    cosine2 = freedom / (freedom + t * t)
-    sine = abs(t) / sqrt(freedom + t * t)
-    if freedom % 2:
-        inside = 2 / pi * (angle + sine * _sum(sqrt(cosine2), cosine2, range(3, freedom, 2)))
-        return max(0.0, 1 - (2 / pi * angle if freedom == 1 else inside))
-    return max(0.0, 1 - sine * _sum(1.0, cosine2, range(2, freedom, 2)))
-
-
-def _sum(first: float, factor: float, numbers: range) -> float:
-    """first (1 + factor (n0 - 1) / n0 (1 + factor (n1 - 1) / n1 (...)))."""
-    total = term = first
-    for number in numbers:
-        term *= factor * (number - 1) / number
-        total += term
-    return total
-
-
 @dataclass(frozen=True, slots=True)
 class Drift:
     """Change of a parameter in a month of 365.25 / 12 days.
@@ -356,8 +329,8 @@ def _trend(parameter: Parameter, mean: Mean, line: Line, tested: int) -> Trend:
     if isnan(line.slope):
         return Trend(parameter, mean.value, mean.error, mean.number, None)
     freedom = line.number - FEWEST + 1
-    chance = t_test(line.slope / line.slope_error, freedom)
-    certain = chance < normal(SIGNIFICANT) / tested
+    chance = student_t_probability(line.slope / line.slope_error, freedom)
+    certain = chance < normal_probability(SIGNIFICANT) / tested
     slope, error = line.slope * DAYS_A_MONTH, line.slope_error * DAYS_A_MONTH
     drift = Drift(slope, error, line.scatter, freedom, chance, certain)
     return Trend(parameter, line.value, line.error, line.number, drift)

@@ -14,8 +14,8 @@ from decimal import Decimal
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.coefficients import (
     FULL_GAIN,
@@ -121,7 +121,7 @@ def handed(path: Path) -> Handed:
             "is of counts of a bare sensor, to which other tools do not apply the maker's calibration first"
         )
         raise UsageError(text, path=path, hint="hand on the calibrated data (--to csv), or use --to json")
-    if whole.course is not None:
+    if whole.correction is not None:
         raise UsageError(
             "follows a sensor that changed while it recorded, which no other tool can",
             path=path,

@@ -18,13 +18,14 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.course import Course
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
-from accelcal_cli.core.points import Calibration, TimedMeans
+from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout
-from accelcal_cli.judge.errors import directions, mean, standard_error, student_t_975
+from accelcal_cli.core.statistics import interval95, mean, standard_error
+from accelcal_cli.judge.errors import directions
 
 FOLDS = 5
 MOST_STRETCHES, LONGEST_STRETCH_H, LEAST_STRETCHES = 24, 6.0, 8
@@ -153,7 +154,7 @@ class ChangeSearch:
             at_block=int(moments[one.moment]) if len(moments) else None,
             size_mg=design.size_mg(one),
         )
-        return _measured(replace(change, course=_course(means, one)), one)
+        return _measured(replace(change, correction=_correction(means, one)), one)
 
     def compared(self) -> Compared | None:
         """The calibration that `find` was given, held against the recording; None where it is too short."""
@@ -164,13 +165,13 @@ class ChangeSearch:
 
     def refined(self, found: Calibration, change: Change) -> Change:
         """A change about the calibration of what was put right by it: what it leaves is added to it."""
-        assert self._one is not None and change.course is not None
-        means = self._means.along(change.course)
-        design = Design(means, replace(found, course=None), means.block)
+        assert self._one is not None and change.correction is not None
+        means = self._means.corrected(change.correction)
+        design = Design(means, replace(found, correction=None), means.block)
         rest = design.explained(_at_moment(self._one))
-        more = _course(means, rest)
+        more = _correction(means, rest)
         assert more is not None
-        return _measured(replace(change, course=_after(change.course, more)), rest)
+        return _measured(replace(change, correction=_after(change.correction, more)), rest)
 
 
 def _at_moment(one: Found) -> Suspect:
@@ -179,7 +180,7 @@ def _at_moment(one: Found) -> Suspect:
     return replace(suspect, courses=suspect.courses[moment], moments=suspect.moments[moment])
 
 
-def _course(means: TimedMeans, one: Found) -> Course | None:
+def _correction(means: TimedMeans, one: Found) -> Correction | None:
     """What makes up for a change; of another device there is nothing to go on with."""
     suspect = one.suspect
     if suspect.kind == "device":
@@ -194,7 +195,7 @@ def _course(means: TimedMeans, one: Found) -> Course | None:
     rows = [dict(zip(suspect.columns, row, strict=True)) for row in at_knots.tolist()]
     stretch = tuple(_knot([1 + row.get(column, 0.0) for column in _RAW_SCALES]) for row in rows)
     shift = tuple(_knot([row.get(column, 0.0) for column in _OFFSETS]) for row in rows)
-    return Course(samples, stretch, shift, lines=not len(suspect.moments))
+    return Correction(samples, stretch, shift, lines=not len(suspect.moments))
 
 
 def _knot(values: list[float]) -> tuple[int, int, int]:
@@ -203,7 +204,7 @@ def _knot(values: list[float]) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _after(first: Course, then: Course) -> Course:
+def _after(first: Correction, then: Correction) -> Correction:
     """What two courses with the same knots do one after the other."""
     stretch, shift = [], []
     for knots in zip(first.stretch, first.shift, then.stretch, then.shift, strict=True):
@@ -217,12 +218,12 @@ def _after(first: Course, then: Course) -> Course:
 
 def _measured(change: Change, one: Found) -> Change:
     """The change with what the sensor itself did from beginning to end."""
-    if change.course is None:
+    if change.correction is None:
         moved = dict(zip(one.suspect.columns, (one.path()[0] - one.path()[-1]).tolist(), strict=True))
         offset = [moved.get(column, 0.0) for column in _OFFSETS]
         scale = [moved.get(column, 0.0) for column in (0, 1, 2)]
         return replace(change, offset_mg=_three(1000, offset), scale_percent=_three(100, scale))
-    stretch, shift = (np.array(knots) / ONE for knots in (change.course.stretch, change.course.shift))
+    stretch, shift = (np.array(knots) / ONE for knots in (change.correction.stretch, change.correction.shift))
     offset = (shift[0] / stretch[0] - shift[-1] / stretch[-1]).tolist()
     scale = (stretch[0] / stretch[-1] - 1).tolist()
     return replace(change, offset_mg=_three(1000, offset), scale_percent=_three(100, scale))
@@ -266,8 +267,7 @@ def _stretch_blocks(means: TimedMeans) -> int:
 
 def _falls(before: list[float], after: list[float]) -> bool:
     gain = [one - other for one, other in zip(before, after, strict=True)]
-    clear = mean(gain) > student_t_975(len(gain) - 1) * standard_error(gain)
-    return clear and mean(gain) >= LEAST_FALL * mean(before)
+    return interval95(gain)[0] > 0 and mean(gain) >= LEAST_FALL * mean(before)
 
 
 def _simplest(alarms: list[Found]) -> Found:

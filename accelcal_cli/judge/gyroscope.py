@@ -15,14 +15,13 @@ from math import asin, cos, degrees, fsum, radians, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.linear import inverse
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.rotations import Bias, Gyroscope, Rest, Triple, Turn, TurnHoldout, Turns
-from accelcal_cli.judge.errors import mean, quantile, student_t_975
+from accelcal_cli.core.statistics import mean, quantile, student_t_975
 from accelcal_cli.judge.restrates import bias_at_rest
 from accelcal_cli.judge.turning import Gravity, Turned, raw_steps
-from accelcal_cli.judge.verdict import calibrated
 
 LEAST_TURN_DEG = 20.0
 LEAST_PAIRS = 12
@@ -158,15 +157,14 @@ def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -
         return np.empty((0, 3))
     scale = np.array([rest.samples for rest in rests]) * lsb_per_g
     raw = np.array([rest.sums for rest in rests], np.float64) / scale[:, np.newaxis]
-    if calibration.course is not None:
-        stretch, shift = calibration.course.values(np.array([rest.sample for rest in rests], np.int64))
-        raw = stretch * raw + shift
+    if calibration.correction is not None:
+        raw = calibration.correction.applied(raw, np.array([rest.sample for rest in rests], np.int64))
     reference = calibration.reference_c()
     celsius = [
         reference if rest.temperature_sum is None else rest.temperature_sum / (1000 * rest.samples)
         for rest in rests
     ]
-    x, y, z = calibrated([raw[:, axis] for axis in range(3)], np.array(celsius), calibration)
+    x, y, z = calibration.applied([raw[:, axis] for axis in range(3)], np.array(celsius))
     length = np.sqrt(x * x + y * y + z * z)
     return np.stack([x / length, y / length, z / length], axis=1)
 

@@ -18,7 +18,8 @@ from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
-from accelcal_cli.judge.errors import jacobian, mean, residuals, standard_error, student_t_975
+from accelcal_cli.core.statistics import interval95, mean
+from accelcal_cli.judge.errors import jacobian, residuals
 from accelcal_cli.judge.model_ladder import folds
 from accelcal_cli.judge.posterior import Bend, Posterior, noise
 from accelcal_cli.judge.sphere import largest_error_mg
@@ -113,7 +114,7 @@ class MisfitSearch:
     def _misfit(self, suspect: Suspect) -> Misfit:
         after = self._held_out(suspect)
         falls = [one - other for one, other in zip(self._still, after, strict=True)]
-        clearly = mean(falls) > student_t_975(max(1, len(falls) - 1)) * standard_error(falls)
+        clearly = interval95(falls)[0] > 0
         together, c = self._together(suspect)
         errors = np.sqrt(np.diag(np.array(together.covariance))[-3:])
         largest = float(500 * np.abs(suspect.columns @ c).max())

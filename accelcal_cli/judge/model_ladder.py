@@ -13,12 +13,14 @@ from math import cos, inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PenalizedFitter, PointSet
+from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.results import Coverage, Holdout, Trial
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.statistics import clustered_error, interval95, mean
 from accelcal_cli.judge import errors
 
 FitFunction = Callable[[Sequence[PointSet], Model], list[Fit]]
@@ -158,7 +160,8 @@ def of_postures(
     """The summary of (before, after) [mg] of each posture, of so many points."""
     before, after = [pair[0] for pair in pairs], [pair[1] for pair in pairs]
     summaries = errors.summary(before), errors.summary(after)
-    return Holdout(method, number, len(pairs), *summaries, errors.interval95(after), pairs, blocks)
+    low, high = interval95(after)
+    return Holdout(method, number, len(pairs), *summaries, (max(0.0, low), high), pairs, blocks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -286,4 +289,4 @@ def _ties(trial: Trial, best: Trial) -> bool:
     assert trial.holdout is not None and best.holdout is not None
     simple, full = trial.holdout.blocks, best.holdout.blocks
     differences = [a - b for (_, a), (_, b) in zip(simple, full, strict=True)]
-    return errors.mean(differences) <= errors.clustered_error(differences, [posture for posture, _ in full])
+    return mean(differences) <= clustered_error(differences, [posture for posture, _ in full])

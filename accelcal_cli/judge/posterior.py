@@ -17,10 +17,10 @@ from math import log, sqrt
 
 import numpy as np
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.linear import inverse
 from accelcal_cli.core.points import (
-    IDENTITY,
     PENALTY_BITS,
     WEIGHT_ONE,
     Fit,

@@ -12,17 +12,18 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 from itertools import pairwise
-from math import fsum, inf
+from math import fsum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import Calibration, PointSet, TimedMeans
+from accelcal_cli.core.points import PointSet, TimedMeans
 from accelcal_cli.core.results import Change, Holdout
+from accelcal_cli.core.statistics import interval95, mean, weighted_percentile
 from accelcal_cli.judge.change import LEAST_MG, Compared
-from accelcal_cli.judge.errors import mean, standard_error, student_t_975
-from accelcal_cli.judge.verdict import applied, calibrated
+from accelcal_cli.judge.verdict import applied
 
 PARTS = 4
 """A recording whose sensor creeps is looked at in so many parts of time."""
@@ -49,16 +50,16 @@ def deviations_mg(means: TimedMeans, calibration: Calibration | None, rest: Grav
     Elementwise, so that the figures are the same bits on every machine.
     """
     right = means
-    if calibration is not None and calibration.course is not None and len(means.block):
-        right = means.along(calibration.course)
+    if calibration is not None and calibration.correction is not None and len(means.block):
+        right = means.corrected(calibration.correction)
     a = [right.mean_g[:, axis] for axis in range(3)]
     if calibration is not None:
-        a = calibrated(a, means.celsius, calibration)
+        a = calibration.applied(a, means.celsius)
     return _lengths_off_mg([value / float(rest.local_g()) for value in a])
 
 
 def point_deviations_mg(points: PointSet, calibration: Calibration | None, rest: Gravity) -> Floats:
-    """The same of points, which have been put right where the calibration has a course, (n,)."""
+    """Return |a| - 1 g of points [mg], (n,), after the correction if the calibration has one."""
     if calibration is not None:
         return _lengths_off_mg(applied(points, calibration, rest))
     g = points.xyz_g()
@@ -86,18 +87,8 @@ def _spread(deviations: list[tuple[float, int]]) -> Spread:
     """Of deviations and how often each counts."""
     signed, errors = sorted(deviations), sorted((abs(value), number) for value, number in deviations)
     average = fsum(error * number for error, number in errors) / sum(number for _, number in errors)
-    low, middle, high = (percentile(signed, percent) for percent in (5, 50, 95))
-    return Spread(average, percentile(errors, 95), (low, middle, high))
-
-
-def percentile(ordered: list[tuple[float, int]], percent: int) -> float:
-    """The smallest of sorted values, each with how often it counts, that is not below so many percent."""
-    total, seen = sum(number for _, number in ordered), 0
-    for value, number in ordered:
-        seen += number
-        if 100 * seen >= percent * total:
-            return value
-    raise AssertionError("the last value is not below any share of all")
+    low, middle, high = (weighted_percentile(signed, percent) for percent in (5, 50, 95))
+    return Spread(average, weighted_percentile(errors, 95), (low, middle, high))
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,11 +199,7 @@ def _clear(pairs: list[tuple[float, float]]) -> bool:
 
 def _interval(pairs: list[tuple[float, float]]) -> tuple[float, float]:
     """95 % interval of the mean fall, Student's t over stretches."""
-    falls = [given - unseen for given, unseen in pairs]
-    if len(falls) < 2:
-        return (-inf, inf)
-    half = student_t_975(len(falls) - 1) * standard_error(falls)
-    return (mean(falls) - half, mean(falls) + half)
+    return interval95([given - unseen for given, unseen in pairs])
 
 
 def far_off(holdout: Holdout | None, limit_mg: float) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.rotations import Bias, RestRates, Triple
-from accelcal_cli.judge.errors import mean, quantile, standard_error, student_t_975
+from accelcal_cli.core.statistics import interval95, mean, quantile
 
 STRETCHES = 10
 """Of time, held out one after the other to see whether a slope with temperature pays."""
@@ -92,7 +92,7 @@ def _pays(constant: list[float], with_slope: list[float] | None) -> bool:
     if with_slope is None:
         return False
     falls = [one - other for one, other in zip(constant, with_slope, strict=True)]
-    return mean(falls) > student_t_975(len(falls) - 1) * standard_error(falls)
+    return interval95(falls)[0] > 0
 
 
 def _lengths(dps: Floats) -> list[float]:

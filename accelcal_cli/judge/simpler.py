@@ -9,9 +9,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from accelcal_cli.core.calibration import Calibration, in_standard_g
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import MODELS, Calibration, Fit, Model, PointSet, in_standard_g
+from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Holdout, Judgement, WithoutMisalignment
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.model_ladder import Fitting, Sample, blocked

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PointSet, Saturated
 from accelcal_cli.core.results import SphereError
-from accelcal_cli.judge.errors import directions, jacobian, quantile
+from accelcal_cli.core.statistics import quantile
+from accelcal_cli.judge.errors import directions, jacobian
 from accelcal_cli.judge.posterior import Bend, Posterior
 
 DRAWS = 1000

@@ -13,18 +13,11 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import DivergedError, counted
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import (
-    IDENTITY,
-    MODELS,
-    Calibration,
-    Fit,
-    PenalizedFitter,
-    PointSet,
-    Saturated,
-)
+from accelcal_cli.core.points import MODELS, Fit, PenalizedFitter, PointSet, Saturated
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Recording
 from accelcal_cli.core.results import (
@@ -37,8 +30,9 @@ from accelcal_cli.core.results import (
     Trial,
 )
 from accelcal_cli.core.settings import PAPER, Settings
+from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge import model_ladder
-from accelcal_cli.judge.errors import Uncertainty, deviations_mg, interval95, mean, per_posture, uncertainty
+from accelcal_cli.judge.errors import Uncertainty, deviations_mg, lengths_off_mg, per_posture, uncertainty
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
@@ -486,8 +480,8 @@ def held_out(
     if not len(points) or label.max() + 1 < FEWEST_POSTURES:
         return None
     raw = [points.xyz[:, axis] / ONE for axis in range(3)]
-    before = per_posture(_deviations_mg(raw), points.weights, label)
-    after = per_posture(_deviations_mg(applied(points, calibration, rest)), points.weights, label)
+    before = per_posture(lengths_off_mg(raw), points.weights, label)
+    after = per_posture(lengths_off_mg(applied(points, calibration, rest)), points.weights, label)
     pairs = tuple((before[key], after[key]) for key in sorted(before))
     return model_ladder.of_postures(method, len(points), pairs)
 
@@ -509,24 +503,7 @@ def applied(points: PointSet, calibration: Calibration, rest: Gravity) -> list[N
     local_g = float(rest.local_g())
     raw = [points.xyz[:, axis] / ONE * local_g for axis in range(3)]
     celsius = None if calibration.temperature is None else temperatures_c(points)
-    return [value / local_g for value in calibrated(raw, celsius, calibration)]
-
-
-def calibrated(
-    raw: list[NDArray[np.float64]], celsius: NDArray[np.float64] | None, calibration: Calibration
-) -> list[NDArray[np.float64]]:
-    """x, y, z of a calibration that has no course, in and out in standard g, each (n,).
-
-    Args:
-        celsius: temperatures (n,), where it has slopes.
-    """
-    offset, slope, gain = calibration.offset_g(), calibration.slope_g_per_c(), calibration.gain()
-    u = [value + offset[axis] for axis, value in enumerate(raw)]
-    if calibration.temperature is not None:
-        assert celsius is not None
-        warmth = celsius - calibration.reference_c()
-        u = [value + slope[axis] * warmth for axis, value in enumerate(u)]
-    return [gain[row, 0] * u[0] + gain[row, 1] * u[1] + gain[row, 2] * u[2] for row in range(3)]
+    return [value / local_g for value in calibration.applied(raw, celsius)]
 
 
 def temperatures_c(points: PointSet) -> NDArray[np.float64]:
@@ -534,10 +511,6 @@ def temperatures_c(points: PointSet) -> NDArray[np.float64]:
     assert points.tau is not None and points.temperature is not None
     scale = points.temperature
     return np.asarray(scale.reference_mc / 1000 + points.tau / ONE * scale.span_c, np.float64)
-
-
-def _deviations_mg(a: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    return np.asarray(np.abs(np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) - 1.0) * 1000.0)
 
 
 def difference_mg(one: Calibration, other: Calibration, raw_g: NDArray[np.float64]) -> tuple[float, float]:

@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import METHOD, Positive, Within, gravity_options
 from accelcal_cli.cli.output import aligned, figure, progress_bars
+from accelcal_cli.core.calibration import Calibration, in_standard_g
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
-from accelcal_cli.core.points import Calibration, in_standard_g
 from accelcal_cli.core.rotations import Rest, RestRates, Turn, Turns
+from accelcal_cli.core.statistics import mean
 from accelcal_cli.core.version import __version__
-from accelcal_cli.judge.errors import directions, mean
+from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.judge.turning import Gravity
 from accelcal_cli.laboratory.cases import ALL, Case, Method, Plan, as_points, make_case, measured, methods

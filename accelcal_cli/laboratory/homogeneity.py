@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.options import Positive
 from accelcal_cli.cli.output import aligned, figure, number, progress_bars, refuse_both
+from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Chunk, Validity
@@ -34,7 +35,6 @@ from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.effect import versions_of
-from accelcal_cli.pipeline.export import Transform
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
 
 HOUR_US = 3600 * MICROSECONDS

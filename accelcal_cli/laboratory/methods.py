@@ -19,7 +19,7 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import NO_PRIOR, Settings
-from accelcal_cli.judge.errors import mean
+from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text

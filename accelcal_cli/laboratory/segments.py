@@ -28,7 +28,7 @@ from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.judge.errors import mean
+from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.verdict import held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
 from accelcal_cli.pipeline import given

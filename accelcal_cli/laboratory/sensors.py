@@ -13,7 +13,8 @@ from math import erf, exp, pi, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.points import Calibration, Windows
+from accelcal_cli.core.calibration import Calibration
+from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 
 Floats = NDArray[np.float64]

@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
+from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import IDENTITY, Calibration, PointSet, TemperatureScale
+from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import STILLNESS, Settings, with_stillness
-from accelcal_cli.judge.errors import deviations_mg, mean, per_posture
+from accelcal_cli.core.statistics import mean
+from accelcal_cli.judge.errors import deviations_mg, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import rounded

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import LIMIT, ONE
-from accelcal_cli.core.points import IDENTITY, Fit, Operations, PointSet
+from accelcal_cli.core.points import Fit, Operations, PointSet
 
 Real = NDArray[np.floating[Any]]
 

@@ -10,16 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
-from accelcal_cli.core.points import (
-    IDENTITY,
-    Fit,
-    Model,
-    Operations,
-    Optimizer,
-    PointSet,
-)
+from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
 from accelcal_cli.optimize._objective32 import (
     LEAST_SCALE,
     RISE_TOLERANCE_BITS,

@@ -12,12 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core import points
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import (
+    IDENTITY,
+    PARAMETER_NAMES,
+    UPPER_NAMES,
+    Calibration,
+    Correction,
+    TemperatureScale,
+)
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE, to_float
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES, Calibration
+from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.prior import LearntPrior, Prior, Source
 from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
@@ -54,7 +60,7 @@ def coefficients_json(calibration: Calibration) -> dict[str, Any]:
         "offset_g": calibration.offset_g().tolist(),
         "parameters": {name: to_float(value) for name, value in _integers(calibration, 9).items()},
         "temperature": _temperature(calibration),
-        "course": _course_json(calibration.course),
+        "course": _correction_json(calibration.correction),
         "equation": EQUATION,
         "fixed_point": _fixed_point(calibration),
         "gravity": {
@@ -65,13 +71,13 @@ def coefficients_json(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def _course_json(course: Course | None) -> dict[str, Any] | None:
+def _correction_json(correction: Correction | None) -> dict[str, Any] | None:
     """What takes the place of v, knot by knot."""
-    if course is None:
+    if correction is None:
         return None
-    knots = zip(course.samples, course.stretch, course.shift, strict=True)
+    knots = zip(correction.samples, correction.stretch, correction.shift, strict=True)
     return {
-        "between": "lines" if course.lines else "jumps",
+        "between": "lines" if correction.lines else "jumps",
         "knots": [
             {
                 "sample": sample,
@@ -222,13 +228,13 @@ def calibration_of(section: Mapping[str, Any]) -> Calibration:
     if bits != FRACTION_BITS:
         raise ValueError(f"calibration.fixed_point.fraction_bits is {bits!r}, not {FRACTION_BITS}")
     xy, xz, yz = upper.values()
-    course = _course(section.get("course"))
-    calibration = Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz), course)
+    correction = _read_correction(section.get("course"))
+    calibration = Calibration(model, tuple(integers.values()), scale, gravity, (xy, xz, yz), correction)
     _check_model(calibration)
     return calibration
 
 
-def _course(section: Any) -> Course | None:
+def _read_correction(section: Any) -> Correction | None:
     """What follows a sensor that changed; raises ValueError for what cannot be."""
     if section is None:
         return None
@@ -243,7 +249,7 @@ def _course(section: Any) -> Course | None:
     ascend = all(type(sample) is int for sample in samples) and list(samples) == sorted(set(samples))
     if not ascend or samples[:1] != (0,) or samples[-1] >= LAST_SAMPLE:
         raise ValueError("calibration.course does not begin at sample 0, or its knots do not ascend")
-    return Course(samples, stretch, shift, lines)
+    return Correction(samples, stretch, shift, lines)
 
 
 def _knot(values: Any, name: str) -> tuple[int, int, int]:
@@ -256,14 +262,14 @@ def _knot(values: Any, name: str) -> tuple[int, int, int]:
     return x, y, z
 
 
-def _scale(reference_mc: Any, span_c: Any) -> points.TemperatureScale | None:
+def _scale(reference_mc: Any, span_c: Any) -> TemperatureScale | None:
     if reference_mc is None and span_c is None:
         return None
     if type(reference_mc) is not int or not ABSOLUTE_ZERO_MC <= reference_mc < LIMIT:
         raise ValueError(f"calibration.fixed_point.temperature_reference_mc cannot be {reference_mc!r}")
     if isinstance(span_c, bool) or not isinstance(span_c, int | float) or not 0 < span_c < 1e6:
         raise ValueError(f"calibration.fixed_point.temperature_span_c cannot be {span_c!r}")
-    return points.TemperatureScale(reference_mc, float(span_c))
+    return TemperatureScale(reference_mc, float(span_c))
 
 
 def _check_integers(named: dict[str, Any]) -> None:
@@ -274,16 +280,16 @@ def _check_integers(named: dict[str, Any]) -> None:
 
 def _check_model(calibration: Calibration) -> None:
     """A parameter that the model does not have keeps its ideal value."""
-    if not isinstance(calibration.model, str) or calibration.model not in (*points.MODELS, FULL_GAIN):
+    if not isinstance(calibration.model, str) or calibration.model not in (*MODELS, FULL_GAIN):
         raise ValueError(f"calibration.model is {calibration.model!r}, which this version does not know")
     full, base = calibration.model == FULL_GAIN, calibration.model.removesuffix("T")
     if calibration.model != base + ("T" if calibration.temperature else ""):
         raise ValueError(f"model {calibration.model} and the temperature scale contradict each other")
-    free = range(9) if full else points.MODELS[calibration.model].free
+    free = range(9) if full else MODELS[calibration.model].free
     fixed = [
         name
         for index, name in enumerate(PARAMETER_NAMES)
-        if index not in free and calibration.parameters[index] != points.IDENTITY[index]
+        if index not in free and calibration.parameters[index] != IDENTITY[index]
     ]
     fixed += [name for name, value in zip(UPPER_NAMES, calibration.upper, strict=True) if value and not full]
     if fixed:
@@ -323,7 +329,7 @@ def learnt_prior_of(document: Document, kind: str) -> LearntPrior | None:
     centre, width = (tuple(float(held[name][key]) for key in PARAMETER_NAMES) for name in ("centre", "width"))
     noise = [float(held["noise"][name]) for name in ("g", "spread", "freedom")]
     reference = held["reference_c"]
-    ideal = [value / ONE for value in points.IDENTITY]
+    ideal = [value / ONE for value in IDENTITY]
     close = all(abs(value - one) < LARGEST_OFFSET_G for value, one in zip(centre, ideal, strict=True))
     possible = [*width, float(held["freedom"]), *noise]
     if held["kind"] != kind or not close or not all(LEAST <= value <= LARGEST for value in possible):

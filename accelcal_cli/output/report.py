@@ -12,21 +12,13 @@ from math import floor, log10
 from typing import Any
 
 from accelcal_cli.core import results
+from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES, Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.local_time import ZoneChange, zone_of_times
 from accelcal_cli.core.operations import predicted_seconds
-from accelcal_cli.core.points import (
-    PARAMETER_NAMES,
-    PENALTY_BITS,
-    UPPER_NAMES,
-    WEIGHT_ONE,
-    Arithmetic,
-    Calibration,
-    Fit,
-    PointSet,
-)
+from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet
 from accelcal_cli.core.recording import Device, Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.rotations import Gyroscope

@@ -17,8 +17,8 @@ from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.calibration import FIRST_NAMES
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.points import FIRST_NAMES
 from accelcal_cli.output.files import looking_at, parsed
 
 SCHEMA_VERSION = 2

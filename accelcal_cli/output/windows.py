@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS, iso_time
-from accelcal_cli.core.course import Course
 from accelcal_cli.core.local_time import UTC
-from accelcal_cli.core.points import Calibration, Fates, Role, Windows
+from accelcal_cli.core.points import Fates, Role, Windows
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.output.files import open_plain, replacing, write_csv
 
@@ -90,8 +90,7 @@ class WindowTable:
             heat = windows.temperature_sums / (windows.samples * 1000)
         after = nothing
         if self.calibration is not None:
-            right = _put_right(mean_g, windows, self.calibration.course)
-            after = _lengths(_calibrated(right, heat, self.calibration))
+            after = _lengths(_calibrated(mean_g, windows, heat, self.calibration))
         return {
             TIME: windows.start_us,
             "first_sample": windows.first_sample,
@@ -109,22 +108,12 @@ class WindowTable:
         }
 
 
-def _put_right(mean_g: Floats, windows: Windows, course: Course | None) -> Floats:
-    """What takes the place of means where the sensor changed: as in the middle of each window."""
-    if course is None:
-        return mean_g
-    stretch, shift = course.values(windows.first_sample + windows.samples // 2)
-    return stretch * mean_g + shift
-
-
-def _calibrated(mean_g: Floats, heat_c: Floats, calibration: Calibration) -> Floats:
-    """a = K (v + o + s (T - Tref)), (m, 3), each term rounded alike on every machine."""
-    gain, slope = calibration.gain(), calibration.slope_g_per_c()
-    v = mean_g + calibration.offset_g()
-    if slope.any():
-        v = v + slope * np.nan_to_num(heat_c - calibration.reference_c())[:, np.newaxis]
-    x, y, z = v.T
-    return np.stack([row[0] * x + row[1] * y + row[2] * z for row in gain], axis=1)
+def _calibrated(mean_g: Floats, windows: Windows, heat_c: Floats, calibration: Calibration) -> Floats:
+    """Return the calibrated mean of each window, (m, 3), with the correction of its middle."""
+    if calibration.correction is not None:
+        mean_g = calibration.correction.applied(mean_g, windows.first_sample + windows.samples // 2)
+    celsius = np.where(np.isnan(heat_c), calibration.reference_c(), heat_c)
+    return np.stack(calibration.applied(list(mean_g.T), celsius), axis=1)
 
 
 def _lengths(g: Floats) -> Floats:

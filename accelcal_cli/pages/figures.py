@@ -5,18 +5,17 @@ All numbers are those of the report and of `STEM.quality.json`; errors are | |a|
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import accumulate
 from math import ceil, floor, hypot, log10
 from typing import Any
 
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, listed
+from accelcal_cli.core.statistics import weighted_percentile
 from accelcal_cli.pages import svg
 from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, number, path
 from accelcal_cli.pages.time_series import Along
@@ -133,12 +132,8 @@ def _bars(area: svg.Plot, heights: Sequence[float], start: float, step: float, k
 def _percentiles(
     values: Sequence[float], weights: Sequence[float], percents: tuple[float, float]
 ) -> tuple[float, float]:
-    """The smallest values that are not below so many percent of the weight."""
     ordered = sorted(zip(values, weights, strict=True))
-    below, total = list(accumulate(weight for _, weight in ordered)), sum(weights)
-    low, high = (
-        ordered[min(bisect_left(below, percent * total / 100), len(ordered) - 1)][0] for percent in percents
-    )
+    low, high = (weighted_percentile(ordered, percent) for percent in percents)
     return low, high
 
 

@@ -13,10 +13,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.formats import noted_unused
 from accelcal_cli.core.input_files import size_of
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout, Judgement, Outcome, WithoutMisalignment
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS, SIX_POSE, Settings
@@ -165,7 +165,7 @@ def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, 
     if relation is Relation.OWN:
         _refuse_changes(donor, recording, request.recording_settings)
         return relation
-    if donor.calibration.course is not None:
+    if donor.calibration.correction is not None:
         raise UsageError(
             "the coefficients follow a sensor that changed while it made their own recording",
             path=recording.path,

@@ -212,7 +212,7 @@ def _with_change(judgement: Judgement, facts: Facts) -> Judgement:
     """The judgement whose message says how the sensor changed."""
     if judgement.change is None:
         return judgement
-    followed = judgement.calibration is not None and judgement.calibration.course is not None
+    followed = judgement.calibration is not None and judgement.calibration.correction is not None
     text = told(judgement.change, facts.utc_offset_s, followed=followed)
     return judgement if text is None else replace(judgement, message=f"{judgement.message}; {text}")
 

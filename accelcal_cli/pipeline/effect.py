@@ -7,12 +7,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from accelcal_cli.core.points import Calibration
+from accelcal_cli.core.calibration import Calibration, Transform
 from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.activity import Activity, Measuring, Table
-from accelcal_cli.pipeline.export import Transform, transform
 
 RAW, SIMPLER, CALIBRATED, TRUE = "raw", "without_misalignment", "calibrated", "true"
 LEFT_OUT = {"filled": Validity.FILLED, "clipped": Validity.CLIPPED, "recovered": Validity.RECOVERED}
@@ -46,11 +45,11 @@ def versions(
     """Raw, and what calibrations make of it; the full one comes last."""
     scale = recording.lsb_per_g
     made = [
-        Version(name, one.model, transform(one, scale, precision_mg))
+        Version(name, one.model, Transform.of(one, scale, precision_mg))
         for name, one in ((SIMPLER, simpler), (CALIBRATED, calibration))
         if one is not None
     ]
-    return [Version(RAW, None, transform(None, scale)), *made]
+    return [Version(RAW, None, Transform.of(None, scale)), *made]
 
 
 def versions_of(data: ReportInput) -> list[Version]:

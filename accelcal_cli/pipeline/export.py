@@ -4,18 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import closing
-from dataclasses import dataclass
 from functools import partial
-from math import ceil, frexp, log2
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.course import Course
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.calibration import Axes, RawRows, Transform
 from accelcal_cli.core.parallel import prefetch
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
@@ -25,212 +21,20 @@ if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to 
     from accelcal_cli.output.parquet import ParquetSink
     from accelcal_cli.output.slots import Memory
 
-BLOCK_ROWS = 1 << 14
-
 FINEST = 1 << 20
 """Steps or counts of one g; more are too many values for a table, as those of a text are."""
 
 NEGATIVE_ZERO = -1
 """Stands for a zero with a sign, which no whole number has, among halves of steps."""
 
-ROUNDING = 1e-6
-"""More than rounding, to double and to single, adds to any value."""
 
 AXES = "xyz"
 """Names of the columns."""
 
-Floats = NDArray[np.float64]
-
-Axes = list[NDArray[np.float32]]
-"""Calibrated x, y, z [g]."""
-
-
-class Rows(Protocol):
-    """What is calibrated: a chunk, or rows of another program."""
-
-    @property
-    def first_sample(self) -> int:
-        """Number of the first row within the recording."""
-
-    @property
-    def counts(self) -> NDArray[Any]:
-        """(n, 3) raw values, `Transform.lsb_per_g` of which are 1 g."""
-
-    @property
-    def temperature_mc(self) -> NDArray[np.int32] | None:
-        """(n,) thousandths of a degree C, or None."""
-
-    def __len__(self) -> int: ...
-
-
-@dataclass(frozen=True, slots=True)
-class Transform:
-    """a = K (v + o + s (T - Tref)) for v in counts: K v, and what K makes of the rest.
-
-    Attributes:
-        steps_per_g: a power of two; calibrated values are rounded to 1 / steps_per_g. None: they are not.
-        course: what takes the place of v where the sensor changed.
-    """
-
-    gain: Floats
-    offset_g: Floats
-    slope_g_per_c: Floats
-    reference_c: float
-    lsb_per_g: float
-    steps_per_g: float | None = None
-    course: Course | None = None
-
-    def apply(self, chunk: Rows) -> Axes:
-        """Calibrated x, y, z of a chunk [g], computed in double and rounded once to single."""
-        xyz = [np.empty(len(chunk), np.float32) for _ in range(3)]
-        self.apply_into(chunk, xyz)
-        return xyz
-
-    def apply_into(self, chunk: Rows, xyz: Axes) -> None:
-        """The same, put into memory for (n,) values; that of an axis which is not wanted is empty."""
-        wanted = [(self._row(axis, chunk), values) for axis, values in enumerate(xyz) if len(values)]
-        buffers, warm = np.empty((6, min(len(chunk), BLOCK_ROWS))), chunk.temperature_mc
-        for start in range(0, len(chunk), BLOCK_ROWS):
-            part = slice(start, min(start + BLOCK_ROWS, len(chunk)))
-            block = buffers[:, : part.stop - start]
-            self._raw(chunk, part, block[:3])
-            if warm is not None:
-                block[3] = warm[part]
-            for row, values in wanted:
-                values[part] = row.calibrated(block[:3], block[3], block[4:])
-
-    def reach_g(self, chunk: Rows) -> Floats:
-        """What no calibrated value of a chunk of at least one row goes beyond, (3,) [g]."""
-        if self.course is not None:
-            return np.full(3, np.inf)
-        warm, counts = chunk.temperature_mc, np.array([_largest(column) for column in chunk.counts.T])
-        reach: Floats = np.abs(self.gain) @ counts / self.lsb_per_g
-        reach += np.abs(self._constant(warm is not None))
-        if warm is not None:
-            reach += np.abs(self._per_mc()) * _largest(warm)
-        return np.asarray(reach * (1 + ROUNDING))
-
-    def of_one_count(self, axis: int) -> bool:
-        """Whether calibrated values of an axis depend on its own counts, temperature, and nothing else."""
-        return self.course is None and not self.gain[axis, self._others(axis)].any()
-
-    def _raw(self, chunk: Rows, part: slice, v: Floats) -> None:
-        """Raw values of rows: counts, or g where these are not counts times a power of two."""
-        v[:] = chunk.counts[part].T
-        if not self._in_counts:
-            v /= self.lsb_per_g
-        if self.course is not None:
-            stretch, shift = self.course.values(chunk.first_sample + _numbers(part))
-            v *= stretch.T
-            v += shift.T
-
-    @property
-    def _in_counts(self) -> bool:
-        """Whether the gain takes counts: no bit changes where a power of two of them is 1 g."""
-        return self.course is None and frexp(self.lsb_per_g)[0] == 0.5
-
-    def _row(self, axis: int, chunk: Rows) -> _Row:
-        """What calibrates an axis of a chunk."""
-        in_counts, fixed = self._in_counts, self.gain * ONE
-        warm = chunk.temperature_mc is not None
-        return _Row(
-            axis=axis,
-            gain=self.gain[axis] / self.lsb_per_g if in_counts else self.gain[axis],
-            others=self._others(axis),
-            exact=in_counts and chunk.counts.dtype == np.int16 and bool((fixed == np.rint(fixed)).all()),
-            per_mc=float(self._per_mc()[axis]) if warm else 0.0,
-            constant=float(self._constant(warm)[axis]),
-            steps_per_g=self.steps_per_g,
-        )
-
-    def _others(self, row: int) -> list[int]:
-        """Columns besides the diagonal; above it only where K is not lower triangular."""
-        return [column for column in range(3) if column < row or (column > row and self.gain[row, column])]
-
-    def _per_mc(self) -> Floats:
-        """K s, for thousandths of a degree C."""
-        return np.asarray(self.gain @ self.slope_g_per_c / 1000)
-
-    def _constant(self, warm: bool) -> Floats:
-        """K (o - s Tref) [g], or K o without temperatures; a zero has no sign, and so no sum with it has."""
-        cold = self.slope_g_per_c * self.reference_c if warm else 0.0
-        return np.asarray(self.gain @ (self.offset_g - cold) + 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """One row of K, and what it makes of offsets and temperature.
-
-    Attributes:
-        exact: products of the gain, in fixed point, and counts of 16 bits are exact, and so are their sums:
-            no bit depends on their order, which a library may choose.
-    """
-
-    axis: int
-    gain: Floats
-    others: list[int]
-    exact: bool
-    per_mc: float
-    constant: float
-    steps_per_g: float | None
-
-    def calibrated(self, v: Floats, warmth: Floats, buffers: Floats) -> Floats:
-        """Values [g] of raw ones (3, n) and thousandths of a degree C (n,), in the first of two buffers."""
-        total: Floats = buffers[0]
-        product: Floats = buffers[1]
-        if self.exact:
-            np.dot(self.gain, v, out=total)
-        else:
-            np.multiply(v[self.axis], self.gain[self.axis], out=total)
-            for column in self.others:
-                total += np.multiply(v[column], self.gain[column], out=product)
-        if self.per_mc:
-            np.multiply(warmth, self.per_mc, out=product)
-            product += self.constant
-            total += product
-        else:
-            total += self.constant
-        if self.steps_per_g is not None:
-            total *= self.steps_per_g
-            np.rint(total, out=total)
-            total /= self.steps_per_g
-        return total
-
-
-def _largest(values: NDArray[Any]) -> float:
-    """The largest absolute value."""
-    return max(-float(values.min()), float(values.max()))
-
-
-def _numbers(part: slice) -> NDArray[np.int64]:
-    return np.arange(part.start, part.stop, dtype=np.int64)
-
-
-def steps_per_g(precision_mg: float | None) -> float | None:
-    """The smallest power of two whose steps are no longer than the precision."""
-    return None if precision_mg is None else 2.0 ** ceil(log2(1000 / precision_mg))
-
-
-def transform(
-    calibration: Calibration | None, lsb_per_g: float, precision_mg: float | None = None
-) -> Transform:
-    """What applies a calibration to counts; without one, raw values stay as they are."""
-    if calibration is None:
-        return Transform(np.eye(3), np.zeros(3), np.zeros(3), 0.0, lsb_per_g)
-    return Transform(
-        calibration.gain(),
-        calibration.offset_g(),
-        calibration.slope_g_per_c(),
-        calibration.reference_c(),
-        lsb_per_g,
-        steps_per_g(precision_mg),
-        calibration.course,
-    )
-
 
 def transform_of(data: ReportInput) -> Transform:
     """What applies a result's calibration to its recording."""
-    return transform(data.judgement.calibration, data.recording.lsb_per_g, data.settings.precision_mg)
+    return Transform.of(data.judgement.calibration, data.recording.lsb_per_g, data.settings.precision_mg)
 
 
 def calibrated(
@@ -286,7 +90,7 @@ def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Nu
             beside=TEMPERATURE if warm[axis] else None,
         )
         for axis, name in enumerate(AXES)
-        if transform.of_one_count(axis)
+        if transform.depends_on_one_axis(axis)
     }
 
 
@@ -332,20 +136,8 @@ def _of_axis(
     alone, memory = np.zeros((len(counts), 3), np.int32), [np.empty(0, np.float32)] * 3
     alone[:, axis] = counts
     memory[axis] = np.empty(len(counts), np.float32)
-    transform.apply_into(_Counts(alone, temperature_mc), memory)
+    transform.apply_into(RawRows(alone, temperature_mc), memory)
     return memory[axis]
-
-
-@dataclass(frozen=True, slots=True)
-class _Counts:
-    """Rows of which nothing else is known."""
-
-    counts: NDArray[np.int32]
-    temperature_mc: NDArray[np.int32] | None = None
-    first_sample: int = 0
-
-    def __len__(self) -> int:
-        return len(self.counts)
 
 
 def write_calibrated(

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from accelcal_cli.collect.table import Table, given_points, read_table, table_of
-from accelcal_cli.core.points import IDENTITY, PointSet
+from accelcal_cli.core.calibration import IDENTITY
+from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.settings import EffectiveSettings, Settings
-from accelcal_cli.judge.errors import deviations_mg, mean
+from accelcal_cli.core.statistics import mean
+from accelcal_cli.judge.errors import deviations_mg
 from accelcal_cli.judge.verdict import judge
 from accelcal_cli.output.report_kinds import PointsInput, build_points
 from accelcal_cli.pipeline.jobs import sha256

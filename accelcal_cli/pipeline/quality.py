@@ -11,13 +11,13 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import UsageError, counted, printable
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.results import Change, Judgement, Outcome
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.change import LEAST_MG, ChangeSearch, Compared, told
-from accelcal_cli.judge.errors import mean
 from accelcal_cli.judge.quality import Period, check, far_off
 from accelcal_cli.output.quality import QualityInput, rows_json
 from accelcal_cli.pipeline.apply import given
@@ -103,7 +103,7 @@ def _of_own(start: Quality, found: FirstPass) -> Quality:
     """A recording's own calibration, as it is before the sensor changes, holds as long as that does not."""
     calibration = start.made.data.judgement.calibration
     assert calibration is not None
-    held = held_against(replace(calibration, course=None), found.method.procedure)
+    held = held_against(replace(calibration, correction=None), found.method.procedure)
     if held.compared is None:
         return _short(start, held.change.unchecked or "", LEAST_MG)
     return _judged(start, held, own=True)
@@ -143,8 +143,8 @@ def held_against(calibration: Calibration, procedure: Procedure) -> Held:
     """Hold a calibration against all that a procedure with blocks of time took in."""
     assert isinstance(procedure, TimedCellProcedure)
     means = procedure.means()
-    if calibration.course is not None and len(means.block):
-        means, calibration = means.along(calibration.course), replace(calibration, course=None)
+    if calibration.correction is not None and len(means.block):
+        means, calibration = means.corrected(calibration.correction), replace(calibration, correction=None)
     search = ChangeSearch(means)
     change = search.find(calibration)
     if change.at_block is not None:

@@ -18,7 +18,7 @@ import numpy as np
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.repetition import Repetitions
 from accelcal_cli.collect.subsets import PaperCollector
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import prefetch
@@ -254,11 +254,11 @@ class TimedCellProcedure(CellProcedure):
             CellCollector(lsb_per_g, settings, temperature=temperature, block_samples=self.hour_samples)
         )
         self.subsets = PaperCollector(lsb_per_g, replace(settings, min_distance_g=APART_G))
-        self._course: Course | None = None
+        self._correction: Correction | None = None
         self._rate_hz, self._local_g = recording.rate_hz, float(settings.gravity.local_g())
         self._begun_us: list[int] = []
         self._means: TimedMeans | None = None
-        self._found: tuple[Course | None, PointSet] | None = None
+        self._found: tuple[Correction | None, PointSet] | None = None
 
     def see(self, chunk: Chunk) -> None:
         """Note when hours begin; of one that a preview leaves out, when the next row comes."""
@@ -286,7 +286,7 @@ class TimedCellProcedure(CellProcedure):
 
     def judge(self, how: Fitting) -> Judgement:
         """Choose a model, judge it, look for a change of the sensor, and follow it where there is one."""
-        self._course = None
+        self._correction = None
         verdict = super().judge(how)
         about = verdict.candidate or verdict.calibration
         if about is None:
@@ -301,13 +301,13 @@ class TimedCellProcedure(CellProcedure):
 
     def result(self) -> PointSet:
         """One point a cell, put right where the sensor changed."""
-        if self._found is None or self._found[0] is not self._course:
-            self._found = self._course, self.collector.points(self._course)
+        if self._found is None or self._found[0] is not self._correction:
+            self._found = self._correction, self.collector.points(self._correction)
         return self._found[1]
 
     def _followed(self, verdict: Judgement, how: Fitting, search: ChangeSearch) -> Judgement:
         """The verdict on the points of a sensor that is put right, if that gives a calibration."""
-        if verdict.change is None or verdict.change.course is None:
+        if verdict.change is None or verdict.change.correction is None:
             return verdict
         change = verdict.change
         better = self._along(change, how)
@@ -316,20 +316,20 @@ class TimedCellProcedure(CellProcedure):
             change = search.refined(about, change)
             better = self._along(change, how)
         if better.calibration is None:
-            self._course = None
+            self._correction = None
             return verdict
         followed = replace(
-            better, calibration=replace(better.calibration, course=change.course), change=change
+            better, calibration=replace(better.calibration, correction=change.correction), change=change
         )
         if (simpler := better.without_misalignment) is not None:
-            along = replace(simpler, calibration=replace(simpler.calibration, course=change.course))
+            along = replace(simpler, calibration=replace(simpler.calibration, correction=change.correction))
             followed = replace(followed, without_misalignment=along)
         return with_errors_before(followed, verdict)
 
     def _along(self, change: Change, how: Fitting) -> Judgement:
         """The verdict on points that are put right."""
-        assert change.course is not None
-        self._course = change.course.in_local_g(how.settings.gravity.local_g())
+        assert change.correction is not None
+        self._correction = change.correction.in_local_g(how.settings.gravity.local_g())
         return super().judge(how)
 
     def means(self) -> TimedMeans:

@@ -10,13 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.cells import MAX_BLOCKS, ONE_BLOCK
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.points import Calibration, PointSet, TimedMeans, Windows
+from accelcal_cli.core.points import PointSet, TimedMeans, Windows
 from accelcal_cli.core.recording import Chunk, Problem, Recording, Validity
 from accelcal_cli.core.results import TimeRows
 from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.errors import deviations_mg as deviations_of_points
-from accelcal_cli.judge.errors import mean, per_posture
+from accelcal_cli.judge.errors import per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.judge.quality import Spread, by_block, deviations_mg, point_deviations_mg
 from accelcal_cli.judge.verdict import temperatures_c
@@ -256,8 +258,8 @@ def _point_errors(
     settings, calibration = data.settings.method, data.judgement.calibration
     assert isinstance(settings, Settings)
     rest, right = settings.gravity, raw
-    if calibration is not None and calibration.course is not None:
-        right = procedure.collector.points(calibration.course.in_local_g(rest.local_g()))
+    if calibration is not None and calibration.correction is not None:
+        right = procedure.collector.points(calibration.correction.in_local_g(rest.local_g()))
         posture = postures(right, settings.posture_degrees)
     return PointErrors(
         raw,

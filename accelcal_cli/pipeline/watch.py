@@ -16,10 +16,10 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError, is_environment_error
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
 from accelcal_cli.core.freeze import frozen, thawed
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.recording import Chunk, Reader, Recording
 from accelcal_cli.core.results import Judgement
 from accelcal_cli.core.settings import Settings

@@ -8,12 +8,14 @@ from math import sqrt
 
 import numpy as np
 
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import counted
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, WEIGHT_ONE, Calibration, Fit, Operations, PointSet
+from accelcal_cli.core.points import WEIGHT_ONE, Fit, Operations, PointSet
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings
-from accelcal_cli.judge.errors import coverage, mean, summary
+from accelcal_cli.core.statistics import mean
+from accelcal_cli.judge.errors import coverage, summary
 from accelcal_cli.judge.model_ladder import of_postures
 from accelcal_cli.six_pose.listing import LENGTH_TOLERANCE
 from accelcal_cli.six_pose.poses import PoseError, Session, SixPoseFit, VectorErrors

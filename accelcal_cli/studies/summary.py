@@ -13,9 +13,10 @@ from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import counted, printable
 from accelcal_cli.core.local_time import UNKNOWN, UTC
-from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
+from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.files import json_text, replacing, write_text

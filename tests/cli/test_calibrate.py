@@ -14,7 +14,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from accelcal_cli.core.points import IDENTITY, MODELS, PARAMETER_NAMES, PENALTY_BITS, Penalty, PointSet
+from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES
+from accelcal_cli.core.points import MODELS, PENALTY_BITS, Penalty, PointSet
 from accelcal_cli.optimize import fixed32
 from accelcal_cli.pipeline import outputs
 from tests.cli.run import assert_one_line, run, run_process

@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
-from accelcal_cli.pipeline.export import steps_per_g
+from accelcal_cli.core.calibration import steps_per_g
 from tests.cli.run import run
 from tests.recordings import good_raw
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES
 from accelcal_cli.core.clock import UniformClock, rate_fraction
-from accelcal_cli.core.points import PARAMETER_NAMES, UPPER_NAMES
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.formats.flash.writer import ENCODER
 from tests.cli.run import run, run_process

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from accelcal_cli.collect import cells
 from accelcal_cli.collect.cells import CellCollector, CellCounts
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Windows, joined_windows
 from accelcal_cli.core.settings import DEFAULT
@@ -479,7 +479,7 @@ def test_points_of_a_sensor_that_is_put_right(lsb_per_g: float) -> None:
     raw = np.rint(np.tile(g, (600, 1)) * lsb_per_g * LENGTH).astype(np.int64)
     made = windows(np.full(len(raw), LENGTH), raw.tolist(), np.full((len(raw), 3), 7))
     made = replace(made, first_sample=LENGTH * np.arange(len(raw)))
-    course = Course(
+    correction = Correction(
         (0, 7200),
         ((ONE, ONE, ONE), (ONE * 3 // 4, ONE, ONE)),
         ((0, 0, 0), (ONE // 64, 0, ONE // 32)),
@@ -487,7 +487,7 @@ def test_points_of_a_sensor_that_is_put_right(lsb_per_g: float) -> None:
     )
     held = CellCollector(lsb_per_g, DEFAULT, temperature=False, block_samples=3600)
     held.add(made)
-    found = held.points(course)
+    found = held.points(correction)
     plain = held.points()
     assert found.windows.tolist() == plain.windows.tolist()
     assert found.weights.tolist() == plain.weights.tolist()

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.collect.cell_points import Sums, to_points
+from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.fixed import ONE, rounded_quotient
-from accelcal_cli.core.points import TemperatureScale
 
 HALF = Fraction(1, 2)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.core.points import MODELS, PARAMETER_NAMES
+from accelcal_cli.core.calibration import PARAMETER_NAMES
+from accelcal_cli.core.points import MODELS
 from accelcal_cli.devices.table import PARAMETERS, with_error
 
 

@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import Calibration, TemperatureScale, TimedMeans
+from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.results import Change
 from accelcal_cli.judge.change import ChangeSearch, told
 
@@ -179,18 +180,18 @@ def test_what_puts_a_sensor_right_gives_that_of_one_that_stays(
     observed, quiet = means(course, noise_g=0.0002), means(constant, noise_g=0.0002)
     search = ChangeSearch(observed)
     found = search.find(calibration())
-    assert found.course is not None
-    assert (found.course.samples, found.course.lines) == (samples, lines)
+    assert found.correction is not None
+    assert (found.correction.samples, found.correction.lines) == (samples, lines)
     found = search.refined(calibration(), search.refined(calibration(), found))
-    assert found.course is not None
-    put_right = observed.along(found.course).mean_g
+    assert found.correction is not None
+    put_right = observed.corrected(found.correction).mean_g
     constant_shift = (put_right - quiet.mean_g).mean(axis=0)
     limit = 0.003 if course is wander else 0.0003
     assert np.abs(put_right - quiet.mean_g - constant_shift).max() < limit
 
 
 def test_another_device_is_not_followed() -> None:
-    assert find_change(means(device), calibration()).course is None
+    assert find_change(means(device), calibration()).correction is None
 
 
 def small(part: float, raw: np.ndarray, block: np.ndarray) -> np.ndarray:

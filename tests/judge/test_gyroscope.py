@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import IDENTITY, Calibration, Correction, TemperatureScale
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.rotations import Bias, Gyroscope, Rest, RestRates, Turn, Turns
 from accelcal_cli.judge import gyroscope
 from accelcal_cli.judge.gyroscope import judge_gyroscope
@@ -80,8 +79,8 @@ def test_the_accelerometers_calibration_comes_first() -> None:
     scale = TemperatureScale(30_000, 1.0)
     numbers = [1.1, 0.9, 1.05, 0.02, 0, 0, *offset, *slope]
     knots = ((round(1.25 * ONE), ONE, ONE),)
-    course = Course((0,), knots, ((0, 0, round(0.01 * ONE)),), lines=False)
-    calibration = Calibration("9T", tuple(round(one * ONE) for one in numbers), scale, course=course)
+    correction = Correction((0,), knots, ((0, 0, round(0.01 * ONE)),), lines=False)
+    calibration = Calibration("9T", tuple(round(one * ONE) for one in numbers), scale, correction=correction)
     plain = made(30)
 
     def worn(one: Rest, celsius: float) -> Rest:

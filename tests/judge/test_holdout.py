@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, Fit, Model, PointSet
+from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Holdout
-from accelcal_cli.judge.errors import deviations_mg, interval95, per_posture, summary
+from accelcal_cli.core.statistics import interval95
+from accelcal_cli.judge.errors import deviations_mg, per_posture, summary
 from accelcal_cli.judge.model_ladder import FitFunction, Sample, control, folds, postures
 from accelcal_cli.judge.model_ladder import blocked as blocked_sample
 from accelcal_cli.optimize import fixed32

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.judge.errors import uncertainty
 from accelcal_cli.judge.model_ladder import postures

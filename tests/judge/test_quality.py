@@ -8,10 +8,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD
-from accelcal_cli.core.points import Calibration, TimedMeans
+from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.results import Change
 from accelcal_cli.judge.change import ChangeSearch, Compared
 from accelcal_cli.judge.quality import Check, Period, by_block, check, deviations_mg
@@ -58,10 +58,12 @@ def test_deviations_are_those_of_the_definition() -> None:
     assert deviations_mg(observed, found, STANDARD) == pytest.approx(expected, abs=1e-9)
     raw = 1000 * (np.linalg.norm(observed.mean_g, axis=1) / local_g - 1)
     assert deviations_mg(observed, None, STANDARD) == pytest.approx(raw, abs=1e-9)
-    moved = Course((0, 10 * HOUR_SAMPLES), ((ONE,) * 3,) * 2, ((0, 0, 0), (ONE // 100, 0, 0)), lines=False)
+    moved = Correction(
+        (0, 10 * HOUR_SAMPLES), ((ONE,) * 3,) * 2, ((0, 0, 0), (ONE // 100, 0, 0)), lines=False
+    )
     shifted = observed.mean_g + np.outer(observed.block >= 10, [0.01 - 0.01 % 2**-29, 0, 0])
     a = (shifted + found.offset_g() + slope) @ found.gain().T
-    along = deviations_mg(observed, replace(found, course=moved), STANDARD)
+    along = deviations_mg(observed, replace(found, correction=moved), STANDARD)
     assert along == pytest.approx(1000 * (np.linalg.norm(a, axis=1) / local_g - 1), abs=1e-4)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import WEIGHT_ONE, Calibration, PointSet, TemperatureScale
+from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.model_ladder import of_postures

@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, PointSet
+from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, PAPER
-from accelcal_cli.judge.errors import deviations_mg, mean, per_posture, uncertainty
+from accelcal_cli.core.statistics import mean
+from accelcal_cli.judge.errors import deviations_mg, per_posture, uncertainty
 from accelcal_cli.judge.model_ladder import Fitting, postures
 from accelcal_cli.judge.verdict import judge, judge_paper
 from accelcal_cli.laboratory.optimizers.regressions import ELLIPSOID_MODELS, fit_ellipsoid

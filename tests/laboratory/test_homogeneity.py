@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Chunk
 from accelcal_cli.laboratory.homogeneity import HOUR_US, Shift, hours, lag_between, line_of, side_by_side
-from accelcal_cli.pipeline.export import Transform
 from accelcal_cli.simulate import Sensor, Wearer, draw_gain_and_offset
 from tests.cli.run import run
 from tests.recordings import LSB_PER_G, START, good_raw, still_counts, write_raw

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import Calibration
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PAPER, Settings, with_stillness
 from accelcal_cli.laboratory.methods import collected, compare

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.points import IDENTITY, Calibration, Windows
+from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.laboratory.segments import (
@@ -21,15 +22,7 @@ from accelcal_cli.laboratory.segments import (
     simulated,
     stillness_of_table,
 )
-from accelcal_cli.laboratory.sensors import (
-    Population,
-    Sensor,
-    Track,
-    bouts,
-    sphere,
-    sphere_error_mg,
-    track,
-)
+from accelcal_cli.laboratory.sensors import Population, Sensor, Track, bouts, sphere, sphere_error_mg, track
 from tests.cli.run import run
 from tests.laboratory.test_segments import table
 

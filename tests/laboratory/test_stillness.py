@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import Calibration, PointSet, TemperatureScale
+from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.settings import DEFAULT, STILLNESS
 from accelcal_cli.laboratory.stillness import RAW, Comparison, compare, on_scale, true_errors
 from accelcal_cli.pipeline.simulate import TrueParameters

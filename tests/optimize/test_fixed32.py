@@ -13,9 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from accelcal_cli.core import fixed
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, WEIGHT_ONE, PointSet
+from accelcal_cli.core.points import MODELS, WEIGHT_ONE, PointSet
 from accelcal_cli.optimize import _objective32, fixed32
 from tests.judge.made import NINE, spread
 from tests.optimize.oracle import (

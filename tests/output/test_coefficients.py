@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.calibration import Calibration, TemperatureScale
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.gravity import Gravity
-from accelcal_cli.core.points import Calibration, TemperatureScale
 from accelcal_cli.output.coefficients import calibration_of, coefficients_json, read_coefficients
 from tests.device_recordings import ONE, donor, edit, set_coefficients
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import TemperatureScale
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import ErrorSummary, Holdout
 from accelcal_cli.core.settings import DEFAULT, PAPER, PoseSettings

@@ -14,8 +14,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.points import IDENTITY, Calibration
 from accelcal_cli.core.rotations import Turns
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.gyroscope import turning

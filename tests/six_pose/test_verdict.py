@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelcal_cli.core.points import IDENTITY
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.results import Judgement, Outcome
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import Session, SixPoseFit, VectorErrors

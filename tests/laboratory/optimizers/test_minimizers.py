@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.points import IDENTITY, MODELS, Operations, PointSet
+from accelcal_cli.core.points import MODELS, Operations, PointSet
 from accelcal_cli.laboratory.optimizers.minimizers import (
     BFGS_DEFAULT,
     EVOLUTION_DEFAULT,

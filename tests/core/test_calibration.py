@@ -9,12 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.core.course import Course
+from accelcal_cli.core.calibration import Correction
 from accelcal_cli.core.fixed import ONE
 
 FLAT = (ONE, ONE, ONE)
-JUMPS = Course((0, 100), (FLAT, (ONE // 2, ONE, 2 * ONE)), ((0, 0, 0), (ONE // 4, 0, -ONE // 8)), lines=False)
-LINES = Course((0, 100, 300), (FLAT,) * 3, ((0, 0, 0), (ONE, 0, 0), (ONE, -ONE, 0)), lines=True)
+HALF = (ONE // 2, ONE, 2 * ONE)
+JUMPS = Correction((0, 100), (FLAT, HALF), ((0, 0, 0), (ONE // 4, 0, -ONE // 8)), lines=False)
+LINES = Correction((0, 100, 300), (FLAT,) * 3, ((0, 0, 0), (ONE, 0, 0), (ONE, -ONE, 0)), lines=True)
 
 
 @pytest.mark.parametrize(("sample", "knot"), [(0, 0), (99, 0), (100, 1), (10**9, 1)])
@@ -30,15 +31,15 @@ def test_lines_go_from_knot_to_knot_and_stay_behind_the_last(sample: int, shift:
 
 
 @given(st.lists(st.integers(0, 1000), min_size=1, max_size=30), st.sampled_from([JUMPS, LINES]))
-def test_many_samples_are_as_one_by_one(samples: list[int], course: Course) -> None:
+def test_many_samples_are_as_one_by_one(samples: list[int], correction: Correction) -> None:
     """Whether or not they lie between the same knots."""
     where = np.array(sorted(samples), np.int64)
-    stretch, shift = (np.broadcast_to(part, (len(where), 3)) for part in course.values(where))
+    stretch, shift = (np.broadcast_to(part, (len(where), 3)) for part in correction.values(where))
     for number, sample in enumerate(where.tolist()):
-        one = course.values(np.array([sample], np.int64))
+        one = correction.values(np.array([sample], np.int64))
         assert stretch[number].tolist() == one[0][0].tolist()
         assert shift[number].tolist() == one[1][0].tolist()
-        exact = course.at(sample)
+        exact = correction.at(sample)
         assert stretch[number] == pytest.approx(np.array(exact[0]) / ONE, abs=2 / ONE)
         assert shift[number] == pytest.approx(np.array(exact[1]) / ONE, abs=2 / ONE)
 
