@@ -1,41 +1,61 @@
-"""How readers take bytes from a file, plain or gzip, and checksums of many equally long pages at once."""
+"""How readers take bytes from a file: plain, gzip (RFC 1952) or packed with deflate (RFC 1951).
+
+zlib-ng unpacks where it is installed (`accelcal[fast]`), else zlib. Both give the same bytes, also from
+damaged data, which are unpacked byte by byte up to the first impossible one. ISA-L is faster still, but
+accepts some damaged data, and so would give other bytes.
+"""
 
 from __future__ import annotations
 
 import os
+import struct
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
-from functools import cache
+from dataclasses import dataclass
+from enum import Enum
+from importlib import import_module
 from pathlib import Path
-from typing import BinaryIO
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any, BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import GZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing
-from accelcal_cli.formats._inflate import GzipFault, Piece, gunzipped
 
-CRC16_POLYNOMIAL = 0x1021
-CRC16_START = 0xFFFF
+deflate: Any = zlib
+with suppress(ImportError):
+    deflate = import_module("zlib_ng.zlib_ng")
+
+STEP_BYTES = 1 << 18
+"""Packed bytes that are taken from a file at a time."""
+
+MOST_BYTES = 1 << 20
+"""Most unpacked bytes at once: damaged or empty stretches unpack to a thousand times their size."""
+
+PIECE_BYTES = 1 << 18
+"""Most bytes that a PackedStream reads, or unpacks, at once."""
+
+DEFLATE = 8
+"""The one compression method of gzip files."""
+
+HEADER_CHECKSUM, EXTRA, NAME, COMMENT = 2, 4, 8, 16
+"""Flags of a gzip header, one for each optional field."""
 
 
 class ByteSource(Closing):
     """The (uncompressed) bytes of a file, from its beginning.
 
-    A damaged gzip file ends at the same byte however much is asked for at a time, and whatever unpacks it.
+    A damaged gzip file ends at the same byte whatever is read at a time and whichever library unpacks it.
 
     Attributes:
-        compressed: whether the file is gzip.
+        compressed: the file is gzip.
         file_bytes: length of the file itself.
-        broken: whether its bytes broke off (a truncated or damaged gzip) rather than ended.
-        untrue: whether they did so because the gzip data are damaged within, not only cut short.
+        broken: its bytes broke off (a truncated or damaged gzip) rather than ended.
+        damaged: they broke off because the gzip data is damaged inside, not only cut short.
 
     Args:
-        threads: how many may work at a time; a gzip file is unpacked ahead by one of its own.
+        threads: how many threads may work at a time; with more than one, another thread unpacks ahead.
     """
 
     def __init__(self, path: Path, threads: int = 1) -> None:
@@ -63,12 +83,12 @@ class ByteSource(Closing):
         return self._fault is not None
 
     @property
-    def untrue(self) -> bool:
+    def damaged(self) -> bool:
         """See the class."""
         return self._fault is GzipFault.DAMAGED
 
     def read(self, count: int) -> bytes:
-        """Up to `count` bytes; none only at the end.
+        """Return up to `count` bytes; none only at the end.
 
         Raises:
             UnreadableError: the disk fails.
@@ -79,7 +99,7 @@ class ByteSource(Closing):
             raise self._unreadable(error) from error
 
     def read_exact(self, count: int) -> bytes:
-        """`count` bytes, fewer only at the end of the data.
+        """Return `count` bytes, fewer only at the end of the data.
 
         Raises:
             UnreadableError: the disk fails.
@@ -90,13 +110,13 @@ class ByteSource(Closing):
             count -= len(part)
         return b"".join(parts)
 
-    def refuse_untrue(self) -> None:
-        """For data without checksums of their own: what was unpacked may be wrong anywhere.
+    def refuse_damaged(self) -> None:
+        """Refuse damaged gzip data; for contents without checksums, any byte of which may then be wrong.
 
         Raises:
-            UnreadableError: the gzip data are damaged within, not only cut short.
+            UnreadableError: the gzip data is damaged inside, not only cut short.
         """
-        if self.untrue:
+        if self.damaged:
             raise UnreadableError(
                 "the gzip data is damaged: some values are not what was compressed",
                 path=self.path,
@@ -105,11 +125,11 @@ class ByteSource(Closing):
             )
 
     def seek(self, offset: int) -> None:
-        """Go to a byte of a file that is not compressed."""
+        """Go to a byte of an uncompressed file."""
         self._file.seek(offset)
 
     def read_into(self, buffer: memoryview) -> int:
-        """Fill a buffer from a file that is not compressed; gives the bytes, fewer at the end.
+        """Fill a buffer from an uncompressed file and return the number of bytes, fewer at the end.
 
         Raises:
             UnreadableError: the disk fails.
@@ -123,15 +143,15 @@ class ByteSource(Closing):
         return size
 
     def disk_position(self) -> int:
-        """How far the file on the disk has been read."""
+        """Return how far the file on the disk has been read."""
         return self._unpacked_to if self.compressed else self._file.tell()
 
     def undecoded(self) -> int:
-        """Bytes on the disk behind the place where a damaged gzip could not be unpacked any more."""
+        """Return the number of bytes on the disk after the place where a damaged gzip broke off."""
         return max(0, os.fstat(self._file.fileno()).st_size - self._unpacked_to) if self.broken else 0
 
     def close(self) -> None:
-        """Release the file; that this fails costs nothing that was read."""
+        """Release the file. A failure to close costs nothing that was read, so it is ignored."""
         with suppress(OSError):
             if self._pieces is not None:
                 self._pieces.close()
@@ -147,84 +167,269 @@ class ByteSource(Closing):
         return UnreadableError(f"cannot be read ({error.strerror or error})", path=self.path)
 
 
+class GzipFault(Enum):
+    """Why the bytes of a gzip file break off."""
+
+    CUT_OFF = "it is cut short"
+    OTHER = "what follows its data, which were checked, is no gzip"
+    DAMAGED = "it is damaged within"
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Unpacked bytes of a gzip file.
+
+    Attributes:
+        end_byte: how far the file has been unpacked with these bytes.
+        fault: why there are no more bytes; set only on the last piece of a file that breaks off.
+    """
+
+    data: bytes
+    end_byte: int
+    fault: GzipFault | None = None
+
+
+def gunzipped(file: BinaryIO) -> Iterator[Piece]:
+    """Yield the contents of a gzip file; the last piece is empty and names the fault, if there is one.
+
+    Raises:
+        OSError: the disk fails.
+    """
+    try:
+        while _pass_header(file):
+            yield from _unpack_member(file)
+    except EOFError:
+        yield Piece(b"", file.tell(), GzipFault.CUT_OFF)
+    except _FaultError as error:
+        yield Piece(b"", file.tell(), error.fault)
+    else:
+        yield Piece(b"", file.tell())
+
+
+class _FaultError(Exception):
+    def __init__(self, fault: GzipFault) -> None:
+        super().__init__(fault.value)
+        self.fault = fault
+
+
+def _pass_header(file: BinaryIO) -> bool:
+    """Read past the header of the next member; return False if there is none."""
+    magic = file.read(1)
+    while magic == b"\0":  # zeros may pad a file after its members
+        zeros = file.read(STEP_BYTES)
+        left = len(zeros.lstrip(b"\0"))
+        file.seek(-left, 1)
+        magic = file.read(1)
+    if not magic:
+        return False
+    magic += file.read(1)
+    if magic != GZIP_MAGIC:
+        if GZIP_MAGIC.startswith(magic):
+            raise EOFError
+        file.seek(-len(magic), 1)
+        raise _FaultError(GzipFault.OTHER)
+    method, flags = _exactly(file, 8)[:2]
+    if method != DEFLATE:
+        raise _FaultError(GzipFault.DAMAGED)
+    if flags & EXTRA:
+        _exactly(file, int.from_bytes(_exactly(file, 2), "little"))
+    for flag in (NAME, COMMENT):
+        while flags & flag and file.read(1) not in (b"", b"\0"):
+            pass
+    if flags & HEADER_CHECKSUM:
+        _exactly(file, 2)
+    return True
+
+
+def _unpack_member(file: BinaryIO) -> Iterator[Piece]:
+    """Yield the data of a member; raise _FaultError unless its checksum and length fit."""
+    inflater, crc, size = Inflater(), 0, 0
+    while not (inflater.complete or inflater.damaged):
+        if inflater.needs_input:
+            inflater.put(file.read(STEP_BYTES) or _exactly(file, 1))
+        data = inflater.take()
+        crc, size = crc32(data, crc), size + len(data)
+        if inflater.rest:
+            file.seek(-len(inflater.rest), 1)
+        if data:
+            yield Piece(data, file.tell() - inflater.waiting)
+    if inflater.damaged or _exactly(file, 8) != struct.pack("<II", crc, size & 0xFFFFFFFF):
+        raise _FaultError(GzipFault.DAMAGED)
+
+
+def _exactly(file: BinaryIO, count: int) -> bytes:
+    """Read `count` bytes; raise EOFError if there are fewer."""
+    data = file.read(count)
+    if len(data) < count:
+        raise EOFError
+    return data
+
+
+def crc32(data: bytes, before: int = 0) -> int:
+    """Return the CRC-32 (IEEE 802.3) of bytes that follow others whose checksum is `before`."""
+    return int(deflate.crc32(data, before))
+
+
+def unpacked(packed: bytes, size: int) -> bytes | None:
+    """Unpack a whole zlib stream (RFC 1950) of about `size` bytes; return None if it is damaged."""
+    try:
+        return bytes(deflate.decompress(packed, bufsize=size))
+    except deflate.error:
+        return None
+
+
+class Inflater:
+    """Unpacks a bare deflate stream; where a damaged one breaks off does not depend on how it is cut.
+
+    Attributes:
+        damaged: nothing more can be unpacked.
+        rest: input bytes after the end of the stream, or from the first damaged one on.
+    """
+
+    def __init__(self) -> None:
+        self._stream = deflate.decompressobj(-zlib.MAX_WBITS)
+        self._waiting = b""
+        self._full = False
+        self.damaged = False
+        self.rest = b""
+
+    @property
+    def complete(self) -> bool:
+        """Return True if the end of the stream was reached."""
+        return bool(self._stream.eof)
+
+    @property
+    def needs_input(self) -> bool:
+        """Return True if all input has been unpacked and the stream goes on."""
+        return not (self._waiting or self._full or self.damaged or self.complete)
+
+    @property
+    def waiting(self) -> int:
+        """Return the number of input bytes that have not been unpacked yet."""
+        return len(self._waiting)
+
+    def put(self, packed: bytes) -> None:
+        """Add the next packed bytes; only while it needs input."""
+        self._waiting = packed
+
+    def take(self, most: int = MOST_BYTES) -> bytes:
+        """Return up to `most` unpacked bytes; none if it needs input or nothing follows."""
+        if self.damaged or self.complete:
+            return b""
+        before = self._stream.copy()
+        try:
+            data = bytes(self._stream.decompress(self._waiting, most))
+        except deflate.error:
+            return self._salvaged(before)
+        self._waiting, self._full = self._stream.unconsumed_tail, len(data) == most
+        if self.complete:
+            self._waiting, self.rest = b"", self._stream.unused_data
+        return data
+
+    def _salvaged(self, before: Any) -> bytes:
+        """Unpack the input byte by byte up to the first impossible byte."""
+        self.damaged = True
+        parts: list[bytes] = []
+        for index in range(len(self._waiting)):
+            try:
+                parts.append(before.decompress(self._waiting[index : index + 1]))
+            except deflate.error:
+                self.rest = self._waiting[index:]
+                break
+        self._waiting = b""
+        return b"".join(parts)
+
+
+class PackedStream:
+    """Unpacks a stretch of a file from its beginning; can be copied at any place.
+
+    Attributes:
+        damaged: the packed bytes proved to be damaged, not only cut short.
+
+    Args:
+        offset, size: of the packed bytes.
+        bare: deflate without the header and checksum of zlib, as in zip files.
+    """
+
+    def __init__(self, path: Path, offset: int, size: int, *, bare: bool = False) -> None:
+        self._path = path
+        self._bare = bare
+        self._offset = offset
+        self._end = offset + size
+        self._unpacker = zlib.decompressobj(-zlib.MAX_WBITS if bare else zlib.MAX_WBITS)
+        self._pending = b""
+        self.damaged = False
+
+    def copy(self) -> PackedStream:
+        """Return another stream that goes on from the same place."""
+        twin = PackedStream(self._path, self._offset, self._end - self._offset, bare=self._bare)
+        twin._unpacker = self._unpacker.copy()
+        twin._pending = self._pending
+        return twin
+
+    def pieces(self, count: int) -> Iterator[bytes]:
+        """Yield the next `count` bytes in pieces; fewer where the packed bytes are damaged."""
+        while count:
+            if not self._pending:
+                self._pending = self._read_packed()
+            try:
+                piece = self._unpacker.decompress(self._pending, min(count, PIECE_BYTES))
+            except zlib.error:
+                self.damaged = True
+                return
+            if not piece and (self._unpacker.eof or not self._pending):
+                return
+            self._pending = self._unpacker.unconsumed_tail
+            count -= len(piece)
+            yield piece
+
+    def skip(self, count: int) -> None:
+        """Pass over `count` bytes, as far as they can be unpacked."""
+        for _ in self.pieces(count):
+            pass
+
+    def _read_packed(self) -> bytes:
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            packed = file.read(min(PIECE_BYTES, self._end - self._offset))
+        self._offset += len(packed)
+        return packed
+
+
+class PlainStream:
+    """A stretch of a file that is not packed, with the methods of PackedStream."""
+
+    def __init__(self, path: Path, offset: int, size: int) -> None:
+        self._path, self._offset, self._end = path, offset, offset + size
+
+    def copy(self) -> PlainStream:
+        """Return another stream that goes on from the same place."""
+        return PlainStream(self._path, self._offset, self._end - self._offset)
+
+    def pieces(self, count: int) -> Iterator[bytes]:
+        """Yield the next `count` bytes in one piece; fewer where the file ends."""
+        with self._path.open("rb") as file:
+            file.seek(self._offset)
+            piece = file.read(max(0, min(count, self._end - self._offset)))
+        self._offset += len(piece)
+        if piece:
+            yield piece
+
+    def skip(self, count: int) -> None:
+        """Pass over `count` bytes."""
+        self._offset = min(self._offset + count, self._end)
+
+
 class ShortReads:
-    """A file of which zipfile reads no directory that is too long, as it reads one at once."""
+    """A file from which zipfile cannot read a huge directory, which it would read all at once."""
 
     def __init__(self, file: BinaryIO, most_bytes: int) -> None:
-        """Stand for a file that is open for reading."""
+        """Wrap a file that is open for reading."""
         self.seek, self.tell, self.seekable = file.seek, file.tell, file.seekable
         self._file, self._most = file, most_bytes
 
     def read(self, count: int = -1) -> bytes:
-        """Bytes of the file, which up to its near end; raises OSError for too many."""
+        """Read up to `count` bytes; raise OSError if `count` is more than `most_bytes`."""
         if count > self._most:
             raise OSError("the directory is too long")
         return self._file.read(count)
-
-
-def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint32]:
-    """CRC-32 (IEEE 802.3, as in zlib) of bytes start..stop-1 of each page.
-
-    Args:
-        pages: (p, page_bytes), rows contiguous.
-
-    Returns:
-        (p,) checksums.
-    """
-    if not len(pages):
-        return np.empty(0, np.uint32)
-    view = np.ascontiguousarray(pages).data.cast("B")
-    size = pages.shape[1]
-    return np.array(
-        [zlib.crc32(view[page + start : page + stop]) for page in range(0, len(view), size)], dtype=np.uint32
-    )
-
-
-def crc16_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint16]:
-    """CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, not reflected) of each page's bytes.
-
-    A CRC is linear over GF(2): that of a page is the XOR of what each byte alone contributes, so
-    one table row per position lets all pages go through together.
-
-    Args:
-        pages: (p, page_bytes).
-
-    Returns:
-        (p,) checksums.
-    """
-    table, start_part = crc16_positions(stop - start)
-    total = np.full(len(pages), start_part, np.uint16)
-    columns = np.ascontiguousarray(pages[:, start:stop].T)
-    for row, column in zip(table, columns, strict=True):
-        total ^= row[column]
-    return total
-
-
-@cache
-def crc16_positions(length: int) -> tuple[NDArray[np.uint16], int]:
-    """What byte value v at position i of `length` adds: table[i, v]; and what the start value adds."""
-    one = crc16_table()
-    table = np.empty((length, 256), np.uint16)
-    here = one
-    for position in range(length - 1, -1, -1):
-        table[position] = here
-        here = shift_byte(here)
-    state = np.array([CRC16_START], np.uint16)
-    for _ in range(length):
-        state = shift_byte(state)
-    return table, int(state[0])
-
-
-def shift_byte(state: NDArray[np.uint16]) -> NDArray[np.uint16]:
-    """The checksum states after one more zero byte."""
-    return np.asarray((state << np.uint16(8)) ^ crc16_table()[state >> np.uint16(8)])
-
-
-@cache
-def crc16_table() -> NDArray[np.uint16]:
-    """The checksum of each byte value alone, from state 0."""
-    state = np.arange(256, dtype=np.uint32) << 8
-    for _ in range(8):
-        state = (state << 1) ^ np.where(state & 0x8000, CRC16_POLYNOMIAL, 0).astype(np.uint32)
-    table: NDArray[np.uint16] = (state & 0xFFFF).astype(np.uint16)
-    return table

@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import UniformClock, rate_fraction
 from accelcal_cli.core.recording import Channels, Chunk, Counts, Intake, Problem, Reader, Recording
 from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._pages.pages import BLOCK_BYTES, HeldChannels, RowFilter
+from accelcal_cli.formats._pages.pages import BLOCK_BYTES
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog
+from accelcal_cli.formats._rows import HeldChannels, RowFilter
 
 FIRST_ROWS = 1 << 16
 AFTER_BYTES = 8
@@ -134,7 +135,7 @@ class FrameReader(Reader):
             while not last:
                 wanted = size if stop is None else min(size, stop - rows.frame)
                 data = source.read_exact(wanted * file.frame_bytes)
-                source.refuse_untrue()
+                source.refuse_damaged()
                 last = len(data) < wanted * file.frame_bytes or rows.frame + wanted == stop
                 chunk = rows.feed(data, source.disk_position(), last=last)
                 if last:

@@ -20,11 +20,9 @@ SHARED = {
     "_bytes",
     "_frames",
     "_gravity",
-    "_idle",
-    "_inflate",
-    "_packed",
     "_pages",
     "_problems",
+    "_rows",
     "_stamps",
     "_tables",
 }

@@ -6,17 +6,18 @@ temperature, repeats the last one.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping
-from dataclasses import dataclass, field, replace
+import zlib
+from collections.abc import Generator
+from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.recording import (
     Channels,
-    Chunk,
     Counts,
     cut_channels,
     cut_columns,
@@ -30,11 +31,8 @@ SKIP_BYTES = 1 << 20
 BLOCK_BYTES = 1 << 24
 """At most so much of a file is taken at once, or one page: frames may be much longer than their samples."""
 
-MISSING = int(np.iinfo(np.int32).min)
-"""Marks a row where a channel of single values was not measured, until the last known one replaces it."""
-
-CHANNEL_NOUNS = {"temperature_mc": "a temperature"}
-"""What problems call a channel; the others go by their name in Chunk."""
+CRC16_POLYNOMIAL = 0x1021
+CRC16_START = 0xFFFF
 
 GOOD, ERASED, CHECKSUM, NONSENSE, FOREIGN, RATE, REPEATED, TEXT, LENGTH, DIGITS, NO_PAGE = range(11)
 BAD_KINDS = {
@@ -167,7 +165,7 @@ class PagedFile:
                 data = stream.read_exact(pages * self.page_bytes)
                 last = len(data) < pages * self.page_bytes
                 if not self.proved:
-                    stream.refuse_untrue()
+                    stream.refuse_damaged()
                 whole = len(data) // self.page_bytes
                 cut = whole * self.page_bytes
                 table = np.frombuffer(data, np.uint8, cut).reshape(whole, self.page_bytes)
@@ -354,60 +352,69 @@ def per_page(block: PageBlock, marks: NDArray[np.bool_] | None) -> NDArray[np.in
     return np.add.reduceat(marks, starts, dtype=np.int64)
 
 
-def first_values(channels: Channels) -> dict[str, int | None]:
-    """The first measured value of each channel of single values, None where there is none."""
-    columns = {name: column[column != MISSING] for name, column in channels.items() if column.ndim == 1}
-    return {name: int(known[0]) if len(known) else None for name, known in columns.items()}
-
-
-class HeldChannels:
-    """Repeats the last measured value of a channel where there is none.
+def crc32_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint32]:
+    """Return the CRC-32 (IEEE 802.3, as in zlib) of bytes start..stop-1 of each page.
 
     Args:
-        first: of channels that may hold MISSING, the value for rows before the first measured one; None
-            if there never is any.
+        pages: (p, page_bytes), rows contiguous.
+
+    Returns:
+        (p,) checksums.
     """
-
-    def __init__(self, first: Mapping[str, int | None]) -> None:
-        self._never = [name for name, value in first.items() if value is None]
-        self._last = {name: value for name, value in first.items() if value is not None}
-
-    def fill(self, channels: Channels, starts: NDArray[np.int64] | None = None) -> Channels:
-        """The channels of the next rows, without those that never have a value.
-
-        Args:
-            starts: rows from which on each value stays the same up to the next of them; None: every row.
-        """
-        return {
-            name: self._filled(name, column, starts) if name in self._last and len(column) else column
-            for name, column in channels.items()
-            if name not in self._never
-        }
-
-    def _filled(self, name: str, measured: NDArray[Any], starts: NDArray[np.int64] | None) -> NDArray[Any]:
-        if (measured if starts is None else measured[starts]).min() <= MISSING:
-            source = np.maximum.accumulate(np.where(measured != MISSING, np.arange(len(measured)), -1))
-            last = measured.dtype.type(self._last[name])
-            measured = np.where(source < 0, last, measured[source])
-        self._last[name] = int(measured[-1])
-        return measured
+    if not len(pages):
+        return np.empty(0, np.uint32)
+    view = np.ascontiguousarray(pages).data.cast("B")
+    size = pages.shape[1]
+    return np.array(
+        [zlib.crc32(view[page + start : page + stop]) for page in range(0, len(view), size)], dtype=np.uint32
+    )
 
 
-class RowFilter:
-    """Takes faulty rows out of chunks; the row after them does not continue the one before."""
+def crc16_pages(pages: NDArray[np.uint8], start: int, stop: int) -> NDArray[np.uint16]:
+    """Return the CRC-16/CCITT-FALSE (polynomial 0x1021, start 0xFFFF, not reflected) of each page's bytes.
 
-    def __init__(self) -> None:
-        self._started = self._broken = False
+    A CRC is linear over GF(2): the checksum of a page is the XOR of what each byte alone contributes, so one
+    table row for each position lets all pages go through together.
 
-    def apply(self, chunk: Chunk, faulty: NDArray[np.bool_] | None) -> Chunk:
-        """The chunk without the rows marked in `faulty` (n,)."""
-        if faulty is None or not len(chunk):
-            return chunk
-        kept = chunk.keep(~faulty) if faulty.any() else chunk
-        if len(kept):
-            inside = kept.breaks[int(kept.is_fresh) :]
-            fresh = self._started and (self._broken or kept.is_fresh)
-            kept = replace(kept, breaks=np.append(0, inside) if fresh else inside)
-        self._started |= len(kept) > 0
-        self._broken = bool(faulty[-1])
-        return kept
+    Args:
+        pages: (p, page_bytes).
+
+    Returns:
+        (p,) checksums.
+    """
+    table, start_part = crc16_positions(stop - start)
+    total = np.full(len(pages), start_part, np.uint16)
+    columns = np.ascontiguousarray(pages[:, start:stop].T)
+    for row, column in zip(table, columns, strict=True):
+        total ^= row[column]
+    return total
+
+
+@cache
+def crc16_positions(length: int) -> tuple[NDArray[np.uint16], int]:
+    """Return what byte value v at position i of `length` adds, table[i, v], and what the start value adds."""
+    one = crc16_table()
+    table = np.empty((length, 256), np.uint16)
+    here = one
+    for position in range(length - 1, -1, -1):
+        table[position] = here
+        here = shift_byte(here)
+    state = np.array([CRC16_START], np.uint16)
+    for _ in range(length):
+        state = shift_byte(state)
+    return table, int(state[0])
+
+
+def shift_byte(state: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Return checksum states after one more zero byte."""
+    return np.asarray((state << np.uint16(8)) ^ crc16_table()[state >> np.uint16(8)])
+
+
+@cache
+def crc16_table() -> NDArray[np.uint16]:
+    """Return the checksum of each byte value alone, from state 0."""
+    state = np.arange(256, dtype=np.uint32) << 8
+    for _ in range(8):
+        state = (state << 1) ^ np.where(state & 0x8000, CRC16_POLYNOMIAL, 0).astype(np.uint32)
+    table: NDArray[np.uint16] = (state & 0xFFFF).astype(np.uint16)
+    return table

@@ -28,6 +28,7 @@ from accelcal_cli.formats._pages.pages import (
 )
 from accelcal_cli.formats._pages.timeline import Links, Spacing, Steps, Timeline, steps
 from accelcal_cli.formats._problems import Event, ProblemLog
+from accelcal_cli.formats._rows import MISSING, HeldChannels, RowFilter, first_values, missing_kind
 
 MISSING_PAGES = "sequence_gap", "pages missing by their sequence numbers"
 SEQUENCE_BACK = "sequence_back", "pages whose sequence number does not rise"
@@ -111,7 +112,7 @@ class PageEvents(EventMaker):
         """Rows without usable values, and samples without a value of a channel, page by page."""
         numbers = {FAULTY_ROWS: paged.per_page(block, block.faulty)}
         for name in self._held:
-            numbers[missing_kind(name)] = paged.per_page(block, block.channels[name] == paged.MISSING)
+            numbers[missing_kind(name)] = paged.per_page(block, block.channels[name] == MISSING)
         after = rows_in + np.cumsum(paged.page_rows(block))
         for page in np.flatnonzero(sum(numbers.values())).tolist():
             position, sample = int(block.position[page]), int(after[page])
@@ -151,12 +152,6 @@ class PageEvents(EventMaker):
         lost = len(leftover) + raw.undecoded
         event = Event(position, 1, "truncated", text, offset, rows_in, len(leftover))
         yield replace(event, lost_bytes=lost)
-
-
-def missing_kind(channel: str) -> tuple[str, str]:
-    """Code and text of values that a channel lacks."""
-    noun = paged.CHANNEL_NOUNS.get(channel, channel)
-    return "missing_value", f"samples without {noun}, given the last one measured"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,8 +200,8 @@ class PageJoiner:
         self._page_bytes, self._row_bytes = file.page_bytes, file.page_bytes // spacing.rows
         self._events = PageEvents(file, self._row_bytes, first_values)
         self._log = ProblemLog(problems)
-        self._channels = paged.HeldChannels(first_values)
-        self._filter = paged.RowFilter()
+        self._channels = HeldChannels(first_values)
+        self._filter = RowFilter()
         self._last: Stretch | None = None
         self._unused_end = False
         self._rows_in = self._rows_out = sample
@@ -316,7 +311,7 @@ def look_inside(scheme: PageScheme) -> Opening | None:
     for raw in scheme.file.blocks(pages):
         block = scheme.decode(raw).block
         if len(block) and (block.faulty is None or not block.faulty.all()):
-            return Opening(block, scheme.timeline().start(block), paged.first_values(block.channels))
+            return Opening(block, scheme.timeline().start(block), first_values(block.channels))
     return None
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.recording import Chunk, Problem, Reader
 from accelcal_cli.core.vocabulary import normalized
-from accelcal_cli.formats._packed import PackedStream, PlainStream
+from accelcal_cli.formats._bytes import PackedStream, PlainStream
 from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.description import Plan
 from accelcal_cli.formats._tables.reader import TableReader

@@ -20,7 +20,7 @@ from accelcal_cli.core.local_time import LocalStamps
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
 from accelcal_cli.core.vocabulary import PHYSICAL_UNITS
-from accelcal_cli.formats._idle import RepeatedSamples
+from accelcal_cli.formats._rows import RepeatedSamples
 from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, Pace, SharedStamps
 from accelcal_cli.formats._tables.units import Scale as TurnScale
 from accelcal_cli.formats.csv.cells import Scale

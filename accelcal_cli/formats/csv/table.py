@@ -100,7 +100,7 @@ class LineFile(Closing):
             UnreadableError: the disk fails, or a gzip file is damaged there.
         """
         data = b"".join(self._pieces(count))
-        self._source.refuse_untrue()
+        self._source.refuse_damaged()
         return data
 
     def _pieces(self, count: int) -> list[bytes]:
@@ -139,11 +139,11 @@ class LineFile(Closing):
             if data or last:
                 rest, lines = tail if last else b"", count_lines(data)
                 disk, broken = self._source.disk_position(), self._source.broken
-                ends = last and not self._source.untrue
+                ends = last and not self._source.damaged
                 yield Block(data, rest, line, lines, offset, offset + len(data), disk, ends, broken, zeros)
                 line += lines
                 offset += len(data)
-        self._source.refuse_untrue()
+        self._source.refuse_damaged()
 
 
 class LineCutter:

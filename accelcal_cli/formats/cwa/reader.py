@@ -23,8 +23,9 @@ from accelcal_cli.core.recording import Chunk, Device, Intake, Problem, Reader, 
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import PageCutter, PagedFile, RawBlock
-from accelcal_cli.formats._pages.reader import EventMaker, first_time, missing_kind
+from accelcal_cli.formats._pages.reader import EventMaker, first_time
 from accelcal_cli.formats._problems import Event, ProblemLog
+from accelcal_cli.formats._rows import MISSING, HeldChannels, missing_kind
 from accelcal_cli.formats.cwa import HEADER_BYTES, SECTOR_BYTES, sector
 from accelcal_cli.formats.cwa.sector import SETTINGS, Header, SectorBlock, Settings
 from accelcal_cli.formats.cwa.timeline import NO_SPANS, Linker, Links, Spans, Timeline, nominal_us
@@ -40,7 +41,7 @@ LEFT_OUT = {
 DAMAGED = (sector.EMPTY, paged.FOREIGN, paged.CHECKSUM, paged.NONSENSE)
 """Kinds whose bytes are lost; a sector recorded with other settings is sound."""
 
-MISSING = ("sequence_gap", "data sectors missing by their sequence numbers")
+MISSING_SECTORS = ("sequence_gap", "data sectors missing by their sequence numbers")
 RESTARTED = ("sequence_back", "restarts of the logging, where the sequence numbers begin anew")
 SESSION = ("session_change", "changes of the session number: the device was set up anew")
 OVERFLOW = ("device_overflow", "data sectors where the device says that it lost samples")
@@ -72,7 +73,7 @@ class SectorEvents(EventMaker):
         """What stands between sectors."""
         if not (links.broken | links.overflow | links.untimed).any():
             return
-        counted = {MISSING: links.missing, RESTARTED: links.restarted, SESSION: links.session}
+        counted = {MISSING_SECTORS: links.missing, RESTARTED: links.restarted, SESSION: links.session}
         counted |= {OVERFLOW: links.overflow, UNTIMED: links.untimed}
         measured = {AHEAD: links.ahead_us, BACK: links.behind_us}
         samples = sample + np.cumsum(block.rows) - block.rows
@@ -89,7 +90,7 @@ class SectorEvents(EventMaker):
         first_row = np.cumsum(block.rows) - block.rows
         for name, column in block.channels.items():
             if column.ndim == 1:
-                for place in np.flatnonzero(column[first_row] == paged.MISSING).tolist():
+                for place in np.flatnonzero(column[first_row] == MISSING).tolist():
                     row, rows = sample + int(first_row[place]), int(block.rows[place])
                     yield self.event(int(block.position[place]), missing_kind(name), row, rows)
 
@@ -189,7 +190,7 @@ class Assembler:
         self._linker = Linker(scheme.settings.rate, scheme.settings.rows)
         self._timeline = Timeline(scheme.settings.rate)
         self._log = ProblemLog(problems)
-        self._channels = paged.HeldChannels(scheme.first_values)
+        self._channels = HeldChannels(scheme.first_values)
         self._waiting: deque[_Waiting] = deque()
         self._spans = NO_SPANS
         self._nothing, _ = sector.decode(np.empty((0, SECTOR_BYTES), np.uint8), 0, scheme.settings)

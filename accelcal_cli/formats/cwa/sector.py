@@ -32,7 +32,8 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Channels, Device
-from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, MISSING, NONSENSE, RATE
+from accelcal_cli.formats._pages.pages import CHECKSUM, ERASED, FOREIGN, GOOD, NONSENSE, RATE
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.cwa import HEADER_BYTES, HEADER_MAGIC, SECTOR_BYTES, SECTOR_MAGIC
 
 SAMPLE_BYTES = 480

@@ -18,6 +18,7 @@ from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
 from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, Spacing, Timeline
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.edf.header import ANNOTATIONS, COPY_AGAIN, Header, Signal, read_header
 from accelcal_cli.formats.edf.signals import Chosen, choose
 
@@ -111,7 +112,7 @@ class RecordDecoder:
         signal, gain, zero = self._chosen.temperature
         values = np.rint(self._digital(pages, signal) * gain + zero)
         measured = (values >= MILLIKELVIN_ZERO) & (values <= HOTTEST)
-        milli = np.where(measured, values, paged.MISSING).astype(np.int32)
+        milli = np.where(measured, values, MISSING).astype(np.int32)
         place = np.arange(rows) * signal.samples // rows
         return milli.reshape(len(pages), signal.samples)[:, place].reshape(-1)
 

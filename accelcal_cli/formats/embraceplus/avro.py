@@ -237,7 +237,7 @@ def read_first(path: Path) -> FirstRecord:
     """
     with ByteSource(path) as source:
         data = Data(source.read_exact(LARGEST_BYTES + 1))
-        source.refuse_untrue()
+        source.refuse_damaged()
     if len(data.data) > LARGEST_BYTES:
         what = f"has more than {LARGEST_BYTES >> 20} MB, which no half hour of an EmbracePlus takes"
         raise UnreadableError(

@@ -16,11 +16,12 @@ from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate
 from accelcal_cli.core.recording import Device, Problem, Reader, Recording
-from accelcal_cli.formats._bytes import ByteSource, crc32_pages
+from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
 from accelcal_cli.formats._pages.timeline import ExactTimeline, Spacing
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.flash import HEADER_MAGIC, PAGE_BYTES, PAGE_MAGIC
 
 SAMPLES = 80
@@ -83,7 +84,7 @@ def page_status(pages: NDArray[np.uint8], recording_id: int) -> NDArray[np.uint8
     status = np.full(len(pages), paged.GOOD, np.uint8)
     status[fields["recording_id"] != recording_id] = paged.FOREIGN
     status[~sensible(fields)] = paged.NONSENSE
-    status[crc32_pages(pages, 0, CRC_AT) != fields["crc"]] = paged.CHECKSUM
+    status[paged.crc32_pages(pages, 0, CRC_AT) != fields["crc"]] = paged.CHECKSUM
     status[paged.erased_pages(pages)] = paged.ERASED
     return status
 
@@ -114,7 +115,7 @@ def as_block(fields: NDArray[np.void], position: NDArray[np.int64], has_temperat
 def temperature_mc(fields: NDArray[np.void]) -> NDArray[np.int32]:
     """Each page's temperature [thousandths of a degree C], (p,)."""
     raw = fields["temperature"].astype(np.int32)
-    milli = np.where(raw == NOT_MEASURED, np.int32(paged.MISSING), (raw * 1000 + 64) >> 7)
+    milli = np.where(raw == NOT_MEASURED, np.int32(MISSING), (raw * 1000 + 64) >> 7)
     return milli.astype(np.int32)
 
 
@@ -122,7 +123,7 @@ def first_recording_id(pages: NDArray[np.uint8]) -> int | None:
     """Recording number of the first page whose checksum is right; None without one."""
     fields = pages.view(PAGE)[:, 0]
     good = sensible(fields)
-    good[good] = crc32_pages(pages[good], 0, CRC_AT) == fields["crc"][good]
+    good[good] = paged.crc32_pages(pages[good], 0, CRC_AT) == fields["crc"][good]
     return int(fields["recording_id"][good][0]) if good.any() else None
 
 

@@ -18,10 +18,11 @@ from accelcal_cli.core.clock import MICROSECONDS, iso_time
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Chunk, Intake, Problem, Reader, Recording, clipped_at
-from accelcal_cli.formats._pages.pages import GOOD, PageBlock, first_values
+from accelcal_cli.formats._pages.pages import GOOD, PageBlock
 from accelcal_cli.formats._pages.places import Part, PartPlaces, PlaceCutter
 from accelcal_cli.formats._pages.reader import PageJoiner, first_time
 from accelcal_cli.formats._pages.timeline import CoarseTimeline, Spacing
+from accelcal_cli.formats._rows import first_values
 from accelcal_cli.formats.geneactiv import HEADER_MAGIC, scan
 from accelcal_cli.formats.geneactiv.decode import (
     RAW_LIMIT,

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._pages import places
-from accelcal_cli.formats._pages.pages import GOOD, LENGTH, MISSING, NO_PAGE, TEXT
+from accelcal_cli.formats._pages.pages import GOOD, LENGTH, NO_PAGE, TEXT
 from accelcal_cli.formats._pages.places import Part
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.geneactiv import MARK
 
 SAMPLES = 300
@@ -250,7 +251,7 @@ class TextFile:
             position, end, last = 0, self.start, False
             while not last:
                 data = source.read_exact(pages * USUAL_BYTES)
-                source.refuse_untrue()
+                source.refuse_damaged()
                 last, end = len(data) < pages * USUAL_BYTES, end + len(data)
                 found = scanner.feed(data, last=last)
                 yield Part(position, found, end, source.disk_position(), last, source.broken)

@@ -56,7 +56,7 @@ class ActivityFile:
             UnreadableError: the disk fails, or what was packed is not what comes out: without
                 checksums of their own, any of the values may be wrong.
         """
-        from accelcal_cli.formats._idle import RepeatedSamples  # log.bin marks idle sleep itself
+        from accelcal_cli.formats._rows import RepeatedSamples  # log.bin marks idle sleep itself
 
         repeats, rows, problems = RepeatedSamples(self.rate), 0, self.problems
         waiting = np.empty((0, 3), np.int16)

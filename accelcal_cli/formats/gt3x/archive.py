@@ -18,8 +18,7 @@ from typing import BinaryIO
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
-from accelcal_cli.formats._bytes import ShortReads
-from accelcal_cli.formats._inflate import MOST_BYTES, STEP_BYTES, Inflater, crc32
+from accelcal_cli.formats._bytes import MOST_BYTES, STEP_BYTES, Inflater, ShortReads, crc32
 from accelcal_cli.formats.gt3x import (
     ACTIVITY,
     CALIBRATION,
@@ -306,7 +305,7 @@ class MemberStream(Closing):
 
     def _inflated(self, inflater: Inflater, most: int) -> tuple[bytes, bool]:
         """The next bytes, at most so many, and whether they are the last."""
-        if inflater.hungry:
+        if inflater.needs_input:
             packed = self._taken(STEP_BYTES)
             if not packed:
                 return b"", True

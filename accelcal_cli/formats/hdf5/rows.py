@@ -24,8 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.formats._inflate import unpacked
-from accelcal_cli.formats._packed import PackedStream
+from accelcal_cli.formats._bytes import PackedStream, unpacked
 from accelcal_cli.formats._tables.table import BLOCK_ROWS, REFUSE_ABOVE_BYTES
 from accelcal_cli.formats._tables.tracks import Track
 from accelcal_cli.formats.hdf5.file import H5PY_ERRORS

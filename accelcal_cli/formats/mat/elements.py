@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.formats._packed import PIECE, PackedStream, PlainStream
+from accelcal_cli.formats._bytes import PIECE_BYTES, PackedStream, PlainStream
 from accelcal_cli.formats._tables.arrays import ArrayTable, Stream, array_of
 from accelcal_cli.formats.mat import HEAD_BYTES
 
@@ -214,9 +214,9 @@ def _is_true(begin: Callable[[], Stream]) -> bool:
     stream = begin()
     if isinstance(stream, PlainStream):
         return True
-    while any(stream.pieces(PIECE)):
+    while any(stream.pieces(PIECE_BYTES)):
         pass
-    return not stream.untrue
+    return not stream.damaged
 
 
 def _unpacked(path: Path, offset: int, size: int) -> PackedStream:

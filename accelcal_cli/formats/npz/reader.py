@@ -19,8 +19,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._packed import PIECE, PackedStream, PlainStream
+from accelcal_cli.formats._bytes import PIECE_BYTES, ByteSource, PackedStream, PlainStream
 from accelcal_cli.formats._tables.arrays import Array, ArrayReader, ArrayTable, Stream, array_of
 from accelcal_cli.formats._tables.attributes import readable
 from accelcal_cli.formats._tables.plan import plan_of, source_of
@@ -145,7 +144,7 @@ def _is_true(path: Path, member: zipfile.ZipInfo) -> bool:
     """Whether the checksum of a member is right."""
     crc, stream, left = 0, _stream(path, member), member.file_size
     while left > 0:
-        pieces = [*stream.pieces(min(left, PIECE))]
+        pieces = [*stream.pieces(min(left, PIECE_BYTES))]
         if not pieces:
             return False
         for piece in pieces:

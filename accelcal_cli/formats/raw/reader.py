@@ -25,11 +25,11 @@ from accelcal_cli.core.recording import (
     Reader,
     Recording,
 )
-from accelcal_cli.formats._bytes import crc16_pages, crc32_pages
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
 from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
+from accelcal_cli.formats._rows import MISSING
 from accelcal_cli.formats.raw import find_layout, named_layout
 from accelcal_cli.formats.raw.layout import (
     AXES,
@@ -148,7 +148,7 @@ class FrameValues:
         values = (raw * field.scale + field.zero) * per_unit
         measured = np.abs(values) <= largest
         whole = np.rint(np.where(measured, values, 0))
-        return np.where(measured, whole, paged.MISSING).astype(np.int32)
+        return np.where(measured, whole, MISSING).astype(np.int32)
 
     def _raw_float(self, records: NDArray[np.void], name: str) -> NDArray[np.float64]:
         """One field as floats, (n,); a NaN of any kind, of which numpy would warn, stays one."""
@@ -259,9 +259,9 @@ class FrameDecoder:
     def _intact(self, pages: NDArray[np.uint8], crc: Checksum) -> NDArray[np.bool_]:
         """Which pages have the right checksum."""
         if crc.type == "crc32":
-            actual: NDArray[np.unsignedinteger] = crc32_pages(pages, crc.start, crc.stop)
+            actual: NDArray[np.unsignedinteger] = paged.crc32_pages(pages, crc.start, crc.stop)
             return np.asarray(actual == self._page_value(pages, crc.offset, "uint32"))
-        actual = crc16_pages(pages, crc.start, crc.stop)
+        actual = paged.crc16_pages(pages, crc.start, crc.stop)
         return np.asarray(actual == self._page_value(pages, crc.offset, "uint16"))
 
     def _page_value(self, pages: NDArray[np.uint8], offset: int, kind: str) -> NDArray[np.int64]:

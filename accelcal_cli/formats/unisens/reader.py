@@ -36,7 +36,7 @@ from accelcal_cli.core.vocabulary import (
 )
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
-from accelcal_cli.formats._pages.pages import MISSING, first_values
+from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.unisens import DESCRIPTION
 from accelcal_cli.formats.unisens.description import (
     COPY_AGAIN,

@@ -20,7 +20,7 @@ from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import AFTER_BYTES, FIRST_ROWS, FrameFile, FrameIntake, FrameReader, Frames
-from accelcal_cli.formats._pages.pages import MISSING, first_values
+from accelcal_cli.formats._rows import MISSING, first_values
 from accelcal_cli.formats.wav.header import CHUNK, EXTENSIBLE, PCM, Header, parse_header
 
 FULL_SCALE = 1 << 15

@@ -3,7 +3,7 @@
 The name is `MODEL-DATA-VERSION.SERIAL.YYYY-MM-DD-hh-mm-ss-mmm-ZONE.sensor.csv`, with `x` for the points of
 the version (mhealth-specification, github.com/mhealthgroup; NHANES 2011-2014, documentation of PAX80_G). The
 zone is P0000 throughout in NHANES, whose times are local: it is not believed. ActiGraphs repeat their last
-sample while they sleep (`formats/_idle.py`); a GT3X+ measures +-6 g.
+sample while they sleep (`formats/_rows.py`); a GT3X+ measures +-6 g.
 """
 
 from __future__ import annotations

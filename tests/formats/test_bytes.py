@@ -16,10 +16,9 @@ import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.formats import _inflate as inflate
+from accelcal_cli.formats import _bytes as inflate
 from accelcal_cli.formats import open_recording
-from accelcal_cli.formats._bytes import ByteSource
-from accelcal_cli.formats._inflate import GzipFault, Inflater, gunzipped
+from accelcal_cli.formats._bytes import ByteSource, GzipFault, Inflater, gunzipped
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_gt3x import info, seconds, zipped
 
@@ -156,7 +155,7 @@ def test_damage_ends_a_stream_at_the_same_byte_however_it_is_fed() -> None:
                 inflater, parts = Inflater(), []
                 for start in range(0, len(packed), step):
                     inflater.put(packed[start : start + step])
-                    while not (inflater.hungry or inflater.damaged or inflater.complete):
+                    while not (inflater.needs_input or inflater.damaged or inflater.complete):
                         parts.append(inflater.take())
                 found.add((b"".join(parts), inflater.damaged, inflater.complete))
             assert len(found) == 1
