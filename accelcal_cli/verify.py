@@ -22,9 +22,8 @@ from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions
 from accelcal_cli.judge.verdict import difference_mg
 from accelcal_cli.output.coefficients import Coefficients, calibration_of, learnt_prior_of, read_coefficients
-from accelcal_cli.output.columns import Column, described, schema_of, values_of
-from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import ParquetSource, stored_schema
+from accelcal_cli.output.columns import described, schema_of, values_of
+from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.report import ReportInput, build, result_json, significant
 from accelcal_cli.output.report_reading import (
     LATER,
@@ -35,6 +34,7 @@ from accelcal_cli.output.report_reading import (
     section,
     with_new_names,
 )
+from accelcal_cli.parquet import Column, ParquetSource
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
@@ -312,7 +312,7 @@ def check_parquet(
 
 def _other_schema(path: Path, columns: list[Column], document: Document) -> Iterator[str]:
     """What else the file does not say as it should: `time_zone`, its columns, their types and units."""
-    stored = stored_schema(path)
+    stored = stored_schema(path, UnreadableError)
     if stored is None:
         return
     found, expected = described(stored), described(schema_of(columns, {}))

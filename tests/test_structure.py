@@ -13,26 +13,27 @@ import pytest
 PACKAGE = Path(__file__).resolve().parent.parent / "accelcal_cli"
 LAYER = {
     "core": 0,
-    "formats": 1,
-    "segment": 1,
-    "collect": 1,
-    "optimize": 1,
-    "judge": 1,
-    "simulate": 1,
-    "output": 1,
-    "pipeline": 2,
-    "six_pose": 3,
-    "effect": 3,
-    "exports": 3,
-    "studies": 3,
-    "verify": 4,
-    "devices": 4,
-    "pages": 5,
-    "api": 6,
-    "cli": 7,
-    "laboratory": 8,
-    "__main__": 8,
-    "": 8,
+    "parquet": 1,
+    "formats": 2,
+    "segment": 2,
+    "collect": 2,
+    "optimize": 2,
+    "judge": 2,
+    "simulate": 2,
+    "output": 2,
+    "pipeline": 3,
+    "six_pose": 4,
+    "effect": 4,
+    "exports": 4,
+    "studies": 4,
+    "verify": 5,
+    "devices": 5,
+    "pages": 6,
+    "api": 7,
+    "cli": 8,
+    "laboratory": 9,
+    "__main__": 9,
+    "": 9,
 }
 """Each top-level package or module, lowest first (docs/architecture.md); "" is the package's own face."""
 
@@ -140,6 +141,16 @@ def test_nobody_outside_a_format_imports_its_inside() -> None:
         f"{module} imports {name}"
         for module, name in all_imports()
         if reaches_inside(module.split("."), (name if name in NAMES else name.rpartition(".")[0]).split("."))
+    ]
+
+
+def test_nobody_outside_parquet_imports_its_inside() -> None:
+    inside = [name for name in NAMES if name.startswith("accelcal_cli.parquet.")]
+    assert inside
+    assert not [
+        f"{module} imports {name}"
+        for module, name in all_imports()
+        if layer_of(module) != "parquet" and name.startswith(tuple(inside))
     ]
 
 

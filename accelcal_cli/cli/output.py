@@ -192,7 +192,6 @@ def progress_bars(label: str, *, quiet: bool, unit: str = "B") -> Iterator[Progr
         return
     from tqdm import tqdm
 
-    tqdm.monitor_interval = 0  # its thread would keep helpers from being processes
     name = printable(label)
     with contextlib.ExitStack() as stack:
 

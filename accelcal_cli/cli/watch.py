@@ -17,9 +17,9 @@ import click
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.core.calibration import Transform
-from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.recording import Recording
-from accelcal_cli.output.files import exists, output_error
+from accelcal_cli.output.files import exists
 from accelcal_cli.pipeline import watch_state
 from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import STDIN, Request

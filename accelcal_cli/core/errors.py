@@ -180,3 +180,13 @@ class DivergedError(AccelcalError):
 
 class FixedPointOverflowError(DivergedError):
     """A value left the range of its fixed-point format; nothing was wrapped."""
+
+
+def output_error(error: OSError, path: Path) -> OutputError:
+    """Return the error that tells a user of a failed write."""
+    hint = "check the folder and its permissions, or choose another with -d"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        hint = "free some space or choose another disk with -d"
+    if error.errno == errno.ENAMETOOLONG:
+        hint = "rename the recording"
+    return OutputError(f"cannot be written ({error.strerror or error})", path=path, hint=hint)

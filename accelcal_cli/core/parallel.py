@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from itertools import islice
 from threading import Lock
 from typing import Any, TypeVar, cast
@@ -86,7 +86,9 @@ class _Guarded:
                 close()
 
 
-def parallel_map(work: Callable[[T], R], items: Iterable[T], threads: int) -> Iterator[R]:
+def parallel_map(
+    work: Callable[[T], R], items: Iterable[T], threads: int, most: int = MOST_THREADS + QUEUED
+) -> Generator[R]:
     """The work's results, in the order of the items; items are taken ahead while work is done.
 
     What taking an item or working on it raises is raised here, in its place. Items are taken on the
@@ -94,14 +96,15 @@ def parallel_map(work: Callable[[T], R], items: Iterable[T], threads: int) -> It
 
     Args:
         threads: how many may work at a time; with one, each item is taken when its result is asked for.
+        most: items at most that are worked on, or wait for it or for their result to be used.
     """
     if threads < 2:
         yield from map(work, items)
         return
-    threads = min(threads, MOST_THREADS)
+    threads = min(threads, most, MOST_THREADS)
     with ThreadPoolExecutor(threads, thread_name_prefix="parallel-map") as pool:
         submitted = _submitted(work, items, pool)
-        waiting = deque(islice(submitted, threads + QUEUED - 1))
+        waiting = deque(islice(submitted, min(threads + QUEUED, most) - 1))
         try:
             while waiting:
                 waiting.extend(islice(submitted, 1))
@@ -123,34 +126,35 @@ def _submitted(work: Callable[[T], R], items: Iterable[T], pool: Executor) -> It
 
 
 class BackgroundCalls:
-    """Calls that a thread of their own makes one after another, in the order in which they were given."""
+    """A thread that makes calls one after another; it starts with the first."""
 
     def __init__(self, name: str) -> None:
-        """Start nothing yet: the thread, which bears this name, begins with the first call."""
         self._thread = ThreadPoolExecutor(1, thread_name_prefix=name)
         self._waiting: deque[Future[Any]] = deque()
-
-    def __len__(self) -> int:
-        """Calls whose results were not taken yet."""
-        return len(self._waiting)
 
     def submit(self, call: Callable[..., Any], *arguments: Any) -> None:
         """Give a call to be made later."""
         self._waiting.append(self._thread.submit(call, *arguments))
 
-    def ready(self) -> bool:
-        """Whether the first of the calls that are left has been made."""
-        return self._waiting[0].done()
-
-    def take(self) -> Any:
-        """The result of the first of the calls that are left, waited for; raises what it raised."""
-        return self._waiting.popleft().result()
-
     def wait(self, most: int = 0) -> None:
-        """Wait until no more than `most` calls are left; raises what one of the others raised."""
-        while len(self) > most:
-            self.take()
+        """Wait until at most `most` calls are left; raises what one of the others raised."""
+        while len(self._waiting) > most:
+            self._waiting.popleft().result()
 
     def close(self) -> None:
         """End the thread, once all calls are made."""
         self._thread.shutdown()
+
+
+@contextmanager
+def background_result(call: Callable[[], R], *, long: bool) -> Iterator[Callable[[], R]]:
+    """Make a call on a thread of its own, if it takes long, while the block goes on.
+
+    Yields:
+        a function that waits for the result of the call; raises what it raised.
+    """
+    if not long:
+        yield call
+        return
+    with ThreadPoolExecutor(1, thread_name_prefix="background") as thread:
+        yield thread.submit(call).result

@@ -253,8 +253,8 @@ def hold_to_one_thread() -> None:
 
     By default matrix products take one for every CPU, which wait for each other spinning: what they took from
     the thread that encodes, half a second of a week's recording, the small products here never gave back.
-    One thread also adds in the same order on every machine. Arrow's allocator has one that tidies up, beside
-    which the process could not be forked.
+    One thread also adds in the same order on every machine. Arrow's allocator has one that tidies up, which
+    the server that workers of a study are forked from must not have.
     """
     os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
     os.environ.setdefault(*ALLOCATOR)

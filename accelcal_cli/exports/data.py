@@ -24,16 +24,16 @@ import pyarrow.compute as pc
 import pyarrow.csv
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS, StampClock
-from accelcal_cli.core.errors import UsageError, printable
+from accelcal_cli.core.clock import MICROSECONDS
+from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
 from accelcal_cli.core.rolling import width_for
 from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
 from accelcal_cli.exports.smooth import smoothed
-from accelcal_cli.output.columns import Column
-from accelcal_cli.output.files import output_error, replacing
-from accelcal_cli.output.parquet import SOURCE_ROWS, ParquetSink, Stored, copied, stored_schema
+from accelcal_cli.output.columns import schema_of
+from accelcal_cli.output.files import replacing, stored_schema
+from accelcal_cli.parquet import Column, Memory, ParquetSink
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 
 MOTION = re.compile(r"sub-[a-zA-Z0-9]+_(?:[a-z]+-[a-zA-Z0-9]+_)*task-([a-zA-Z0-9]+)_tracksys-([a-zA-Z0-9]+)_"
@@ -95,7 +95,7 @@ class Wanted:
     resample_hz: float | None = None
     measured_only: bool = False
     smooth: int | None = None
-    batch_rows: int = SOURCE_ROWS
+    batch_rows: int = 1 << 17
 
 
 def outputs_of(form: str, output: Path) -> tuple[Path, ...]:
@@ -314,7 +314,7 @@ def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], writ
     time and temperature.
     """
     about, single = written.about, pa.float32()
-    schema = stored_schema(about.path)
+    schema = stored_schema(about.path, UnreadableError)
     assert schema is not None
     names = ["time", *"xyz", *(["temperature"] if about.has_temperature else [])]
     names += [] if written.resampled else [*about.more, "validity"]
@@ -325,14 +325,14 @@ def parquet(places: Sequence[Path], output: Path, portions: Iterator[Rows], writ
     done: dict[str, Any] = {"smoothed": {"samples": about.smoothed}} if about.smoothed else {}
     done |= {"resampled_hz": about.rate_hz} if written.resampled else {}
 
-    def stored(rows: Rows) -> Stored:
+    def fill(rows: Rows, memory: Memory) -> None:
         written.count(rows)
-        x, y, z = np.ascontiguousarray(rows.xyz.T)
-        held = {"x": x, "y": y, "z": z, "temperature": rows.celsius, **rows.others}
-        return Stored(StampClock(rows.time_us), [np.asarray(held[name]) for name in names[1:]])
+        values = dict(zip("xyz", rows.xyz.T, strict=True)) | {"temperature": rows.celsius} | rows.others
+        for column, array in memory:
+            array[:] = values[column.name]
 
-    with ParquetSink(places[0], output, columns, {**about.said, **done}) as sink:
-        for _ in sink.write(map(stored, portions), copied):
+    with ParquetSink(places[0], output, columns, schema_of(columns, {**about.said, **done})) as sink:
+        for _ in sink.write(portions, fill):
             pass
         sink.close()
 

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import StampClock
 from accelcal_cli.core.errors import UnreadableError, printable
 from accelcal_cli.core.local_time import UTC
 from accelcal_cli.core.recording import Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.columns import described
-from accelcal_cli.output.files import metadata_of
-from accelcal_cli.output.parquet import ParquetSource, stored_schema
+from accelcal_cli.output.files import metadata_of, stored_schema
 from accelcal_cli.output.report_reading import section
+from accelcal_cli.parquet import ParquetSource
 
 NAMES = ("time", "x", "y", "z")
 NAME_ONE = "name a Parquet file that accelcal wrote, STEM.calibrated.parquet"
@@ -47,6 +48,11 @@ class Rows:
 
     def __len__(self) -> int:
         return len(self.time_us)
+
+    @property
+    def clock(self) -> StampClock:
+        """The times as a clock."""
+        return StampClock(self.time_us)
 
     def part(self, start: int, stop: int) -> Rows:
         """Rows start..stop-1."""
@@ -155,7 +161,7 @@ def calibrated_rows(
 def _about(path: Path) -> About:
     if not path.is_file():
         raise UnreadableError("is not a file that can be read", path=path, hint=NAME_ONE)
-    said, schema = metadata_of(path, UnreadableError), stored_schema(path)
+    said, schema = metadata_of(path, UnreadableError), stored_schema(path, UnreadableError)
     recording = section(said, "recording")
     if said.get("outcome") == Outcome.REFUSED:
         text = f"holds raw values, since its recording was refused ({said.get('message')})"

@@ -6,21 +6,21 @@ They are described in docs/outputs.md.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Protocol, Self
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from accelcal_cli.core.clock import MICROSECONDS, Clock
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.local_time import UNKNOWN, UTC
 from accelcal_cli.core.recording import METADATA_KEY, NOT_CALIBRATED, Chunk, Recording
 from accelcal_cli.core.results import Facts
 from accelcal_cli.core.rotations import Gyroscope
+from accelcal_cli.parquet import Axes, Column, Numbers
 
 TIME_ZONE_KEY = b"time_zone"
 """Of the schema's metadata: what `time` is in, UTC or unknown."""
@@ -34,99 +34,6 @@ NO_RATE = int(np.iinfo(np.int64).min)
 """Of rows without a temperature and without angular rates, where numbers are stored."""
 
 VALIDITY = "0 measured, 1 filled, 2 clipped, 3 recovered"
-
-Axes = list[NDArray[np.float32]]
-"""Calibrated x, y, z [g]."""
-
-
-Rows = Callable[[Chunk, Axes], NDArray[Any]]
-"""One number for each row, of a chunk and its calibrated x, y, z [g]."""
-
-
-class Portion(Protocol):
-    """Some consecutive rows."""
-
-    @property
-    def clock(self) -> Clock:
-        """When they were measured."""
-
-    def __len__(self) -> int: ...
-
-    def part(self, start: int, stop: int) -> Self:
-        """Rows start..stop-1."""
-
-
-@dataclass(frozen=True, slots=True)
-class Numbers:
-    """Whole numbers that the values of a column follow from, where the file should hold these and a table.
-
-    Attributes:
-        values: of numbers, each for itself, and those of the column beside.
-        dtype: of the numbers.
-        beside: another column that is stored as numbers, where the values follow from these too.
-        calibrated: they are made of calibrated values, not of what a chunk holds.
-    """
-
-    of: Rows
-    values: Callable[..., NDArray[Any]]
-    dtype: Any = np.int32
-    beside: str | None = None
-    calibrated: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column of a calibrated recording.
-
-    Attributes:
-        unit: of its values, for the field's metadata.
-        values: for each row.
-        numbers: that the values follow from, if they do.
-        clock: that tells them, if they are times; of rows in any form.
-    """
-
-    name: str
-    unit: str
-    type: pa.DataType
-    values: Rows
-    numbers: Numbers | None = None
-    clock: Callable[[Portion], Clock] | None = None
-
-    @classmethod
-    def timed(cls, name: str, unit: str, kind: pa.DataType, ahead_us: int = 0) -> Self:
-        """A column of times, by clocks that are so much ahead."""
-
-        def clock(rows: Portion) -> Clock:
-            return rows.clock.shifted(-ahead_us) if ahead_us else rows.clock
-
-        def values(chunk: Chunk, _xyz: Axes) -> NDArray[np.int64]:
-            return clock(chunk).times(0, len(chunk))
-
-        return cls(name, unit, kind, values, clock=clock)
-
-    @classmethod
-    def following(cls, name: str, unit: str, kind: pa.DataType, numbers: Numbers) -> Self:
-        """A column whose values are only known by its numbers."""
-
-        def values(chunk: Chunk, xyz: Axes) -> NDArray[Any]:
-            return numbers.values(numbers.of(chunk, xyz))
-
-        return cls(name, unit, kind, values, numbers=numbers)
-
-    @property
-    def field(self) -> pa.Field:
-        """In the Arrow schema."""
-        return pa.field(self.name, self.type, nullable=False, metadata={b"unit": self.unit.encode()})
-
-    @property
-    def stored(self) -> Rows:
-        """What a sink takes: the numbers, or else the values."""
-        return self.values if self.numbers is None else self.numbers.of
-
-    @property
-    def dtype(self) -> Any:
-        """Of what a sink takes."""
-        return self.type.to_pandas_dtype() if self.numbers is None else self.numbers.dtype
 
 
 def columns_of(

@@ -18,11 +18,14 @@ import time
 from collections.abc import Iterable, Iterator, Sequence
 from math import isfinite
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, TYPE_CHECKING, Any, NoReturn
 
-from accelcal_cli.core.errors import AccelcalError, OutputError, printable, spreadsheet_cell
+from accelcal_cli.core.errors import AccelcalError, OutputError, output_error, printable, spreadsheet_cell
 from accelcal_cli.core.recording import METADATA_KEY
 from accelcal_cli.core.system import host, lives
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 LONG_NAME = 160
 """Bytes; most disks take names of 255."""
@@ -40,16 +43,6 @@ _LISTED: dict[Path, tuple[list[str], float]] = {}
 """Folders with what was found in them, and until when that will do."""
 _MODES = {"rb": os.O_RDONLY, "r+b": os.O_RDWR, "a": os.O_WRONLY | os.O_APPEND | os.O_CREAT}
 _PLAIN = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-
-
-def output_error(error: OSError, path: Path) -> OutputError:
-    """A failed write in a user's words."""
-    hint = "check the folder and its permissions, or choose another with -d"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        hint = "free some space or choose another disk with -d"
-    if error.errno == errno.ENAMETOOLONG:
-        hint = "rename the recording"
-    return OutputError(f"cannot be written ({error.strerror or error})", path=path, hint=hint)
 
 
 @contextlib.contextmanager
@@ -324,29 +317,26 @@ def metadata_of(path: Path, failure: type[AccelcalError] = OutputError) -> dict[
     Raises:
         AccelcalError: of the kind `failure`, if it is there and cannot be read.
     """
+    schema = stored_schema(path, failure)
     try:
-        with looking_at(path, failure):
-            metadata = parsed(_our_metadata(path)) if path.is_file() else {}
-    except ValueError:
+        metadata = parsed(schema.metadata[METADATA_KEY]) if schema is not None else {}
+    except (KeyError, TypeError, ValueError):
         return {}
     return metadata if isinstance(metadata, dict) else {}
 
 
-def _our_metadata(path: Path) -> bytes:
-    """The JSON of ours that a file carries. Loading pyarrow takes as long as all of accelcal."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
+def stored_schema(path: Path, failure: type[AccelcalError] = OutputError) -> pa.Schema | None:
+    """Return the schema of a Parquet file; None for any other file, or none.
 
-    try:
-        with path.open("rb") as file:
-            text: bytes = (pq.read_schema(file).metadata or {}).get(METADATA_KEY, b"{}")
-    except pa.ArrowException:
-        return b"{}"
-    except OSError as error:
-        if error.errno is None:  # Arrow's word for damage
-            return b"{}"
-        raise
-    return text
+    Raises:
+        AccelcalError: of the kind `failure`, if it is there and cannot be read.
+    """
+    with looking_at(path, failure):
+        if not path.is_file():
+            return None
+        from accelcal_cli.parquet import read_schema  # pyarrow takes as long to load as all of accelcal
+
+        return read_schema(path)
 
 
 def written_by_us(path: Path) -> bool:

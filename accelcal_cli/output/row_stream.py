@@ -17,10 +17,12 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 
 from accelcal_cli.core.clock import utc_offset_s
+from accelcal_cli.core.errors import output_error
 from accelcal_cli.core.recording import Chunk, Closing, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
-from accelcal_cli.output.columns import Axes, Column, columns_of, schema_of, values_of
-from accelcal_cli.output.files import discard, output_error
+from accelcal_cli.output.columns import columns_of, schema_of, values_of
+from accelcal_cli.output.files import discard
+from accelcal_cli.parquet import Axes, Column
 
 ARROW, CSV = "arrow", "csv"
 KINDS = (ARROW, CSV)

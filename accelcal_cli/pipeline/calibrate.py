@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import counted
-from accelcal_cli.core.helpers import beside
+from accelcal_cli.core.parallel import background_result
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.recording import Chunk, Reader, Recording
@@ -46,8 +46,8 @@ SURVEYED_AT_ONCE, CALIBRATED_AT_ONCE = 4, 2
 """Chunks of the first pass, and of the second, which holds row groups, are so many times as long as is asked
 for: threads that each take Python's lock for longer wait less for each other."""
 
-HASHED_BESIDE = 1 << 24
-"""A recording of fewer bytes is hashed sooner than a helper is there."""
+HASHED_IN_BACKGROUND = 1 << 24
+"""Size [bytes] from which a recording is hashed by a thread of its own."""
 
 UNLIKE = "its points speak against what other recordings say of its sensor"
 
@@ -329,8 +329,8 @@ class RecordingRun:
         turns = turning(recording)
         others = [one for one in (log, timeline, turns) if one is not None]
         facts = self.survey(method, *others)
-        long = recording.total_bytes >= HASHED_BESIDE
-        with beside(partial(jobs.sha256, self.bytes_at), long=long) as digest:
+        long = recording.total_bytes >= HASHED_IN_BACKGROUND
+        with background_result(partial(jobs.sha256, self.bytes_at), long=long) as digest:
             found, posture = surveyed(recording, facts, method, self.request.settings)
             raw, verdict = found.points, judge.verdict(self, found)
             points = method.procedure.result()  # of a sensor that changed they are put right
@@ -403,14 +403,16 @@ class RecordingRun:
     def _write_parquet(self, data: ReportInput, path: Path, effect: Effect | None) -> int:
         """Second pass; returns how many of the samples written lie beyond the sensor's range."""
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
-        from accelcal_cli.output.parquet import ParquetSink
+        from accelcal_cli.output.columns import schema_of
+        from accelcal_cli.parquet import ParquetSink
 
         columns, threads = export.columns_of(data), self.request.threads
-        shown, metadata = self.progress("writing", data.recording.total_bytes), reports.parquet_metadata(data)
+        schema = schema_of(columns, reports.parquet_metadata(data))
+        shown = self.progress("writing", data.recording.total_bytes)
         chunks = self._chunks(effect)
         with (
             replacing(path) as temporary,
-            ParquetSink(temporary, path, columns, metadata, threads, data.facts.samples) as sink,
+            ParquetSink(temporary, path, columns, schema, threads) as sink,
         ):
             over = export.write_calibrated(data, chunks, sink, threads, shown)
             sink.close()

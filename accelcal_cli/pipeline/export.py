@@ -17,9 +17,7 @@ from accelcal_cli.output.report import ReportInput
 from accelcal_cli.pipeline.jobs import Progress
 
 if TYPE_CHECKING:  # not every run writes Parquet, and pyarrow takes as long to load as all of accelcal
-    from accelcal_cli.output.columns import Column, Numbers
-    from accelcal_cli.output.parquet import ParquetSink
-    from accelcal_cli.output.slots import Memory
+    from accelcal_cli.parquet import Column, Memory, Numbers, ParquetSink
 
 FINEST = 1 << 20
 """Steps or counts of one g; more are too many values for a table, as those of a text are."""
@@ -67,7 +65,8 @@ def columns_of(data: ReportInput) -> list[Column]:
 
 def numbers_of_axes(transform: Transform, has_temperature: bool) -> dict[str, Numbers]:
     """The whole numbers that calibrated values follow from: steps, or the counts of one axis."""
-    from accelcal_cli.output.columns import TEMPERATURE, Numbers
+    from accelcal_cli.output.columns import TEMPERATURE
+    from accelcal_cli.parquet import Numbers
 
     steps = transform.steps_per_g
     if steps is not None and steps <= FINEST:

@@ -17,7 +17,13 @@ from pathlib import Path
 from typing import IO
 
 from accelcal_cli.core.calibration import Calibration
-from accelcal_cli.core.errors import AccelcalError, OutputError, UnreadableError, is_environment_error
+from accelcal_cli.core.errors import (
+    AccelcalError,
+    OutputError,
+    UnreadableError,
+    is_environment_error,
+    output_error,
+)
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions
 from accelcal_cli.core.freeze import frozen, thawed
 from accelcal_cli.core.recording import Chunk, Reader, Recording
@@ -28,7 +34,7 @@ from accelcal_cli.formats.raw import folder_layout, is_file, named_layout
 from accelcal_cli.judge.change import told
 from accelcal_cli.judge.quality import check
 from accelcal_cli.output import report as reports
-from accelcal_cli.output.files import looking_at, output_error
+from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.quality import held_against
 from accelcal_cli.pipeline.stage import Event, Stage

@@ -22,6 +22,7 @@ from accelcal_cli.formats import all_formats, holds_parts, named_format
 from accelcal_cli.formats.csv import channels_beside
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.formats.unisens import belongs_to_another
+from accelcal_cli.output.files import stored_schema
 from accelcal_cli.output.report_reading import load
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.stated import fits
@@ -70,8 +71,6 @@ def _summary(path: Path) -> bool:
         if not path.is_file():
             return False
         if path.suffix == ".parquet":
-            from accelcal_cli.output.parquet import stored_schema  # with pyarrow, which --help does not need
-
             schema = stored_schema(path)
             return schema is not None and schema.names[: len(FIRST)] == FIRST
         if path.suffix == ".ledger":

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import LockedError, OutputError, printable
+from accelcal_cli.core.errors import LockedError, OutputError, output_error, printable
 from accelcal_cli.core.system import host, lives
-from accelcal_cli.output.files import beside, discard, open_plain, output_error, parsed
+from accelcal_cli.output.files import beside, discard, open_plain, parsed
 from accelcal_cli.studies.heartbeat import BEAT_S, Lease, one_that_lives
 
 UNFINISHED_S = 60.0

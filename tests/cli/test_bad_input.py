@@ -259,7 +259,7 @@ def paused(path: Path, out: Path) -> subprocess.Popen[bytes]:
 PAUSING = """
 import os, sys, time
 from accelcal_cli.cli.main import main
-from accelcal_cli.output.parquet import ParquetSink
+from accelcal_cli.parquet import ParquetSink
 tell, write = int(sys.argv.pop(1)), ParquetSink.write
 def write_and_pause(sink, portions, fill):
     yield next(write(sink, portions, fill))

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tqdm import tqdm
 
 from accelcal_cli.cli.output import show_row
 from tests.cli.run import exit_code, run
@@ -179,11 +178,3 @@ def test_points_of_another_tool_cannot_be_borrowed_for(tmp_path: Path, terminal:
     path.write_text("x,y,z\n0,0,1\n")
     _, *ways = terminal("fit", path)
     assert len(ways) == 2 and "with -x, +x, -y, +y and -z pointing up" in ways[1]
-
-
-def test_progress_starts_no_thread(tmp_path: Path, terminal: Seen, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Beside one, helpers could not be processes."""
-    monkeypatch.setattr(tqdm, "monitor", None)
-    monkeypatch.setattr(tqdm, "monitor_interval", 10)
-    assert terminal("calibrate", good_raw(tmp_path))
-    assert tqdm.monitor is None

@@ -13,6 +13,7 @@ from accelcal_cli.core.parallel import (
     MOST_THREADS,
     QUEUED,
     BackgroundCalls,
+    background_result,
     parallel_map,
     prefetch,
     thread_pool,
@@ -114,6 +115,13 @@ def test_few_items_are_taken_ahead() -> None:
         assert len(taken) <= number + 1 + MOST_THREADS + QUEUED
 
 
+@pytest.mark.parametrize("most", [1, 2, 3, 99])
+def test_no_more_items_are_in_work_than_are_wanted(most: int) -> None:
+    taken: list[int] = []
+    for number in parallel_map(lambda item: item, (taken.append(n) or n for n in range(50)), 9, most):
+        assert len(taken) <= number + most
+
+
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_first_failure_counts_wherever_it_happened(threads: int) -> None:
     def items() -> Iterator[int]:
@@ -165,6 +173,19 @@ def test_a_background_call_that_failed_raises_where_it_is_waited_for() -> None:
     with pytest.raises(ValueError, match="invalid literal"):
         calls.wait()
     calls.close()
+
+
+@pytest.mark.parametrize("long", [True, False])
+def test_a_long_call_is_made_while_the_block_goes_on_and_a_short_one_when_it_is_needed(long: bool) -> None:
+    begun = threading.Event()
+    with background_result(begun.set, long=long) as result:
+        assert begun.wait(20 if long else 0) == long
+        assert result() is None and begun.is_set()
+    with (
+        pytest.raises(ValueError, match="invalid literal"),
+        background_result(lambda: int("x"), long=long) as number,
+    ):
+        number()
 
 
 def test_where_one_thread_may_work_there_is_no_pool() -> None:

@@ -42,7 +42,7 @@ def _folder(folder: Path) -> None:
 
 
 def _long(folder: Path) -> None:
-    """A recording of three row groups, which a helper encodes beside the command."""
+    """A recording of three row groups, which threads encode."""
     write_raw(folder / "p0.raw", still_counts(np.tile(directions(24), (70, 1))))
 
 
@@ -80,7 +80,7 @@ VICTIMS = (
     Victim("study", STUDY, _folder, 1, share=1.0),
     Victim("study --html", (*STUDY, "--html"), _folder, 1),
     Victim("calibrate --html", ("calibrate", "in/p0.raw", "-d", "out", "--html", *QUICK), _folder, 0),
-    Victim("calibrate, with a helper", ("calibrate", "in/p0.raw", "-d", "out", *QUICK), _long, 0),
+    Victim("calibrate, with threads", ("calibrate", "in/p0.raw", "-d", "out", *QUICK), _long, 0),
     Victim("calibrate --parts", ("calibrate", "--parts", "in", "-d", "out", *QUICK), _parts, 0),
 )
 

@@ -60,7 +60,7 @@ def _recording(folder: Path) -> None:
 
 
 def _long(folder: Path) -> None:
-    """A recording of three row groups, which a helper encodes beside the command."""
+    """A recording of three row groups, which threads encode."""
     write_raw(folder / "in" / "good.raw", still_counts(np.tile(directions(60), (28, 1))))
 
 

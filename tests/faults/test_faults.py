@@ -18,7 +18,7 @@ SOME = {
         Fault("fsync", "EIO", 3), Fault("rename", "EIO", 5), Fault("read", "EINTR", 9),
         Fault("open", "EIO", 20), Fault("thread", "EAGAIN", 1),
     ),
-    "calibrate long": (Fault("fork", "EAGAIN", 1), Fault("write", "ENOSPC", 4)),
+    "calibrate long": (Fault("thread", "EAGAIN", 1), Fault("write", "ENOSPC", 4)),
     "calibrate again": (Fault("rename", "EIO", 4), Fault("unlink", "EIO", 6)),
     "calibrate parts": (
         Fault("open", "EIO", 12), Fault("mkdir", "ENOSPC", 3), Fault("close", "EIO", 29),

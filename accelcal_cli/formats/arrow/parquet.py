@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -20,17 +19,6 @@ from accelcal_cli.core.errors import NoRecordingError, UnreadableError, printabl
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.parallel import thread_pool
 from accelcal_cli.core.recording import METADATA_KEY, Calibrated, Chunk, Reader
-from accelcal_cli.core.thrift import (
-    COLUMNS,
-    DATA_OFFSET,
-    DICTIONARY_OFFSET,
-    META_DATA,
-    ROW_GROUPS,
-    TAIL_BYTES,
-    Struct,
-    read,
-    value_of,
-)
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._tables.attributes import Attributes
 from accelcal_cli.formats._tables.channels import Marks
@@ -42,6 +30,7 @@ from accelcal_cli.formats._tables.tracks import Track
 from accelcal_cli.formats.arrow import ENCRYPTED_MAGIC, PARQUET_MAGIC
 from accelcal_cli.formats.arrow.columns import attributes, leaves_of, stated_of, values_of
 from accelcal_cli.formats.arrow.parts import ARROW_ERRORS, PartRows
+from accelcal_cli.parquet import row_group_offsets
 
 PAGES_BYTES, WHOLE_BYTES = 1 << 20, 32 << 20
 """Of a column are read at a time: a row group may be as long as the recording. In a shorter one a column
@@ -191,30 +180,8 @@ class ParquetTable(Table):
     def _offset(self, group: int) -> int | None:
         """Byte at which the first column of a row group begins."""
         if self._begins is None:
-            self._begins = _begins(self.path)
+            self._begins = row_group_offsets(self.path, MOST_LOOKED_AT)
         return self._begins[group] if group < len(self._begins) else None
-
-
-def _begins(path: Path) -> list[int | None]:
-    """Bytes at which row groups begin, as far as the footer tells; pyarrow, asked for it, may abort."""
-    try:
-        with path.open("rb") as file:
-            file.seek(-TAIL_BYTES, os.SEEK_END)
-            length = int.from_bytes(file.read(4), "little")
-            if length > MOST_LOOKED_AT:
-                return []
-            file.seek(-TAIL_BYTES - length, os.SEEK_END)
-            footer = read(file.read(length))
-        return [_begin(value_of(group, COLUMNS)[0]) for group in value_of(footer, ROW_GROUPS)]
-    except (OSError, LookupError, TypeError, ValueError, RecursionError):
-        return []
-
-
-def _begin(column: Struct) -> int | None:
-    """Byte of a column's first page."""
-    meta = value_of(column, META_DATA)
-    place = value_of(meta, DICTIONARY_OFFSET) or value_of(meta, DATA_OFFSET)
-    return place if isinstance(place, int) else None
 
 
 def _section(text: bytes) -> dict[str, Any]:

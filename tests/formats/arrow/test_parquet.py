@@ -14,12 +14,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from accelcal_cli.core import thrift
 from accelcal_cli.core.errors import AccelcalError, NoRecordingError, UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.arrow import PARQUET
+from accelcal_cli.parquet import thrift
 from tests.cli.run import exit_code, run, run_process
 from tests.formats.cuts import every_byte, table_cuts
 from tests.formats.make_hdf5 import START_US, Read, even_times

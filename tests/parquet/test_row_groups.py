@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.output.column_chunks import MAGIC
-from accelcal_cli.output.row_groups import Footer, RowGroup, by_pyarrow
+from accelcal_cli.parquet.pages import MAGIC
+from accelcal_cli.parquet.row_groups import Footer, RowGroup, encode_by_pyarrow
 
 COLUMNS = [
     pa.field("time", pa.timestamp("us", "UTC"), False),
@@ -52,7 +52,7 @@ def at_once(batches: list[pa.RecordBatch], **options: Any) -> bytes:
 def apart(batches: list[pa.RecordBatch], **options: Any) -> bytes:
     data, footer = bytearray(MAGIC), Footer(SCHEMA, **options)
     for one in batches:
-        group = RowGroup(by_pyarrow(one, **options), one.num_rows)
+        group = RowGroup(encode_by_pyarrow(one, **options), one.num_rows)
         footer.add(group, len(data))
         data += b"".join(bytes(part) for part in group.parts)
     return bytes(data) + footer.tail()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.core import thrift
+from accelcal_cli.parquet import thrift
 
 BYTES = bytes([
     0x15, 0x54,  # field 1, i32: zigzag 42

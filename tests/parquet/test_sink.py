@@ -1,15 +1,13 @@
-"""The Parquet sink: schema, metadata, and bytes that do not depend on portions."""
+"""The sink and the source: schema, metadata, and bytes that do not depend on portions or threads."""
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import json
 import os
 import subprocess
 import sys
-from collections import deque
-from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,20 +19,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.core import thrift
-from accelcal_cli.core.clock import StampClock
+from accelcal_cli.core.clock import Clock, StampClock
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.core.helpers import Helper
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
 from accelcal_cli.core.rotations import Bias, Gyroscope
-from accelcal_cli.output import parquet
-from accelcal_cli.output.column_chunks import ColumnChunk
-from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, Column, Numbers, columns_of
+from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, columns_of, schema_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
-from accelcal_cli.output.float_pages import PAGE_ROWS
-from accelcal_cli.output.parquet import ParquetSink, Stored, copied
-from accelcal_cli.output.slots import Slot
+from accelcal_cli.parquet import Column, Memory, Numbers, ParquetSink, sink, thrift
+from accelcal_cli.parquet.pages import PAGE_ROWS
 
 
 def arrays(number: int, *, temperature: bool = True, gyroscope: bool = True) -> list[np.ndarray]:
@@ -67,20 +60,37 @@ def columns(*, temperature: bool, gyroscope: bool, utc: bool) -> list[Column]:
     return columns_of(recording, facts)
 
 
+@dataclass(frozen=True)
+class Arrays:
+    """Rows as a sink stores them."""
+
+    clock: Clock
+    arrays: list[np.ndarray]
+
+    def __len__(self) -> int:
+        return len(self.arrays[0])
+
+    def part(self, start: int, stop: int) -> Arrays:
+        return Arrays(self.clock.part(start, stop), [array[start:stop] for array in self.arrays])
+
+
+def copied(rows: Arrays, memory: Memory) -> int:
+    for (_, free), array in zip(memory, rows.arrays, strict=True):
+        free[:] = array
+    return len(rows)
+
+
 def write(
-    path: Path,
-    kept: list[Column],
-    held: list[np.ndarray],
-    edges: list[int],
-    threads: int = 2,
-    told: int | None = None,
-) -> None:
-    """Write rows from edge to edge; `told` is how many the sink expects, if not as many as there are."""
-    with ParquetSink(path, path, kept, {"a": 1}, threads, len(held[0]) if told is None else told) as sink:
-        rows = Stored(StampClock(held[0]), held[1:])
+    path: Path, kept: list[Column], held: list[np.ndarray], edges: list[int], threads: int = 2
+) -> list[list[int]]:
+    """Write rows from edge to edge; returns the rows of each portion, group by group."""
+    with ParquetSink(path, path, kept, schema_of(kept, {"a": 1}), threads) as target:
+        rows = Arrays(StampClock(held[0]), held[1:])
         portions = (rows.part(start, stop) for start, stop in itertools.pairwise(edges))
-        assert all(filled for filled in sink.write(portions, copied)) == bool(edges[-1])
-        sink.close()
+        filled = list(target.write(portions, copied))
+        target.close()
+    assert sum(map(sum, filled)) == edges[-1]
+    return filled
 
 
 def test_columns_types_units_and_metadata(tmp_path: Path) -> None:
@@ -121,7 +131,7 @@ def test_the_bytes_do_not_depend_on_portions_or_threads(cuts: list[int]) -> None
     held = arrays(5000)
     kept = columns(temperature=True, gyroscope=True, utc=False)
     with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as name:
-        patch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
+        patch.setattr(sink, "ROW_GROUP_ROWS", 1024)
         write(Path(name) / "a", kept, held, [0, 5000])
         write(Path(name) / "b", kept, held, [0, *sorted(cuts), 5000])
         for threads in (1, 2, 4, 16):
@@ -195,8 +205,8 @@ def test_a_disk_that_fails_while_it_takes_what_was_written_is_told(
     def failing(_file: int) -> None:
         raise OSError(5, "Input/output error")
 
-    monkeypatch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
-    monkeypatch.setattr(parquet, "FLUSHED_BYTES", 1)
+    monkeypatch.setattr(sink, "ROW_GROUP_ROWS", 1024)
+    monkeypatch.setattr(sink, "FLUSHED_BYTES", 1)
     monkeypatch.setattr(os, "fdatasync", failing)
     kept = columns(temperature=False, gyroscope=False, utc=False)
     for rows in (1024, 5000):
@@ -245,126 +255,6 @@ def test_angular_rates_of_a_chunk_are_computed_once(monkeypatch: pytest.MonkeyPa
         assert all((a == b).all() for a, b in zip(expected, axes, strict=True))
 
 
-HELPED = """
-import os, signal, sys
-from pathlib import Path
-from accelcal_cli.core.system import hold_to_one_thread, take_over_process
-hold_to_one_thread()
-take_over_process()
-from tests.output import test_parquet as made
-from accelcal_cli.output import parquet
-from accelcal_cli.output.parquet import ParquetSink, Stored, copied
-
-parquet.ROW_GROUP_ROWS, parquet.SLOT_BYTES = 1024, 1 << 20
-rows, folder = 20_500, Path(sys.argv[1])
-held = made.arrays(rows)
-kept = made.columns(temperature=True, gyroscope=True, utc=False)
-portions = Stored(made.StampClock(held[0]), held[1:])
-
-def processes():
-    return [int(one) for one in Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()]
-
-def write(name, threads, lost=None):
-    had = set()
-    def fill(portion, memory):
-        had.update(processes())
-        if lost is not None and len(filled) >= lost:
-            for one in processes():
-                os.kill(one, signal.SIGKILL)
-        copied(portion, memory)
-    filled = []
-    with ParquetSink(folder / name, folder / name, kept, {"a": 1}, threads, rows) as sink:
-        for group in sink.write((portions.part(n, n + 500) for n in range(0, rows, 500)), fill):
-            filled.append(group)
-        sink.close()
-    assert not processes()
-    print(name, len(had), sum(map(len, filled)))
-
-for threads in (1, 2, 4, 16):
-    write(str(threads), threads)
-for lost in (0, 3, 10):
-    write(f"lost {lost}", 3, lost)
-parquet.SLOT_BYTES = 1
-write("short of memory", 16)
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="only Linux forks helpers")
-def test_the_bytes_do_not_depend_on_helpers_or_on_losing_them(tmp_path: Path) -> None:
-    command = [sys.executable, "-W", "error", "-c", HELPED, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    helped = {
-        name: int(number) for name, number, _ in (line.rsplit(" ", 2) for line in done.stdout.splitlines())
-    }
-    assert helped == {
-        "1": 0, "2": 1, "4": 3, "16": 3, "lost 0": 2, "lost 3": 2, "lost 10": 2, "short of memory": 3,
-    }  # fmt: skip
-    assert len({path.read_bytes() for path in tmp_path.iterdir()}) == 1
-    assert pq.ParquetFile(tmp_path / "16").metadata.num_row_groups == 21
-
-
-class Idle(Helper[Any, Any]):
-    """Does a job only when its result is asked for."""
-
-    def __init__(self, work: Callable[[Any], Any]) -> None:
-        self.work, self.jobs, self.given = work, deque[Any](), 0
-
-    @property
-    def waiting(self) -> int:
-        return len(self.jobs)
-
-    def give(self, job: Any) -> None:
-        self.jobs.append(job)
-        self.given += 1
-
-    def ready(self) -> bool:
-        return False
-
-    def take(self) -> Any:
-        return self.work(self.jobs.popleft())
-
-    def close(self) -> None:
-        pass
-
-
-@pytest.mark.parametrize(
-    ("rows", "told", "threads", "given"),
-    [
-        (3 * 1024, None, 2, [2]),
-        (2 * 1024 + 100, None, 2, [2]),
-        (4 * 1024, None, 2, [2]),
-        (6 * 1024, None, 2, [3]),
-        (7 * 1024, None, 2, [3]),
-        (8 * 1024, None, 2, [4]),
-        (5 * 1024, None, 4, [2, 1, 1]),
-        (6 * 1024, 1024, 2, [2]),
-        (6 * 1024, 99 * 1024, 2, [4]),
-    ],
-)
-def test_a_slow_helper_is_not_waited_for_at_the_end(
-    rows: int,
-    told: int | None,
-    threads: int,
-    given: list[int],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Beside one helper there are four slots, so that the first group is written after the fifth."""
-    made: list[Idle] = []
-
-    @contextlib.contextmanager
-    def idle(work: Callable[[Any], Any], number: int) -> Iterator[list[Idle]]:
-        made.extend(Idle(work) for _ in range(number))
-        yield made
-
-    monkeypatch.setattr(parquet, "helpers", idle)
-    monkeypatch.setattr(parquet, "ROW_GROUP_ROWS", 1024)
-    kept = columns(temperature=True, gyroscope=True, utc=False)
-    write(tmp_path / "a", kept, arrays(rows), [0, rows], threads, told)
-    assert [helper.given for helper in made] == given
-
-
 @pytest.mark.parametrize("threads", [1, 2])
 def test_a_file_without_rows(tmp_path: Path, threads: int) -> None:
     kept = columns(temperature=True, gyroscope=True, utc=False)
@@ -373,29 +263,17 @@ def test_a_file_without_rows(tmp_path: Path, threads: int) -> None:
     assert (table.num_rows, table.schema.names) == (0, [column.name for column in kept])
 
 
-def test_columns_that_find_no_room_in_a_slot_come_all_the_same() -> None:
-    (x, *_) = columns(temperature=False, gyroscope=False, utc=False)[1:]
-    slot = Slot(0, [x], 100, shared=True)
-    chunks = {name: ColumnChunk([name.encode() * 150, pa.py_buffer(b"*" * 50)], []) for name in "abc"}
-    placed = slot.put(chunks)
-    assert [isinstance(at, bytes) for _, _, at in placed] == [False, False, True]
-    found = slot.chunks(placed)
-    assert {name: b"".join(chunk.parts) for name, chunk in found.items()} == {
-        name: name.encode() * 150 + b"*" * 50 for name in "abc"
-    }
-
-
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="needs Linux")
 def test_reading_back_holds_a_row_group_or_two_and_starts_no_thread(tmp_path: Path) -> None:
     """Eight row groups of 6 MB, which hardly get shorter."""
-    path, rows = tmp_path / "a.parquet", 8 * parquet.ROW_GROUP_ROWS
+    path, rows = tmp_path / "a.parquet", 8 * sink.ROW_GROUP_ROWS
     held = arrays(rows, temperature=False, gyroscope=False)
     write(path, columns(temperature=False, gyroscope=False, utc=False), held, [0, rows])
     program = """
 import os, sys
 from pathlib import Path
 import pyarrow as pa
-from accelcal_cli.output.parquet import ParquetSource
+from accelcal_cli.parquet import ParquetSource
 threads, rows = set(os.listdir("/proc/self/task")), 0  # the allocator has one
 with ParquetSource(Path(sys.argv[1])) as source:
     while len(taken := source.take(1 << 16)[0]):

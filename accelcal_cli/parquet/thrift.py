@@ -1,4 +1,4 @@
-"""Structures of Thrift's compact protocol, which the heads of Parquet's pages and its footer are.
+"""Structures in Thrift's compact protocol, such as the heads of Parquet's pages and its footer.
 
 Sources: Apache Thrift, thrift-compact-protocol.md; parquet-format, parquet.thrift, for what the fields mean.
 """
@@ -11,44 +11,35 @@ TRUE, FALSE, I8, I16, I32, I64, DOUBLE, BINARY, LIST, SET, STRUCT = 1, 2, 3, 4, 
 WHOLE = (I16, I32, I64)
 ONE_BYTE = [bytes([value]) for value in range(128)]
 WIDEST = 64
-"""Bits of a whole number."""
-
-TAIL_BYTES = 8
-"""What ends a Parquet file: the length of its footer in four bytes, and the magic number again."""
-
-ROW_GROUPS, COLUMNS, META_DATA, DATA_OFFSET, DICTIONARY_OFFSET = 4, 1, 3, 9, 11
-"""Fields of the footer, of a row group, of a column and, twice, of its ColumnMetaData."""
+"""Most bits of a whole number."""
 
 Struct = list[tuple[int, int, Any]]
-"""Fields: identifier, type, value. A list is a pair of type and values, or just structures.
+"""Fields: identifier, type, value. A list is a pair of type and values, or a list of structures.
 
-To be written, a structure may be its bytes.
+A structure that is to be written may also be given as its bytes.
 """
 
 
 def read(data: bytes) -> Struct:
-    """The structure that begins a text of bytes.
+    """Read the structure at the beginning of `data`.
 
     Raises:
-        IndexError: it does not end before they do.
+        IndexError: the structure goes beyond the end of the data.
         ValueError: a whole number has more than 64 bits.
     """
     return _Reader(data).struct()
 
 
 def value_of(fields: Struct, number: int) -> Any:
-    """The value of a field; None where it is not there."""
+    """Return the value of a field; None if it is missing."""
     return next((value for one, _, value in fields if one == number), None)
 
 
 class _Reader:
-    """Reads a structure from its bytes."""
-
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
 
     def struct(self) -> Struct:
-        """The fields up to the end of a structure."""
         fields, number = [], 0
         while head := self._byte():
             step, kind = head >> 4, head & 15
@@ -101,7 +92,7 @@ class _Reader:
 
 
 def written(fields: Struct) -> bytes:
-    """The bytes of a structure."""
+    """Return the bytes of a structure."""
     data = bytearray()
     _write_struct(data, fields)
     return bytes(data)
@@ -152,7 +143,7 @@ def _write_list(data: bytearray, value: Any) -> None:
 
 
 def varint(value: int) -> bytes:
-    """A whole number that is not negative, seven bits a byte (ULEB128)."""
+    """Encode a whole number that is not negative, seven bits a byte (ULEB128)."""
     if value < 128:
         return ONE_BYTE[value]
     data = bytearray()
@@ -164,5 +155,5 @@ def varint(value: int) -> bytes:
 
 
 def zigzag(value: int) -> bytes:
-    """A whole number of 64 bits, those near zero in few bytes."""
+    """Encode a 64-bit whole number so that numbers near zero take few bytes."""
     return varint(value << 1 ^ value >> 63)
