@@ -29,7 +29,7 @@ ACCELCAL = [PYTHON, "-m", "accelcal_cli"]
 FLOOR, OURS, REPORT_ONLY = "floor", "accelcal", "accelcal --report-only"
 
 REST_S = 20
-"""Twice as long as accelcal is slower after scikit-digital-health (docs/benchmarks.md)."""
+"""Twice as long as accelcal is slower after scikit-digital-health (bench/LOG.md)."""
 
 OTHER = {"other": OURS, "other --report-only": REPORT_ONLY}
 """Runs of another version, and what they are compared with."""
@@ -144,7 +144,7 @@ def _beside_peers(
 ) -> list[dict[str, Any]]:
     """Each other tool, and this one in turn with it alone.
 
-    What ran before matters (docs/benchmarks.md), so both rest before they run.
+    What ran before matters (bench/LOG.md), so both rest before they run.
     """
     rows = []
     for tool, peer in peer_commands(options.peers, case.name, path).items():
