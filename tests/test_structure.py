@@ -23,6 +23,7 @@ LAYER = {
     "output": 2,
     "pipeline": 3,
     "six_pose": 4,
+    "watching": 4,
     "effect": 4,
     "exports": 4,
     "studies": 4,

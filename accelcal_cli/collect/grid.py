@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import islice
@@ -18,8 +18,6 @@ TEMPERATURE, CONSTANT, BLOCK = 3, 4, 5
 
 Value = list[int]
 """Of a cell: windows, samples, sums of x, y, z, of temperature, and of x, y, z in the posture before."""
-
-Columns = Sequence[Sequence[int]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,40 +50,13 @@ class Grid:
 
 
 class Cells(dict[Key, Value]):
-    """Sums by cell; none is ever taken away.
+    """Sums by cell; none is ever taken away."""
 
-    In a file they are means and what each division left, which are short: the mean of what lies in a cell
-    lies there, too, so that its place need not be kept.
-
-    Args:
-        means: rows (never changed, block, samples for each window, then for each sample what a value sums), a
-            column for each cell; left: rows (windows, then what the divisions left).
-    """
-
-    def __init__(self, grid: Grid, means: Columns | NDArray[np.int64] = (), left: Columns = ()) -> None:
+    def __init__(self, grid: Grid) -> None:
         super().__init__()
         self.grid = grid
         self._groups: set[Key] = set()
         self._grouped = 0
-        if len(left) and len(left[0]):
-            self._fill(np.array(means, object), np.array(left, object))
-
-    def _fill(self, means: NDArray[Any], left: NDArray[Any]) -> None:
-        windows = left[0]
-        samples = means[2] * windows + left[1]
-        sums = means[3:] * samples + left[2:]
-        keys = self.grid.keys(samples, sums[:3].T, sums[3])
-        places = [*keys.T.tolist(), *means[:2].tolist()]
-        values = [windows.tolist(), samples.tolist(), *sums.tolist()]
-        for key, *value in zip(zip(*places, strict=True), *values, strict=True):
-            self[key] = value
-
-    def __getnewargs__(self) -> tuple[Grid, NDArray[np.int64], Columns]:
-        """What they are made of again."""
-        divided = [_divided(value) for value in self.values()]
-        rows = [(key[CONSTANT], key[BLOCK], *mean) for key, (mean, _) in zip(self, divided, strict=True)]
-        left = [list(column) for column in zip(*(rest for _, rest in divided), strict=True)]
-        return self.grid, np.array(rows, np.int64).T, left
 
     def orientations(self) -> int:
         """How many groups of 2 x 2 x 2 cells hold windows; cells that were looked at before are not again."""
@@ -108,13 +79,6 @@ class Cells(dict[Key, Value]):
             degree = key[TEMPERATURE] * self.grid.degrees // degrees if degrees else 0
             add_sums(made, (*key[:TEMPERATURE], degree, *key[CONSTANT:]), value)
         return made
-
-
-def _divided(value: Value) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Samples of each window, and what a value sums of each sample; windows, and what the divisions left."""
-    windows, samples, *sums = value
-    means, rests = zip(divmod(samples, windows), *(divmod(one, samples) for one in sums), strict=True)
-    return means, (windows, *rests)
 
 
 def add_sums(cells: dict[Key, Value], key: Key, value: Value) -> None:

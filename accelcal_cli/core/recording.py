@@ -367,8 +367,8 @@ class Closing:
 class Intake:
     """Takes the bytes of one recording as they come, and gives its rows as `Reader.chunks` would.
 
-    What it remembers are numbers, texts, arrays and objects of the package, so that it can be kept in a file
-    (`core/freeze.py`). The rows do not depend on the pieces in which the bytes come.
+    The rows do not depend on the pieces in which the bytes come. It holds no open file: a copy by
+    `copy.deepcopy` goes on from the same byte.
     """
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:

@@ -1,7 +1,8 @@
-"""`accelcal watch` as a process: pipes, signals, states and streams of rows."""
+"""`accelcal watch` as a process: pipes, signals, gzip and streams of rows."""
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -17,7 +18,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tests.cli.run import Ran, command, exit_code, run, run_process
+from tests.cli.run import Ran, command, run, run_process
 from tests.recordings import LSB_PER_G, good_raw, paper_recording
 
 Capture = pytest.CaptureFixture[str]
@@ -30,12 +31,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def undisturbed(recording: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[list[Any], bytes]:
-    """Events and state of a watch that nothing disturbed."""
-    state = tmp_path_factory.mktemp("states") / "state"
-    ran = run_process("watch", recording, *PAPER, "--state", state)
+def undisturbed(recording: Path) -> list[Any]:
+    """Events of a watch that nothing disturbed."""
+    ran = run_process("watch", recording, *PAPER)
     assert (ran.code, ran.err) == (0, "")
-    return events_of(ran), state.read_bytes()
+    return events_of(ran)
 
 
 def events_of(ran: Ran) -> list[Any]:
@@ -66,69 +66,62 @@ def pieces(data: bytes, random: Random) -> Iterator[bytes]:
         data = data[size:]
 
 
-def test_a_named_pipe_gives_the_same_events_and_state(
-    recording: Path, undisturbed: tuple[list[Any], bytes], tmp_path: Path
-) -> None:
-    pipe, state = tmp_path / "paper.raw", tmp_path / "state"
-    (tmp_path / "paper.layout.toml").write_bytes(recording.with_name("paper.layout.toml").read_bytes())
+def beside(recording: Path, name: str) -> Path:
+    """A path for another copy of the recording, with the layout beside it."""
+    path = recording.parent / name
+    path.parent.mkdir(exist_ok=True)
+    (path.parent / "paper.layout.toml").write_bytes(recording.with_name("paper.layout.toml").read_bytes())
+    return path
+
+
+def test_a_named_pipe_gives_the_same_events(recording: Path, undisturbed: list[Any]) -> None:
+    pipe = beside(recording, "piped/paper.raw")
     os.mkfifo(pipe)
     thread = fed(pipe, pieces(recording.read_bytes(), Random(1)))
-    ran = run_process("watch", pipe, *PAPER, "--state", state)
+    ran = run_process("watch", pipe, *PAPER)
     thread.join()
     assert (ran.code, ran.err) == (0, "")
-    assert events_of(ran) == undisturbed[0]
-    assert state.read_bytes() == undisturbed[1]
-    assert [event["event"] for event in undisturbed[0]].count("fitted") == 1
-    assert undisturbed[0][-1]["event"] == "ended"
+    assert events_of(ran) == undisturbed
+    assert [event["event"] for event in undisturbed].count("fitted") == 1
+    assert undisturbed[-1]["event"] == "ended"
 
 
-@pytest.mark.parametrize(
-    "how", ["SIGINT", *(pytest.param(how, marks=pytest.mark.nightly) for how in ("SIGTERM", "SIGKILL"))]
-)
-def test_what_ends_a_watch_leaves_a_state_to_go_on_with(
-    how: str, recording: Path, undisturbed: tuple[list[Any], bytes], tmp_path: Path
+def test_gzip_that_grows_gives_the_same_events_each_time_from_its_start(
+    recording: Path, undisturbed: list[Any], capsys: Capture
 ) -> None:
+    """A member of the file for each part that came."""
+    path, data = beside(recording, "packed/paper.raw.gz"), recording.read_bytes()
+    for start, stop in ((0, 400_000), (400_000, 1_300_001), (1_300_001, len(data))):
+        with path.open("ab") as file:
+            file.write(gzip.compress(data[start:stop], 1))
+        ran = run(capsys, "watch", path, *PAPER)
+        assert ran.err == ""
+        assert events_of(ran)[:-1] == [one for one in undisturbed[:-1] if one["bytes"] <= stop]
+    assert events_of(ran) == undisturbed
+
+
+@pytest.mark.parametrize("how", ["SIGINT", pytest.param("SIGTERM", marks=pytest.mark.nightly)])
+def test_what_ends_a_watch_leaves_whole_rows(how: str, recording: Path, tmp_path: Path) -> None:
     """It is ended when it has told its first fit, while it waits for more."""
-    data, state = recording.read_bytes(), tmp_path / "state"
-    words = command("watch", "-", *PAPER, *layout_of(recording), "--state", state)
+    data, rows = recording.read_bytes(), tmp_path / "rows.csv"
+    words = command("watch", "-", *PAPER, *layout_of(recording), "-o", rows)
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     with subprocess.Popen(words, **pipes, bufsize=0) as process:  # type: ignore[call-overload]
         feeding = threading.Thread(target=process.stdin.write, args=(data[:1_400_000],))
         feeding.start()
-        while json.loads(process.stdout.readline())["event"] != "fitted":
+        while (event := json.loads(process.stdout.readline()))["event"] != "fitted":
             pass
         feeding.join()
         process.send_signal(getattr(signal, how))
         error = process.stderr.read().decode()
         process.wait()
-    if how == "SIGKILL":
-        assert process.returncode == -signal.SIGKILL
-    else:
-        assert process.returncode == 130
-        assert f"go on with --state {state}, from byte " in error
-        assert len(error.splitlines()) == 1
-    first = json.loads(state.read_bytes().split(b"\n", 1)[0])["bytes"] if state.exists() else 0
-    ran = run_process("watch", "-", *PAPER, *layout_of(recording), "--state", state, stdin=data[first:])
-    assert (ran.code, ran.err) == (0, "")
-    assert events_of(ran)[-1] == undisturbed[0][-1]
-    mine, theirs = (json.loads(one.split(b"\n", 1)[0]) for one in (state.read_bytes(), undisturbed[1]))
-    assert mine["bytes"] == theirs["bytes"]
-    assert mine["samples"] == theirs["samples"]
-
-
-def test_a_file_goes_on_where_it_was_left(
-    recording: Path, undisturbed: tuple[list[Any], bytes], tmp_path: Path, capsys: Capture
-) -> None:
-    data, path, state = recording.read_bytes(), tmp_path / "paper.raw", tmp_path / "state"
-    (tmp_path / "paper.layout.toml").write_bytes(recording.with_name("paper.layout.toml").read_bytes())
-    events = []
-    for size in (400_000, 1_200_000, 1_300_001, len(data)):
-        path.write_bytes(data[:size])
-        ran = run(capsys, "watch", path, *PAPER, "--state", state)
-        assert ran.err == ""
-        events += [event for event in events_of(ran) if event["event"] != "ended"]
-    assert events == undisturbed[0][:-1]
-    assert state.read_bytes() == undisturbed[1]
+    assert process.returncode == 130
+    assert error == "accelcal: interrupted; no incomplete output was left behind\n"
+    found, expected = rows.read_text(), expected_rows(recording, event)
+    assert found.endswith("\n")
+    values = np.array([row.split(",")[1:4] for row in found.splitlines()[1:]], float)
+    assert len(values) > 10_000
+    assert np.abs(values - expected[: len(values)]).max() < 1e-6
 
 
 def expected_rows(recording: Path, event: dict[str, Any]) -> np.ndarray:
@@ -162,26 +155,10 @@ def test_rows_as_an_arrow_stream(recording: Path, tmp_path: Path, capsys: Captur
     assert np.abs(found - expected_rows(recording, fitted)).max() < 1e-6
 
 
-def test_rows_are_on_the_disk_before_a_state_that_knows_of_them(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    state, rows, order, bring = tmp_path / "state", tmp_path / "rows.csv", [], os.fsync
-
-    def noted(file: int) -> None:
-        order.append(os.fstat(file).st_ino)
-        bring(file)
-
-    monkeypatch.setattr(os, "fsync", noted)
-    assert exit_code("watch", recording, *PAPER, "--state", state, "-o", rows) == 0
-    assert order[order.index(state.stat().st_ino) - 1] == rows.stat().st_ino
-
-
 def test_what_cannot_be_is_refused_in_a_line(recording: Path, tmp_path: Path, capsys: Capture) -> None:
-    state, output = tmp_path / "state", tmp_path / "rows.csv"
-    state.write_bytes(b"nonsense")
+    output = tmp_path / "rows.csv"
     output.write_bytes(b"mine")
     for words, code, text in (
-        ((recording, "--state", state), 3, "is no state of accelcal watch"),
         ((recording, "--to", "csv"), 2, "--to is for --output only"),
         ((recording, "-o", output), 2, "exists already"),
         ((recording, "-o", recording), 2, "is the recording itself"),

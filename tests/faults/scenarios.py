@@ -35,7 +35,7 @@ class Scenario:
         again: what a rerun is told besides, over outputs of which some are there.
         parts: whether a part of the recording that the disk does not give costs itself alone.
         most: how many calls of each operation are made to fail at most, where a run takes seconds.
-        rows: where a watch writes its rows; a rerun goes on with another file (`growing.py`).
+        rows: where a watch writes its rows; a rerun writes another file (`growing.py`).
     """
 
     name: str
@@ -127,20 +127,9 @@ def _six_faces(folder: Path) -> None:
 
 
 def _grown(folder: Path) -> None:
-    """A recording whose first MiB rests in one posture: a watch of it saves its state thrice."""
+    """A recording whose first MiB rests in one posture: a watch of it takes steps."""
     first, more = directions(200)[:1], directions(200)[:90]
     write_raw(folder / "in" / "good.raw", still_counts(np.concatenate([np.repeat(first, 225, 0), more])))
-
-
-def _growing(folder: Path) -> None:
-    """The same, and a watch of its first part."""
-    _grown(folder)
-    path, state = folder / "in" / "good.raw", ("--state", "out/state", "-o", "out/first.csv")
-    whole = path.read_bytes()
-    path.write_bytes(whole[:1_340_000])
-    with contextlib.chdir(folder), contextlib.redirect_stdout(io.StringIO()):
-        assert exit_code("watch", "in/good.raw", "--profile", "paper", *state) == 0
-    path.write_bytes(whole)
 
 
 def _faces(folder: Path) -> None:
@@ -200,10 +189,8 @@ def _export(form: str, output: str, result: str = "in/good.calibrated.parquet") 
     return Scenario(f"export {form}", words, _results, again=("--force",))
 
 
-def _watch(
-    name: str, make: Callable[[Path], object], rows: str, *more: str, most: int | None = None
-) -> Scenario:
-    words = ("watch", "in/good.raw", "--profile", "paper", *more, "-o", f"out/{rows}")
+def _watch(name: str, make: Callable[[Path], object], rows: str, most: int) -> Scenario:
+    words = ("watch", "in/good.raw", "--profile", "paper", "-o", f"out/{rows}")
     return Scenario(name, words, make, again=("-o", f"out/more{Path(rows).suffix}"), rows=rows, most=most)
 
 
@@ -273,11 +260,9 @@ SCENARIOS = (
     Scenario("inspect", ("inspect", "in/good.raw", "--full"), _recording),
     Scenario("devices", ("devices", "in/results", "-q"), _elsewhere),
     Scenario("verify", ("verify", REPORT, "in/good.raw", "--values", "-q"), _results),
-    _watch("watch", _grown, "rows.csv", "--state", "out/state", most=MANY),
-    _watch("watch, the beginning", _recording, "rows.csv", "--state", "out/state", most=12),
-    _watch("watch, no state", _recording, "rows.arrows", most=12),
-    _watch("watch, going on", _growing, "rows.csv", "--state", "out/state"),
-    _watch("watch, going on, arrow", _growing, "rows.arrows", "--state", "out/state"),
+    _watch("watch", _grown, "rows.csv", MANY),
+    _watch("watch, arrow", _grown, "rows.arrows", MANY),
+    _watch("watch, the beginning", _recording, "rows.arrows", 12),
     Scenario("study", STUDY, _folder, forks=True, most=MANY),
     *(
         Scenario(f"study {word[2:]}", (*STUDY, word, *more), make, forks=True, quick=True, most=MANY)

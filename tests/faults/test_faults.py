@@ -32,9 +32,9 @@ SOME = {
     "simulate hdf5": (
         Fault("write", "ENOSPC", 3), Fault("write", "ENOSPC", 9, on=True), Fault("close", "EIO", 3),
     ),
-    "watch, going on": (Fault("create", "ENOSPC", 2), Fault("fsync", "EIO", 4)),
-    "watch, going on, arrow": (
-        Fault("write", "ENOSPC", 1), Fault("write", "ENOSPC", 3), Fault("write", "ENOSPC", 5, on=True),
+    "watch": (Fault("create", "ENOSPC", 2), Fault("fsync", "EIO", 1)),
+    "watch, arrow": (
+        Fault("write", "ENOSPC", 2), Fault("write", "ENOSPC", 4), Fault("write", "ENOSPC", 6, on=True),
         Fault("close", "EIO", 10), Fault("close", "EIO", 11), Fault("read", SHORT, 4),
     ),
 }  # fmt: skip

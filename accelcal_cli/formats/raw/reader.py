@@ -16,15 +16,7 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, rate_fraction
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.recording import (
-    FLOAT_LSB_PER_G,
-    Channels,
-    Counts,
-    Device,
-    Problem,
-    Reader,
-    Recording,
-)
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Channels, Counts, Device, Problem, Reader, Recording
 from accelcal_cli.formats._pages import pages as paged
 from accelcal_cli.formats._pages import timeline as timelines
 from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, RawBlock
@@ -218,10 +210,6 @@ class FrameDecoder:
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
         self._values = FrameValues(layout)
-
-    def __getnewargs__(self) -> tuple[Layout]:
-        """All that it is made of."""
-        return (self._layout,)
 
     def __call__(self, raw: RawBlock) -> Decoded:
         """The valid pages of a block."""

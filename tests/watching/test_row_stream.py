@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import OutputError
-from accelcal_cli.output.row_stream import RowFile
+from accelcal_cli.watching.row_stream import RowFile
 from tests.cli.run import little_room
 
 
@@ -38,7 +38,6 @@ def test_a_pipe_is_written_and_never_cut_off(tmp_path: Path) -> None:
     try:
         with RowFile(path) as file:
             file.put(b"one\n")
-            file.settle()
             assert os.read(reader, 9) == b"one\n"
             os.close(reader)
             reader = -1

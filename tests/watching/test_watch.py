@@ -1,11 +1,12 @@
-"""A watch finds what `calibrate` finds in the same bytes, at any moment, however often it was stopped."""
+"""A watch finds what `calibrate` finds in the same bytes, at any moment."""
 
 from __future__ import annotations
 
-import bz2
+import contextlib
 import gzip
-import hashlib
+import io
 import json
+import pickle
 import tracemalloc
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,14 +16,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from accelcal_cli.core.errors import AccelcalError, UnreadableError, UsageError
+from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.settings import DEFAULT, PAPER, Settings
-from accelcal_cli.pipeline import watch as engine
-from accelcal_cli.pipeline import watch_state
 from accelcal_cli.pipeline.calibrate import calibrate
 from accelcal_cli.pipeline.jobs import Job, Request
-from accelcal_cli.pipeline.watch import Happened, Standing, Watch
+from accelcal_cli.watching import watch as engine
+from accelcal_cli.watching.watch import StepResult, Unpacker, Watch
 from tests.cli.run import exit_code
 from tests.conftest import ROOT
 from tests.formats import make_genea, make_parmay, make_wav
@@ -155,39 +155,6 @@ def test_profile_paper_fits_when_its_subsets_are_full_not_at_the_end(tmp_path: P
     assert counts[-1] == 18
 
 
-def stopped_and_resumed(path: Path, data: bytes, settings: Settings, stops: list[int], state: Path) -> bytes:
-    """The state after watches that are each stopped at a byte and go on from their file."""
-    for stop in [*stops, len(data)]:
-        standing = watch_state.load(state, "options")
-        watch = Watch(path, ReadOptions(), settings, standing)
-        first = watch.standing.taken
-        for piece in pieces(data[first:stop], Random(stop)):
-            watch.take(piece)
-        watch.end()
-        watch_state.save(state, watch.standing, "options")
-    return state.read_bytes()
-
-
-@pytest.mark.usefixtures("few_fits")
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [
-        ("recording.bin", PAPER),
-        pytest.param("recording.bin", DEFAULT, marks=pytest.mark.nightly),
-        pytest.param("evening.csv.gz", DEFAULT, marks=pytest.mark.nightly),
-    ],
-)
-def test_stopped_twenty_times_the_state_is_the_same_byte_for_byte(
-    name: str, settings: Settings, tmp_path: Path
-) -> None:
-    path = unpacked(name, tmp_path)
-    data = path.read_bytes()[: 2_000_000 if settings is PAPER else None]
-    stops = sorted(Random(7).sample(range(100_000, len(data)), 20))
-    found = stopped_and_resumed(path, data, settings, stops, tmp_path / "often")
-    assert found == stopped_and_resumed(path, data, settings, [], tmp_path / "never")
-    assert len(found) < 10_000
-
-
 @pytest.mark.usefixtures("few_fits")
 def test_coefficients_that_no_longer_hold_are_told_and_replaced(tmp_path: Path) -> None:
     """After 16 hours the offset of x jumps by 40 mg: two hours later that is told, later what it was."""
@@ -224,14 +191,13 @@ def hours_of_rest(path: Path, number: int, jump: int) -> bytes:
 
 
 @pytest.mark.nightly
-def test_profile_paper_looks_back_a_day_in_a_state_that_does_not_grow(tmp_path: Path) -> None:
-    path, state, sizes = tmp_path / "a.raw", tmp_path / "state", []
+def test_profile_paper_looks_back_a_day_in_memory_that_does_not_grow(tmp_path: Path) -> None:
+    path, sizes = tmp_path / "a.raw", []
     data = hours_of_rest(path, 56, 44)
     watch, events = Watch(path, ReadOptions(), PAPER), []
     for begin in range(0, len(data), 135_000):
         events += watch.take(data[begin : begin + 135_000]).events
-        watch_state.save(state, watch.standing, "options")
-        sizes.append(state.stat().st_size)
+        sizes.append(len(pickle.dumps(watch)))
     (told,) = [event for event in events if event["event"] == "drifted"]
     assert 44 + 2 < told["hours"] < 44 + 8
     assert 10 < told["in_force_mg"] < 40 and told["new_mg"] < 5
@@ -243,14 +209,14 @@ def test_profile_paper_looks_back_a_day_in_a_state_that_does_not_grow(tmp_path: 
 def test_rows_come_from_the_first_fit_on_each_once(tmp_path: Path) -> None:
     path = unpacked("recording.bin", tmp_path)
     data = path.read_bytes()[:2_000_000]
-    watch, happened = Watch(path, ReadOptions(), DEFAULT), Happened()
+    watch, whole = Watch(path, ReadOptions(), DEFAULT), StepResult()
     for piece in pieces(data, Random(5)):
         more = watch.take(piece)
-        happened.events += more.events
-        happened.rows += more.rows
-    happened.rows += watch.end().rows
-    fitted = next(event for event in happened.events if event["event"] == "fitted")
-    samples = [number for one in happened.rows for number in range(one.chunk.first_sample, _end(one))]
+        whole.events += more.events
+        whole.rows += more.rows
+    whole.rows += watch.end().rows
+    fitted = next(event for event in whole.events if event["event"] == "fitted")
+    samples = [number for one in whole.rows for number in range(one.chunk.first_sample, _end(one))]
     assert samples == list(range(fitted["samples"], len(data) // 512 * 80 - 80))
 
 
@@ -259,81 +225,63 @@ def _end(one: Any) -> int:
     return end
 
 
-def standing_after(path: Path, size: int) -> Standing:
-    watch = Watch(path, ReadOptions(), PAPER)
-    watch.take(path.read_bytes()[:size])
-    return watch.standing
+def events_of(path: Path, data: Iterator[bytes]) -> list[dict[str, Any]]:
+    watch, unpacker = Watch(path, ReadOptions(), DEFAULT), Unpacker(path)
+    events = [event for piece in data for part in unpacker.take(piece) for event in watch.take(part).events]
+    return events + watch.end().events
 
 
-def test_a_state_is_refused_where_it_is_damaged_or_of_others(tmp_path: Path) -> None:
-    path, state = paper_recording(tmp_path), tmp_path / "state"
-    watch_state.save(state, standing_after(path, 1_200_000), "mine")
-    good = state.read_bytes()
-    assert watch_state.load(state, "mine") is not None
-    with pytest.raises(UsageError, match="other options"):
-        watch_state.load(state, "others")
-    for size in range(0, len(good), 97):
-        state.write_bytes(good[:size])
-        with pytest.raises(UnreadableError):
-            watch_state.load(state, "mine")
-    for place in range(0, len(good), 61):
-        state.write_bytes(good[:place] + bytes([good[place] ^ 1]) + good[place + 1 :])
-        with pytest.raises(AccelcalError):
-            watch_state.load(state, "mine")
-    state.write_bytes(good.replace(b'"accelcal_version":"', b'"accelcal_version":"9'))
-    with pytest.raises(UnreadableError, match="is a state of accelcal 9"):
-        watch_state.load(state, "mine")
-    state.write_bytes(b"[1]\n")
-    with pytest.raises(UnreadableError, match="no state of accelcal watch"):
-        watch_state.load(state, "mine")
+@pytest.mark.usefixtures("few_fits")
+@pytest.mark.parametrize("name", ["recording.bin", pytest.param("evening.csv.gz", marks=pytest.mark.nightly)])
+def test_gzip_that_grows_gives_the_events_of_what_it_holds(name: str, tmp_path: Path) -> None:
+    """Members are appended one after the other, and the last one is cut short."""
+    plain, random = unpacked(name, tmp_path), Random(6)
+    data, last = plain.read_bytes()[:1_500_000], plain.read_bytes()[1_500_000:1_600_000]
+    members = [gzip.compress(piece, 1) for piece in pieces(data, random, 400_000)]
+    packed = b"".join([members[0], bytes(100), *members[1:], gzip.compress(last)])[:-20]
+    path = tmp_path / f"{plain.name}.gz"
+    found = events_of(path, pieces(packed, random, 50_000))
+    whole = data + gzip_prefix(packed)[len(data) :]
+    assert len(whole) > len(data)
+    assert found == events_of(plain, pieces(whole, random))
+    assert "fitted" in [event["event"] for event in found]
+    (tmp_path / "prefix").mkdir()
+    expected = calibrated(path, packed, DEFAULT, tmp_path / "prefix")
+    assert found_in(found[-1]) == expected
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        b"[" + b" " * (1 << 27) + b"0]",
-        b"[" * 100_000,
-        b'["object","studies.lock:Lock"]',
-        b'["object","pipeline.watch:Standing"]',
-        b'["object","core.clock:UniformClock","start_us",0,"first_index",0,"rate",["fraction",1,1]]',
-        b"7",
-        b"",
-    ],
-    ids=["much", "deep", "others", "no fields", "another thing", "number", "nothing"],
-)
-def test_a_state_that_somebody_forged_does_nothing(text: bytes, tmp_path: Path) -> None:
-    """Its seal is right, as anybody can make one."""
-    path, state = paper_recording(tmp_path), tmp_path / "state"
-    watch_state.save(state, standing_after(path, 100_000), "mine")
-    head = json.loads(state.read_bytes().split(b"\n", 1)[0])
-    packed = bz2.compress(text)
-    assert len(packed) < 5000
-    del head["sha256"]
-    line = json.dumps(head, separators=(",", ":")).encode()
-    head["sha256"] = hashlib.sha256(line + packed).hexdigest()
-    state.write_bytes(json.dumps(head).encode() + b"\n" + packed)
-    tracemalloc.start()
-    with pytest.raises(UnreadableError, match="is a damaged state"):
-        watch_state.load(state, "mine")
-    assert tracemalloc.get_traced_memory()[1] < 200 << 20
-    tracemalloc.stop()
+def gzip_prefix(packed: bytes) -> bytes:
+    """What a gzip file that is cut short still gives."""
+    parts = []
+    with gzip.open(io.BytesIO(packed)) as file, contextlib.suppress(EOFError):
+        while part := file.read1(1 << 16):
+            parts.append(part)
+    return b"".join(parts)
 
 
-def test_a_state_goes_on_in_its_own_recording_alone(tmp_path: Path) -> None:
-    path = paper_recording(tmp_path)
-    standing = standing_after(path, 1_200_000)
-    other = tmp_path / "other.raw"
-    for data in (path.read_bytes()[::-1], path.read_bytes()[:1_100_000]):
-        other.write_bytes(data)
-        with other.open("rb") as file, pytest.raises(UnreadableError, match="not the recording of the state"):
-            Watch(path, ReadOptions(), PAPER, standing).go_on_in(file)
-    with path.open("rb") as file:
-        Watch(path, ReadOptions(), PAPER, standing).go_on_in(file)
-        assert file.tell() == standing.taken == 1_196_032
+@pytest.mark.parametrize("longest", [1, 7, 1000])
+def test_an_unpacker_gives_the_bytes_in_whatever_pieces_they_come(longest: int, tmp_path: Path) -> None:
+    data, random = Random(1).randbytes(3000) + bytes(3 << 20) + b"end", Random(longest)
+    packed = gzip.compress(data[:5], 0) + bytes(3) + gzip.compress(b"") + gzip.compress(data[5:]) + bytes(2)
+    for sent, held in ((packed, data), (data[:20_000], data[:20_000]), (b"\x1f", b""), (b"\x1fa", b"\x1fa")):
+        unpacker = Unpacker(tmp_path / "a")
+        parts = [part for piece in pieces(sent, random, longest) for part in unpacker.take(piece)]
+        assert b"".join(parts) == held
+        assert max(map(len, parts), default=0) <= engine.UNPACKED_BYTES
+
+
+def test_damaged_gzip_ends_a_watch(tmp_path: Path) -> None:
+    good = gzip.compress(bytes(range(256)) * 40)
+    for damaged in (good[:500] + b"\xff" * 40 + good[540:], good[:-5] + b"\1" + good[-4:], good + b"more"):
+        with pytest.raises(UnreadableError, match=r"a\.csv\.gz: damaged gzip data"):
+            list(Unpacker(tmp_path / "a.csv.gz").take(damaged))
 
 
 def test_what_cannot_be_watched_says_why(tmp_path: Path) -> None:
-    for name, why in (("night.h5", "hdf5 are not read while they grow"), ("evening.csv.gz", "is compressed")):
+    for name, why in (
+        ("night.h5", "hdf5 are not read while they grow"),
+        ("evening.csv.gz", "is compressed twice"),
+    ):
         path = SAMPLES / name
         watch = Watch(path, ReadOptions(), DEFAULT)
         with pytest.raises(UnreadableError, match=why):
@@ -346,12 +294,12 @@ def test_what_cannot_be_watched_says_why(tmp_path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.usefixtures("few_fits")
-def test_memory_and_state_are_bounded_over_14_days(tmp_path: Path) -> None:
+def test_memory_is_bounded_over_14_days(tmp_path: Path) -> None:
     """Each day is a MiB and a half; what grows are sums by the hour, a few hundred bytes each."""
     path = write_raw(tmp_path / "a.raw", still_counts(directions(1)))
     layout = tmp_path / "a.layout.toml"
     layout.write_text(layout.read_text().replace("rate_hz = 25.0", "rate_hz = 3.125"))
-    watch, peaks, sizes, state = Watch(path, ReadOptions(), DEFAULT), [], [], tmp_path / "state"
+    watch, peaks = Watch(path, ReadOptions(), DEFAULT), []
     for day in range(14):
         poses = directions(2880)[np.random.RandomState(day).permutation(2880) % 90 * 32]
         data = still_counts(poses, day)[: 2880 * 94].astype("<i2").tobytes()
@@ -360,8 +308,5 @@ def test_memory_and_state_are_bounded_over_14_days(tmp_path: Path) -> None:
             watch.take(piece)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
-        watch_state.save(state, watch.standing, "options")
-        sizes.append(state.stat().st_size)
-    assert watch.standing.force is not None
+    assert watch.end().events[-1]["calibration"] is not None
     assert max(peaks[7:]) < max(peaks[1:7]) + (16 << 20)
-    assert sizes[-1] < 100_000

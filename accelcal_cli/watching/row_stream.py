@@ -32,7 +32,7 @@ class RowStream(Closing):
     """Turns rows into the bytes of a stream as they come.
 
     Args:
-        put: takes each piece, which holds whole rows.
+        put: is called with each piece, which holds whole rows.
         kind: one of KINDS.
     """
 
@@ -44,14 +44,14 @@ class RowStream(Closing):
         self._writer: Any = begin(self._made, self._schema)
 
     def write(self, chunk: Chunk, xyz: Axes) -> None:
-        """Write rows, and let the reader have them."""
+        """Write rows, which the reader of the stream can see at once."""
         values = values_of(self._columns, chunk, xyz)
         arrays = [pa.array(each, column.type) for each, column in zip(values, self._columns, strict=True)]
         self._writer.write_batch(pa.record_batch(arrays, schema=self._schema))
         self._pass_on()
 
     def close(self) -> None:
-        """Write what ends the stream."""
+        """Write the end of the stream."""
         self._writer.close()
         self._pass_on()
 
@@ -63,7 +63,7 @@ class RowStream(Closing):
 
 
 class RowFile(Closing):
-    """A new file, pipe or device; each piece comes to lie in a file as a whole or not at all.
+    """A new file, pipe or device; a file holds each piece as a whole or not at all.
 
     Raises:
         OutputError: it cannot be made.
@@ -91,7 +91,7 @@ class RowFile(Closing):
         self._bytes += len(piece)
 
     def _cut_off(self) -> None:
-        """Leave no part of a piece, nor an empty file, as far as the disk allows."""
+        """Remove a part of a piece, and a file without a row, as far as the disk allows."""
         if not self._plain:
             return
         with contextlib.suppress(OSError):
@@ -100,24 +100,18 @@ class RowFile(Closing):
         if not self._bytes:
             discard(self._path)
 
-    def settle(self) -> None:
-        """Bring what was written to the disk; raises OutputError where that fails."""
-        if self._plain:
-            try:
-                os.fsync(self._file.fileno())
-            except OSError as error:
-                raise output_error(error, self._path) from error
-
     def close(self) -> None:
-        """Close it; raises OutputError where that fails, as a network's disk may only then tell."""
+        """Bring what was written to the disk, and close the file; raises OutputError where that fails."""
         try:
-            self._file.close()
+            with self._file:
+                if self._plain:
+                    os.fsync(self._file.fileno())
         except OSError as error:
             raise output_error(error, self._path) from error
 
 
 def _columns(recording: Recording) -> Sequence[Column]:
-    """Of what is known before the rows come."""
+    """Return the columns, by what is known before the rows come."""
     facts = Facts(
         samples=0,
         first_us=recording.start_us,

@@ -1,0 +1,1 @@
+"""Calibration of a recording while it grows (docs/watch.md)."""
