@@ -196,8 +196,7 @@ def open_recording(
         OutputError: there is no room to unpack an archive of parts.
     """
     if has_parts(path):
-        from accelcal_cli.formats._parts.reader import PartsReader, open_parts
-        from accelcal_cli.formats._parts.session import SessionReader
+        from accelcal_cli.formats._parts.reader import PartsReader, SessionReader, open_parts
 
         kind = SessionReader if session else PartsReader
         reader: Reader = open_parts(path, lambda part: _open_file(part, options, unused), kind, threads)

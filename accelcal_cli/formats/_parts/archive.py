@@ -1,8 +1,8 @@
 """Archives of a recording's parts: `.tar` (plain or packed with gzip, bzip2 or xz) and `.zip`.
 
 Members are unpacked one after the other into a temporary folder, under their own names; nothing else that an
-archive says is believed. Of a damaged archive those before the damage are there. What unpacks to more than
-a recording does is refused, and the disk of the temporary folder is never filled.
+archive says is believed. From a damaged archive, the members before the damage are read. An archive that
+unpacks to more than a recording does is refused, and the disk of the temporary folder is never filled.
 """
 
 from __future__ import annotations
@@ -25,34 +25,35 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO, Protocol, Self, cast
 
 from accelcal_cli.core.errors import OutputError, UnreadableError
+from accelcal_cli.core.input_files import TAR_MAGIC, TAR_MAGIC_AT
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.formats._bytes import ShortReads
 
-ZIP_MAGIC, TAR_MAGIC, TAR_MAGIC_AT = b"PK\x03\x04", b"ustar", 257
+ZIP_MAGIC = b"PK\x03\x04"
 PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {
     b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),
     b"BZh": bz2.BZ2File,
     b"\xfd7zXZ\x00": lzma.LZMAFile,
 }
-"""How the streams begin that may hold a tar file, and what unpacks them."""
+"""First bytes of streams that may hold a tar file, and what unpacks them."""
 
 BROKEN = (
     tarfile.TarError, zipfile.BadZipFile, EOFError, OSError, zlib.error, lzma.LZMAError, ValueError,
     struct.error, OverflowError, NotImplementedError,
 )  # fmt: skip
-"""What reading a damaged archive raises, or one whose members are packed in an unknown way."""
+"""Errors from reading a damaged archive, or one whose members are packed in an unknown way."""
 
 COPIED_BYTES = 1 << 20
 
 LONGEST_NAME = 200
-"""Bytes of a file's name; file systems take 255."""
+"""Most bytes in a file's name; file systems take 255."""
 
 MOST_BYTES, MOST_TIMES = 1 << 30, 250
-"""An archive may unpack to so many bytes, and so many more for each of its own."""
+"""Bytes that any archive may unpack to, and further ones for each byte of its own."""
 
 MOST_MEMBERS = 100_000
 LONGEST_HEADER = LARGEST_DIRECTORY = 1 << 24
-"""Bytes that tarfile and zipfile read at once, whatever the archive says."""
+"""Most bytes that tarfile and zipfile read at once, whatever the archive says."""
 
 HEADERS = (
     tarfile.XHDTYPE, tarfile.XGLTYPE, tarfile.SOLARIS_XHDTYPE, tarfile.GNUTYPE_LONGNAME,
@@ -61,10 +62,10 @@ HEADERS = (
 """Kinds of members that tarfile reads into memory."""
 
 FREE_SHARE = 0.05
-"""Of the disk of temporary files that stays free."""
+"""Share of the disk of temporary files that stays free."""
 
 _LOCAL = struct.Struct("<4s5HIIIHH")
-"""The header before each member of a zip file (PKWARE's APPNOTE.TXT 6.3, 4.3.7)."""
+"""Header before each member of a zip file (PKWARE's APPNOTE.TXT 6.3, 4.3.7)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +73,8 @@ class Unpacked:
     """Members as files, in the order of the archive.
 
     Attributes:
-        damage: what broke off, and after how many members; None for a sound archive.
-        lost_bytes: of the member that could not be unpacked to its end.
+        damage: where the archive breaks off; None for a sound archive.
+        lost_bytes: bytes of the member that could not be unpacked to its end.
     """
 
     files: tuple[Path, ...]
@@ -82,7 +83,7 @@ class Unpacked:
 
 
 def is_archive(path: Path) -> bool:
-    """Whether a file is a tar or zip file, by its first bytes; what cannot be read is none."""
+    """Return True for a tar or zip file, by its first bytes; False for a file that cannot be read."""
     try:
         with _unpacking(path) as file:
             head = file.read(TAR_MAGIC_AT + len(TAR_MAGIC))
@@ -92,7 +93,7 @@ def is_archive(path: Path) -> bool:
 
 
 def first_names(path: Path, number: int) -> Iterator[str]:
-    """Names of the first members of an archive, as many as can be read; what is between is unpacked."""
+    """Yield the names of the first members of an archive, as many as can be read."""
     with suppress(*BROKEN, UnreadableError):
         for name, _ in islice(_members(path), number):
             yield name
@@ -102,7 +103,7 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
     """Unpack members into a folder.
 
     Args:
-        wanted: whether a member of this name is.
+        wanted: takes a member's name; only members for which it returns True are unpacked.
         threads: how many may work at a time; one of its own unpacks what another writes.
 
     Raises:
@@ -117,10 +118,10 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
             for name, piece in pieces:
                 if piece is None or target is None:
                     target = folder / f"{len(files):06d}" / name
-                    _begin(target)
+                    _write(target, None)
                 elif piece:
                     allowance.take(len(piece))
-                    _append(piece, target)
+                    _write(target, piece)
                 else:
                     files.append(target)
                     target = None
@@ -136,14 +137,14 @@ def unpack(path: Path, folder: Path, wanted: Callable[[str], bool], threads: int
 
 
 class _Allowance:
-    """How many bytes an archive may still unpack to."""
+    """The bytes that an archive may still unpack to."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._left = MOST_BYTES + MOST_TIMES * path.stat().st_size
 
     def take(self, count: int) -> None:
-        """Raise UnreadableError where an archive unpacks to more than it may."""
+        """Raise UnreadableError if an archive unpacks to more than it may."""
         self._left -= count
         if self._left < 0:
             raise _too_much(self._path, f"unpacks to more than {MOST_TIMES} times its size")
@@ -159,15 +160,8 @@ def _too_many(path: Path) -> UnreadableError:
     return _too_much(path, f"has more than {MOST_MEMBERS} members")
 
 
-def _leave_room(folder: Path) -> None:
-    """Raise OSError where the disk of a folder is all but full."""
-    disk = shutil.disk_usage(folder)
-    if disk.free < FREE_SHARE * disk.total:
-        raise OSError(errno.ENOSPC, f"less than {FREE_SHARE:.0%} of the disk would be left")
-
-
 def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, bytes | None]]:
-    """The wanted members piece by piece, with their names; None before the first piece, an empty last one."""
+    """Yield wanted members in pieces, with their names; None comes before a member, b"" after it."""
     for name, stream in _members(path):
         if wanted(name):
             yield name, None
@@ -176,40 +170,35 @@ def _pieces(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[str, by
             yield name, b""
 
 
-def _begin(target: Path) -> None:
-    with _unpacked_into(target.parent.parent):
-        target.parent.mkdir()
-        target.touch()
-
-
-def _append(piece: bytes, target: Path) -> None:
-    with _unpacked_into(target.parent.parent), target.open("ab") as file:
-        _leave_room(target.parent)
-        file.write(piece)
-
-
-@contextmanager
-def _unpacked_into(folder: Path) -> Iterator[None]:
-    """Raises OutputError for an OSError in the block."""
+def _write(target: Path, piece: bytes | None) -> None:
+    """Begin a member's file (None), or append to it; raises OutputError if the disk is all but full."""
     try:
-        yield
+        if piece is None:
+            target.parent.mkdir()
+            target.touch()
+            return
+        with target.open("ab") as file:
+            disk = shutil.disk_usage(target.parent)
+            if disk.free < FREE_SHARE * disk.total:
+                raise OSError(errno.ENOSPC, f"less than {FREE_SHARE:.0%} of the disk would be left")
+            file.write(piece)
     except OSError as error:
         raise OutputError(
             f"the archive cannot be unpacked ({error.strerror or error})",
-            path=folder,
+            path=target.parent.parent,
             hint="set TMPDIR to a disk with more space",
         ) from error
 
 
 class Stream(Protocol):
-    """Bytes of a member."""
+    """The bytes of a member."""
 
     def read(self, count: int, /) -> bytes:
-        """The next ones, at most so many; none at the end."""
+        """Return the next bytes, at most this many; none at the end."""
 
 
 def _members(path: Path) -> Iterator[tuple[str, Stream]]:
-    """The plain files of an archive: their names without folders, and their bytes."""
+    """Yield the plain files of an archive: their names without folders, and their bytes."""
     with path.open("rb") as file:
         zipped = file.read(len(ZIP_MAGIC)) == ZIP_MAGIC
     members = _zip_members(path) if zipped else _tar_members(path)
@@ -220,13 +209,12 @@ def _members(path: Path) -> Iterator[tuple[str, Stream]]:
 
 
 def _plain(name: str) -> str:
-    """The last part of a member's name, as a file may have it."""
+    """Return the last part of a member's name, as a file may have it."""
     last = name.replace("\\", "/").rstrip("/").rpartition("/")[2].replace("\0", "")
     return os.fsdecode(os.fsencode(last)[-LONGEST_NAME:]) if last not in ("", ".", "..") else "member"
 
 
 def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:
-    """tarfile itself takes an archive that breaks off for one that ends: here its last block is missed."""
     with (
         _unpacking(path) as unpacked,
         nullcontext(_Counted(unpacked, path)) as source,
@@ -241,7 +229,7 @@ def _tar_members(path: Path) -> Iterator[tuple[str, Stream]]:
 
 @contextmanager
 def _unpacking(path: Path) -> Iterator[Any]:
-    """The bytes of a file, of a packed one unpacked."""
+    """Open a file, and unpack its bytes if they are packed."""
     with path.open("rb") as file:
         head = file.read(max(map(len, PACKED)))
         file.seek(0)
@@ -250,11 +238,11 @@ def _unpacking(path: Path) -> Iterator[Any]:
 
 
 class _Header(tarfile.TarInfo):
-    """The header of a member, with which tarfile reads what else belongs to it: long names, say."""
+    """Header of a member, which tarfile also uses to read what belongs to it, such as long names."""
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
-        """See `TarInfo`; raises ValueError for one that would be longer than any."""
+        """See `TarInfo`; raises ValueError for a header longer than any real one."""
         header = super().frombuf(buf, encoding, errors)
         if header.type in HEADERS and header.size > LONGEST_HEADER:
             raise ValueError(f"a header claims {header.size} bytes")
@@ -262,20 +250,20 @@ class _Header(tarfile.TarInfo):
 
 
 class _Counted:
-    """Unpacked bytes of an archive, no more than it may have, whether they are used or passed over."""
+    """Unpacked bytes of an archive, counted against its allowance whether they are used or skipped."""
 
     def __init__(self, file: Any, path: Path) -> None:
         self._file, self._allowance, self.tell = file, _Allowance(path), file.tell
 
     def read(self, count: int) -> bytes:
-        """The next bytes; raises UnreadableError for too many."""
+        """Return the next bytes; raises UnreadableError for too many."""
         piece: bytes = self._file.read(count)
         self._allowance.take(len(piece))
         return piece
 
 
 class _Whole:
-    """A stream of a stated length; a shorter one is damaged."""
+    """Stream of a stated length; raises EOFError if it is shorter."""
 
     def __init__(self, stream: IO[bytes], size: int) -> None:
         self._stream, self._left = stream, size
@@ -289,7 +277,8 @@ class _Whole:
 
 
 def _zip_members(path: Path) -> Iterator[tuple[str, Stream]]:
-    """By the directory at the end, which a file cut short lacks: then by the header before each member."""
+    """Read by the directory at the end; a file cut short lacks it and is read by the header before each
+    member."""
     with path.open("rb") as file, ExitStack() as stack:
         try:
             archive = stack.enter_context(zipfile.ZipFile(ShortReads(file, LARGEST_DIRECTORY)))

@@ -18,7 +18,7 @@ START_AT = 168
 
 
 def sniff(probe: Probe) -> int:
-    """100 for the signature of BDF, or for that of EDF with a date, a time and a length after it."""
+    """Return 100 for BDF's signature, or for EDF's with a date, a time and a length after it."""
     if probe.head.startswith(BDF_MAGIC):
         return 100
     return 100 if probe.head.startswith(EDF_MAGIC) and START.match(probe.head, START_AT) else 0

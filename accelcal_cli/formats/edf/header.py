@@ -1,29 +1,55 @@
-"""The header of an EDF or BDF file: fields of text, first of the recording, then of all signals one by one.
+"""The header of an EDF or BDF file, and the signals that are read by what it says of them.
 
-Widths and order are those of www.edfplus.info/specs; a header says 256 bytes and 256 more for each signal.
+The header has fields of text, first of the recording, then of all signals one by one: 256 bytes, and 256 more
+for each signal. Widths and order are those of www.edfplus.info/specs.
+
+A physical value is physical_min + (d - digital_min) * gain, with an exact gain from the header's texts. The
+common step of all axes is the largest number of which every gain and every value of d = 0 is a multiple:
+counts in that step are whole and exact. If they would need more than 32 bits, values are put on the grid that
+decimal fractions have in all formats.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from fractions import Fraction
 from itertools import accumulate
 from pathlib import Path
+from typing import Any
 
-from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.recording import Device
+import numpy as np
+from numpy.typing import NDArray
+
+from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.formats import ReadOptions
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, LARGEST_LSB_PER_G, Counts, Device
+from accelcal_cli.core.vocabulary import (
+    ACCELERATION,
+    ACCELERATION_UNITS,
+    ACCELEROMETER,
+    GIVE_UNIT,
+    GYROSCOPE,
+    NOT_RAW,
+    ROTATION,
+    TEMPERATURE,
+    THERMOMETER,
+    In,
+    UnitNames,
+    names_in,
+)
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats.edf import BDF_MAGIC
 
 FIRST_BYTES = 256
 MOST_SIGNALS = 4096
 LARGEST_RECORD = 1 << 24
-"""Bytes of a record: the standard recommends at most 61 440."""
+"""Most bytes in a record; the standard recommends at most 61 440."""
 
 PIVOT = 85
-"""Years 85 to 99 are of the last century; EDF+ gives all four digits elsewhere."""
+"""First two-digit year that is of the last century; EDF+ gives all four digits elsewhere."""
 
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
@@ -32,15 +58,20 @@ NUMBER = re.compile(r"[+-]?(\d{1,8}(\.\d{0,8})?|\.\d{1,8})([eE][+-]?\d{1,3})?")
 COPY_AGAIN = "copy it again from its source"
 ANNOTATIONS = ("EDF Annotations", "BDF Annotations")
 
-PARTS = (
+RECORDING_FIELDS = (
     *(("version", 8), ("patient", 80), ("recording", 80), ("date", 8), ("time", 8), ("bytes", 8)),
     *(("reserved", 44), ("records", 8), ("seconds", 8), ("signals", 4)),
 )
-OF_SIGNALS = (
+SIGNAL_FIELDS = (
     *(("label", 16), ("transducer", 80), ("dimension", 8), ("physical_min", 8), ("physical_max", 8)),
     *(("digital_min", 8), ("digital_max", 8), ("filter", 80), ("samples", 8), ("reserved", 32)),
 )
-"""Names and widths of all fields; each of the latter stands there for all signals before the next one."""
+"""Names and widths [bytes] of the fields; each of a signal's stands there for all signals before the next."""
+
+ACCEL_NAMES = names_in(ACCELEROMETER, In.EDF)
+GYRO_NAMES = names_in(GYROSCOPE, In.EDF)
+GLUED = re.compile(rf"({'|'.join(sorted(ACCEL_NAMES | GYRO_NAMES))})([xyz])")
+MOST_COUNTS = (1 << 31) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +82,9 @@ class Signal:
         number: its place, from 0.
         dimension: the unit of its physical values.
         limits: texts of physical minimum and maximum, and of digital minimum and maximum.
-        samples: in each record.
-        offset: of its samples in a record, in samples.
-        byte_offset: of its physical minimum in the file.
+        samples: number in each record.
+        offset: number of samples before it in a record.
+        byte_offset: where its physical minimum stands in the file.
     """
 
     number: int
@@ -67,13 +98,13 @@ class Signal:
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the header says.
+    """The content of a header.
 
     Attributes:
-        sample_bytes: 2 of EDF, 3 of BDF.
-        plus: `C` or `D` (with gaps) of EDF+ and BDF+, else None.
+        sample_bytes: 2 in EDF, 3 in BDF.
+        plus: `C` or `D` (with gaps) for EDF+ and BDF+, else None.
         start_us: microseconds since 1970 on the device's clock; None if it is no date.
-        records: how many there are; None if that was not known.
+        records: number of data records; None if it was not known.
         seconds: length of a record.
     """
 
@@ -87,17 +118,17 @@ class Header:
 
     @property
     def header_bytes(self) -> int:
-        """Where the first record begins."""
+        """Offset of the first record [bytes]."""
         return FIRST_BYTES * (1 + len(self.signals))
 
     @property
     def record_bytes(self) -> int:
-        """Length of a record."""
+        """Length of a record [bytes]."""
         return self.sample_bytes * sum(signal.samples for signal in self.signals)
 
 
 def number_in(text: str) -> Fraction | None:
-    """A number as headers write it, exactly; None if it is none."""
+    """Return a number as headers write it, exactly; None if the text is none."""
     text = text.strip().replace(",", ".")
     return Fraction(text) if NUMBER.fullmatch(text) else None
 
@@ -109,10 +140,10 @@ def read_header(path: Path) -> Header:
         UnreadableError: it is cut off or damaged; says where.
     """
     with ByteSource(path) as source:
-        fields = _split(source.read_exact(FIRST_BYTES), PARTS, 1)
+        fields = _split(source.read_exact(FIRST_BYTES), RECORDING_FIELDS, 1)
         signals = _whole(fields["signals"][0], 252, path, "number of signals", 1, MOST_SIGNALS)
-        table = _split(source.read_exact(FIRST_BYTES * signals), OF_SIGNALS, signals)
-    if len(table["reserved"][-1]) < OF_SIGNALS[-1][1]:
+        table = _split(source.read_exact(FIRST_BYTES * signals), SIGNAL_FIELDS, signals)
+    if len(table["reserved"][-1]) < SIGNAL_FIELDS[-1][1]:
         raise UnreadableError("its header is cut off", path=path, byte_offset=0, hint=COPY_AGAIN)
     _whole(fields["bytes"][0], 184, path, "length of the header", *[FIRST_BYTES * (signals + 1)] * 2)
     sample_bytes = 3 if fields["version"][0].encode("latin-1") == BDF_MAGIC else 2
@@ -140,7 +171,7 @@ def read_header(path: Path) -> Header:
 
 
 def _split(data: bytes, parts: tuple[tuple[str, int], ...], count: int) -> dict[str, list[str]]:
-    """`count` texts of each field; those behind the end of the data are empty or cut."""
+    """Return `count` texts of each field; those beyond the end of the data are empty or cut."""
     fields, place = {}, 0
     for name, width in parts:
         ends = [place + width * number for number in range(count + 1)]
@@ -163,13 +194,13 @@ def _fault(what: str, text: str, offset: int, path: Path) -> UnreadableError:
 
 
 def _signals(table: dict[str, list[str]], count: int, path: Path) -> tuple[Signal, ...]:
-    at = {name: FIRST_BYTES + count * sum(width for _, width in OF_SIGNALS[:place])
-          for place, (name, _) in enumerate(OF_SIGNALS)}  # fmt: skip
+    at = {name: FIRST_BYTES + count * sum(width for _, width in SIGNAL_FIELDS[:place])
+          for place, (name, _) in enumerate(SIGNAL_FIELDS)}  # fmt: skip
     samples = [
         _whole(text, at["samples"] + 8 * number, path, "number of samples", 0, LARGEST_RECORD)
         for number, text in enumerate(table["samples"])
     ]
-    limits = zip(*(table[name] for name, _ in OF_SIGNALS[3:7]), strict=True)
+    limits = zip(*(table[name] for name, _ in SIGNAL_FIELDS[3:7]), strict=True)
     offsets = [0, *accumulate(samples)]
     columns = zip(table["label"], table["dimension"], limits, samples, strict=True)
     return tuple(
@@ -181,7 +212,8 @@ def _signals(table: dict[str, list[str]], count: int, path: Path) -> tuple[Signa
 
 
 def _start_us(date: str, time: str, recording: str) -> int | None:
-    """Of `02.08.51` and `20.15.00`; the year as EDF+ gives it, where it does."""
+    """Return the time of `02.08.51` and `20.15.00`, with the year from EDF+ if given; None if it is no
+    time."""
     try:
         hour, minute, second = map(int, time.split("."))
         match = EDF_PLUS_DATE.match(recording)
@@ -194,3 +226,271 @@ def _start_us(date: str, time: str, recording: str) -> int | None:
     except ValueError:
         return None
     return (start - EPOCH) // timedelta(microseconds=1)
+
+
+Signals3 = tuple[Signal, Signal, Signal]
+
+
+@dataclass(frozen=True, slots=True)
+class Axes:
+    """Three signals, with a factor and an addend that make whole counts of each one's digital values.
+
+    Attributes:
+        step: the exact size of one count, in g or in deg/s.
+        limits: counts of each signal's digital minimum and maximum; empty if these do not matter.
+        on_grid: counts of that step need more than 32 bits, and are rounded to the grid of decimals.
+    """
+
+    signals: Signals3
+    factors: tuple[int, ...]
+    addends: tuple[int, ...]
+    step: Fraction
+    limits: tuple[int, ...]
+    on_grid: bool = False
+
+    def may_fail(self, sample_bytes: int) -> bool:
+        """Return True if samples beyond the digital limits may have no count."""
+        widest, lines = 1 << (8 * sample_bytes - 1), zip(self.factors, self.addends, strict=True)
+        return max(abs(factor) * widest + abs(addend) for factor, addend in lines) * self._grid > MOST_COUNTS
+
+    @property
+    def _grid(self) -> Fraction:
+        return self.step * int(FLOAT_LSB_PER_G) if self.on_grid else Fraction(1)
+
+    def counts(self, digital: list[NDArray[Any]], faulty: NDArray[np.bool_] | None) -> Counts:
+        """Return digital values (n,) of the three signals as counts (n, 3), and mark rows (n,) that have
+        none."""
+        if self.factors == (1, 1, 1) and self.addends == (0, 0, 0):
+            return np.stack(digital, axis=1)
+        grid = self._grid
+        values = np.empty((len(digital[0]), 3))
+        for axis, column in enumerate(digital):
+            values[:, axis] = column * float(self.factors[axis] * grid) + float(self.addends[axis] * grid)
+        if faulty is not None:
+            faulty |= np.any(np.abs(values) > MOST_COUNTS, axis=1)
+            values[faulty] = 0
+        return np.rint(values).astype(np.int32)
+
+    @property
+    def per_unit(self) -> float:
+        """Counts in one unit."""
+        return FLOAT_LSB_PER_G if self.on_grid else float(1 / self.step)
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenSignals:
+    """The signals that are read.
+
+    Attributes:
+        temperature: the signal, with the thousandths of a degree C in one digital step and at 0.
+        range_g: distance from 0 to the nearest end of any axis' digital range.
+    """
+
+    accel: Axes
+    gyro: Axes | None
+    temperature: tuple[Signal, float, float] | None
+    range_g: float | None
+
+
+def label_words(label: str) -> tuple[str, ...]:
+    """Split a label into words: `AccX`, `acc_x` and `Accelerometer-X` have the words of sensor and axis."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", re.sub(r"[\[(].*", "", label))
+    parts: list[str] = []
+    for word in re.findall(r"[a-z]+|\d+", spaced.lower()):
+        glued = GLUED.fullmatch(word)
+        parts += glued.groups() if glued else [word]
+    return tuple(parts)
+
+
+def choose(header: Header, options: ReadOptions, path: Path) -> ChosenSignals:
+    """Choose the signals of the accelerometer, and those that belong to it.
+
+    Raises:
+        UnreadableError: there are none, or their scale or rate cannot be used.
+        UsageError: an option names no signal, or several sensors fit.
+    """
+    signals = _signals_by_option(header, options, path) or _signals_by_label(header, options, path)
+    if len({signal.samples for signal in signals}) > 1 or not signals[0].samples:
+        rates = ", ".join(f"{signal.label}: {signal.samples}" for signal in signals)
+        raise UnreadableError(f"x, y and z have different rates (samples in a record: {rates})", path=path,
+                              hint="name three signals of one rate with --columns")  # fmt: skip
+    accel = _acceleration_axes(signals, options, path)
+    ends = [abs(limit) / accel.per_unit for limit in accel.limits]
+    crosses = [low * high < 0 for low, high in zip(accel.limits[::2], accel.limits[1::2], strict=True)]
+    range_g = min(ends) if crosses and all(crosses) else None
+    return ChosenSignals(accel, _gyro(header, signals, path), _temperature(header, path), range_g)
+
+
+def _signals_by_option(header: Header, options: ReadOptions, path: Path) -> Signals3 | None:
+    if options.columns is None:
+        return None
+    x, y, z = (_pick(header, wanted.strip(), path) for wanted in options.columns)
+    if len({x.number, y.number, z.number}) < 3:
+        raise UsageError("--columns names one signal twice", path=path, hint="give x, y and z")
+    return x, y, z
+
+
+def _pick(header: Header, wanted: str, path: Path) -> Signal:
+    usable = [signal for signal in header.signals if signal.label not in ANNOTATIONS]
+    found = [signal for signal in usable if signal.label.lower() == wanted.lower()]
+    if not found and wanted.isdecimal():
+        found = [signal for signal in usable if signal.number == int(wanted)]
+    if len(found) != 1:
+        what = f"--columns {wanted!r} is {'several signals' if found else 'no signal'} of this file"
+        raise UsageError(what, path=path, hint=f"its signals are {_labels(header)}")
+    return found[0]
+
+
+def _labels(header: Header) -> str:
+    shown = [f"{signal.number} ({signal.label})" for signal in header.signals[:40]]
+    return ", ".join(shown) + ", ..." * (len(header.signals) > len(shown))
+
+
+def _groups(header: Header, names: frozenset[str], units: UnitNames[Any]) -> dict[str, Signals3]:
+    """Return the sensors of a kind that have one signal for each axis, by the other words of their labels."""
+    found: dict[str, dict[str, list[Signal]]] = {}
+    for signal in header.signals:
+        parts = label_words(signal.label)
+        axes = [part for part in parts if part in ("x", "y", "z")]
+        known = names & set(parts) or units.find(signal.dimension.lower(), In.EDF) is not None
+        other = ((ACCEL_NAMES | GYRO_NAMES) - names) & set(parts)
+        if len(axes) == 1 and known and not other and not NOT_RAW & set(parts):
+            rest = " ".join(part for part in parts if part not in (*axes, *names, "axis"))
+            found.setdefault(rest, {}).setdefault(axes[0], []).append(signal)
+    whole = {name: [axes.get(axis, []) for axis in ("x", "y", "z")] for name, axes in found.items()}
+    return {
+        name: (xyz[0][0], xyz[1][0], xyz[2][0])
+        for name, xyz in whole.items()
+        if [len(signals) for signals in xyz] == [1, 1, 1]
+    }
+
+
+def _signals_by_label(header: Header, options: ReadOptions, path: Path) -> Signals3:
+    groups = _groups(header, ACCEL_NAMES, ACCELERATION)
+    if options.sensor is not None:
+        wanted = " ".join(label_words(options.sensor))
+        groups = {name: group for name, group in groups.items() if name == wanted}
+    if len(groups) == 1:
+        return next(iter(groups.values()))
+    if groups or options.sensor is not None:
+        names = ", ".join(name or "(no name)" for name in _groups(header, ACCEL_NAMES, ACCELERATION))
+        what = (
+            f"no sensor is called {options.sensor!r}" if options.sensor else "it has several accelerometers"
+        )
+        raise UsageError(
+            what, path=path, hint=f"give --sensor NAME ({names}), or --columns with three signals"
+        )
+    raise UnreadableError(
+        f"which signals are x, y and z of an accelerometer cannot be told from {_labels(header)}",
+        path=path,
+        hint="name them with --columns, by label or number",
+    )
+
+
+def _scaling(signal: Signal, path: Path) -> tuple[Fraction, Fraction, int, int]:
+    """Return the physical value of one digital step and of 0, and the digital limits.
+
+    Raises:
+        UnreadableError: the limits are no numbers, or equal.
+    """
+    low, high, first, last = map(number_in, signal.limits)
+    if low is None or high is None or first is None or last is None or low == high or first >= last:
+        limits = ", ".join(map(str.strip, signal.limits))
+        raise UnreadableError(
+            f"the range of signal {signal.label!r} is not usable ({limits})",
+            path=path,
+            byte_offset=signal.byte_offset,
+            hint="name other signals with --columns, or give --unit counts with --lsb-per-g",
+        )
+    gain = (high - low) / (last - first)
+    return gain, low - first * gain, math.floor(first), math.ceil(last)
+
+
+def _acceleration_axes(signals: Signals3, options: ReadOptions, path: Path) -> Axes:
+    """Return the axes of the acceleration in g.
+
+    Raises:
+        UnreadableError: its unit is not known, or its scale impossible.
+        UsageError: counts without their scale.
+    """
+    if options.unit == "counts" or (options.unit is None and options.lsb_per_g is not None):
+        if options.lsb_per_g is None:
+            raise UsageError(
+                "counts need their scale", path=path, hint="give --lsb-per-g, the counts in one g"
+            )
+        step = 1 / Fraction(options.lsb_per_g)
+        return Axes(signals, (1, 1, 1), (0, 0, 0), step, ())
+    units = {options.unit or ACCELERATION.find(signal.dimension.lower(), In.EDF) for signal in signals}
+    unit = units.pop()
+    if units or unit is None:
+        written = ", ".join(repr(signal.dimension) for signal in signals)
+        raise UnreadableError(
+            f"the unit of the acceleration is not known ({written})",
+            path=path,
+            hint=GIVE_UNIT,
+        )
+    axes = _axes(signals, ACCELERATION_UNITS[unit].per_g, path)
+    if not 1 <= axes.per_unit <= LARGEST_LSB_PER_G:
+        raise UnreadableError(
+            f"{axes.per_unit:g} counts in one g are impossible",
+            path=path,
+            byte_offset=signals[0].byte_offset,
+            hint="give --unit, or --unit counts with --lsb-per-g",
+        )
+    return axes
+
+
+def _axes(signals: Signals3, per_unit: Fraction, path: Path) -> Axes:
+    """Return axes with counts of the largest step of which all values are multiples."""
+    lines = [_scaling(signal, path) for signal in signals]
+    values = [value / per_unit for line in lines for value in line[:2]]
+    denominator = math.lcm(*(value.denominator for value in values))
+    step = Fraction(math.gcd(*(int(value * denominator) for value in values)), denominator)
+    factors, addends = (tuple(int(line[place] / per_unit / step) for line in lines) for place in (0, 1))
+    ends = tuple(
+        int(line[place]) * factor + addend
+        for line, factor, addend in zip(lines, factors, addends, strict=True)
+        for place in (2, 3)
+    )
+    fine = max(map(abs, ends)) > MOST_COUNTS or 1 / step > LARGEST_LSB_PER_G
+    if fine:
+        grid = step * int(FLOAT_LSB_PER_G)
+        ends = tuple(int(end * grid) for end in ends)
+    return Axes(signals, factors, addends, step, ends, fine)
+
+
+def _gyro(header: Header, accel: Signals3, path: Path) -> Axes | None:
+    """Return the one gyroscope of the same rate in deg/s; None if there is none with a usable scale."""
+    groups = _groups(header, GYRO_NAMES, ROTATION)
+    fitting = [
+        group
+        for group in groups.values()
+        if all(
+            ROTATION.find(one.dimension.lower(), In.EDF) is not None and one.samples == accel[0].samples
+            for one in group
+        )
+    ]
+    if len(fitting) != 1:
+        return None
+    try:
+        axes = _axes(fitting[0], Fraction(1), path)
+    except UnreadableError:
+        return None
+    return None if axes.on_grid else axes
+
+
+def _temperature(header: Header, path: Path) -> tuple[Signal, float, float] | None:
+    found = [
+        signal
+        for signal in header.signals
+        if names_in(THERMOMETER, In.EDF) & set(label_words(signal.label))
+        and TEMPERATURE.find(signal.dimension.lower(), In.EDF) is not None
+        and signal.samples
+    ]
+    if len(found) != 1:
+        return None
+    try:
+        gain, zero, _, _ = _scaling(found[0], path)
+    except UnreadableError:
+        return None
+    return found[0], float(1000 * gain), float(1000 * zero)

@@ -1,4 +1,4 @@
-"""An open EDF or BDF file: its data records as pages, with the times of records that EDF+D gives."""
+"""Reads EDF and BDF files: data records are pages, with their own times in EDF+D."""
 
 from __future__ import annotations
 
@@ -19,11 +19,18 @@ from accelcal_cli.formats._pages.pages import Decoded, PageBlock, PagedFile, Raw
 from accelcal_cli.formats._pages.reader import Opening, PagedReader, PageScheme, extent, look_inside
 from accelcal_cli.formats._pages.timeline import ExactTimeline, NominalTimeline, Spacing, Timeline
 from accelcal_cli.formats._rows import MISSING
-from accelcal_cli.formats.edf.header import ANNOTATIONS, COPY_AGAIN, Header, Signal, read_header
-from accelcal_cli.formats.edf.signals import Chosen, choose
+from accelcal_cli.formats.edf.header import (
+    ANNOTATIONS,
+    COPY_AGAIN,
+    ChosenSignals,
+    Header,
+    Signal,
+    choose,
+    read_header,
+)
 
 ONSET = re.compile(rb"([+-])(\d{1,9})(?:\.(\d{0,9}))?\x14", re.ASCII)
-"""Where a record begins, in seconds after the start, as the first annotation of each record says."""
+"""First annotation of each record: seconds from the start at which the record begins."""
 
 RATES_HZ = (0.001, 100_000.0)
 NO_START = "the header has no date; times count from 1970-01-01"
@@ -35,10 +42,10 @@ class RecordDecoder:
     """Decodes blocks of data records.
 
     Attributes:
-        seen: the number of the record behind the last one of any block so far.
+        seen: number of the record after the last one of any block so far.
     """
 
-    def __init__(self, header: Header, chosen: Chosen, start_us: int) -> None:
+    def __init__(self, header: Header, chosen: ChosenSignals, start_us: int) -> None:
         self._header = header
         self._chosen = chosen
         self._start_us = start_us
@@ -48,7 +55,7 @@ class RecordDecoder:
         self.seen = 0
 
     def __call__(self, raw: RawBlock) -> Decoded:
-        """The records of a block; of EDF+D, those whose time can be read."""
+        """Decode the records of a block; in EDF+D, only those whose time can be read."""
         self.seen = max(self.seen, raw.next_position)
         pages, position = raw.pages, raw.first_position + np.arange(len(raw.pages))
         bad: list[paged.BadRun] = []
@@ -62,7 +69,7 @@ class RecordDecoder:
         return Decoded(self._block(pages, position, stamps), bad, raw.tail)
 
     def onset_us(self, page: NDArray[np.uint8]) -> int | None:
-        """Microseconds from the header's start to a record's, None if it does not say."""
+        """Return the microseconds from the header's start to a record's; None if it does not say."""
         if self._annotations is None:
             return None
         match = ONSET.match(self._bytes(page[np.newaxis], self._annotations).tobytes())
@@ -99,7 +106,7 @@ class RecordDecoder:
         return np.ascontiguousarray(pages[:, start : start + signal.samples * size])
 
     def _digital(self, pages: NDArray[np.uint8], signal: Signal) -> NDArray[Any]:
-        """A signal's digital values, (n,): int16, or int32 of BDF."""
+        """Return a signal's digital values, (n,): int16, or int32 for BDF."""
         data = self._bytes(pages, signal)
         if self._header.sample_bytes == 2:
             return data.view("<i2").reshape(-1).astype(np.int16)
@@ -107,7 +114,7 @@ class RecordDecoder:
         return np.asarray(low | middle << 8 | (high ^ 0x80) - 0x80 << 16)
 
     def _temperature(self, pages: NDArray[np.uint8], rows: int) -> NDArray[np.int32]:
-        """Of each row the last value before its end, (n,) thousandths of a degree C."""
+        """Return for each row the last value before its end, (n,) thousandths of a degree C."""
         assert self._chosen.temperature is not None
         signal, gain, zero = self._chosen.temperature
         values = np.rint(self._digital(pages, signal) * gain + zero)
@@ -118,12 +125,12 @@ class RecordDecoder:
 
 
 def annotations_of(header: Header) -> Signal | None:
-    """The signal whose first annotation is the time of a record."""
+    """Return the signal whose first annotation is the time of a record."""
     return next((one for one in header.signals if one.label in ANNOTATIONS and one.samples), None)
 
 
 class EdfReader(PagedReader):
-    """Streams data records; says at the end if they are not as many as the header claims."""
+    """Streams data records; reports at the end if their number is not what the header says."""
 
     def __init__(
         self,
@@ -139,7 +146,7 @@ class EdfReader(PagedReader):
         self._decoder, self._records = decoder, records
 
     def chunks(self, chunk_samples: int) -> Iterator[Chunk]:
-        """Yield all rows in order, whole records, at least one."""
+        """Yield all rows in order, in whole records, at least one."""
         chunk = None
         for chunk in super().chunks(chunk_samples):
             yield chunk
@@ -196,14 +203,14 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def first_onset_us(file: PagedFile, decoder: RecordDecoder) -> int:
-    """The fraction of a second that EDF+ adds to the header's start, 0 for other files."""
+    """Return the fraction of a second that EDF+ adds to the header's start [us]; 0 for other files."""
     first = next(file.blocks(1))
     onset = decoder.onset_us(first.pages[0]) if len(first.pages) else None
     return onset if onset is not None and 0 <= onset < MICROSECONDS else 0
 
 
-def recording(scheme: PageScheme, header: Header, chosen: Chosen, opening: Opening) -> Recording:
-    """The file's description."""
+def recording(scheme: PageScheme, header: Header, chosen: ChosenSignals, opening: Opening) -> Recording:
+    """Return the description of the file."""
     samples, duration_s = extent(scheme, opening)
     labels = ", ".join(f"{one.label} [{one.dimension}]" for one in chosen.accel.signals)
     notes = [f"x, y, z: {labels}"]

@@ -5,12 +5,14 @@ from __future__ import annotations
 from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 
 AVRO_MAGIC = b"Obj\x01"
-OURS = (b"empatica", b"rawData")
+SCHEMA_WORDS = (b"empatica", b"rawData")
 
 
 def sniff(probe: Probe) -> int:
-    """100 for an Avro file whose schema speaks of Empatica or of raw data."""
-    return 100 if probe.head.startswith(AVRO_MAGIC) and any(word in probe.head for word in OURS) else 0
+    """Return 100 for an Avro file whose schema speaks of Empatica or of raw data."""
+    return (
+        100 if probe.head.startswith(AVRO_MAGIC) and any(word in probe.head for word in SCHEMA_WORDS) else 0
+    )
 
 
 FORMAT = Format(

@@ -1,13 +1,24 @@
-"""An open Avro file of an Empatica EmbracePlus: half an hour of acceleration, and what was beside it.
+"""Reads Avro files of an Empatica EmbracePlus: half an hour of acceleration, and what was measured with it.
 
-Counts are whole numbers for x, y and z. What one is in g, `imuParams` says: from schema 6.5.0 on as
+An Avro object container file has a header with schema, codec and marker, then blocks of records, each
+followed
+by the marker; numbers are zigzag varints (Apache Avro specification 1.11). The first record is decoded by the
+schema that the file carries. Arrays of numbers become numpy arrays, all else plain Python. Nothing that a
+file
+claims takes more memory than a few times LARGEST_BYTES.
+
+Counts are whole numbers for x, y and z. Their scale in g is in `imuParams`: from schema 6.5.0 on as
 `conversionFactor`, before that by the physical range over the digital one (Empatica, "How to access Avro
 files with Python", support.empatica.com). Times are microseconds since 1970 in UTC.
 """
 
 from __future__ import annotations
 
+import bz2
+import json
 import math
+import struct
+import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,15 +41,281 @@ from accelcal_cli.core.recording import (
     Recording,
     cut_channels,
 )
-from accelcal_cli.formats.embraceplus.avro import AGAIN, FirstRecord, read_first
+from accelcal_cli.formats._bytes import ByteSource
 
 BY_FACTOR = (6, 5, 0)
-"""The schema from which on `conversionFactor` is the scale."""
+"""First version of the schema in which `conversionFactor` is the scale."""
 
 RATES_HZ = (1.0, 10_000.0)
 COLDEST, HOTTEST = -273_150, 1_000_000
 MOST_COUNTS = (1 << 31) - 1
 LONGEST_ZONE_S = 14 * 3600
+
+LARGEST_BYTES = 1 << 26
+"""Most bytes of a file, and of an unpacked block; half an hour of all sensors has 5 MB."""
+
+DEEPEST = 32
+MOST_ITEMS = 100_000
+"""Most items of an array or map of anything but numbers, such as events, a few a second."""
+
+MOST_VALUES = 1_000_000
+"""Most values that are decoded one by one: a schema may claim many that take no bytes."""
+
+VARINT_BYTES = 10
+PIECE = 1 << 16
+MARKER_BYTES = 16
+MAGIC_BYTES = 4
+DOWNLOAD_AGAIN = "download it again"
+NUMBERS = {"float": "<f4", "double": "<f8"}
+WHOLE = ("int", "long")
+HEADER = {"type": "map", "values": "bytes"}
+PRIMITIVES = ("null", "boolean", "bytes", "string", *WHOLE, *NUMBERS)
+
+
+class DamageError(Exception):
+    """The data cannot be decoded; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class FirstRecord:
+    """The first record of a file.
+
+    Attributes:
+        fields: its content.
+        begin, end: place of its block in the (uncompressed) file.
+        marked: True if the marker after its block is right.
+        more: records beyond the first, or bytes after its block.
+    """
+
+    fields: dict[str, Any]
+    begin: int
+    end: int
+    marked: bool
+    more: int
+
+
+class ByteReader:
+    """Reads bytes from their beginning."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        self.place = 0
+
+    def take(self, size: int) -> bytes:
+        """Return the next bytes; DamageError if there are too few."""
+        if not 0 <= size <= len(self.data) - self.place:
+            raise DamageError(f"it ends early, after {len(self.data)} bytes")
+        self.place += size
+        return self.data[self.place - size : self.place]
+
+    def long(self) -> int:
+        """Return the next whole number."""
+        value = 0
+        for shift in range(0, 7 * VARINT_BYTES, 7):
+            byte = self.take(1)[0]
+            value |= (byte & 0x7F) << shift
+            if byte < 0x80:
+                return (value >> 1) ^ -(value & 1)
+        raise DamageError(f"a number at byte {self.place} has no end")
+
+    def longs(self, count: int) -> NDArray[np.int64]:
+        """Return the next `count` whole numbers (n,)."""
+        parts, left = [np.empty(0, np.int64)], count
+        while left:
+            number = min(left, PIECE)
+            view = np.frombuffer(self.data, np.uint8, offset=self.place)[: VARINT_BYTES * number]
+            ends = np.flatnonzero(view < 0x80)[:number] + 1
+            if len(ends) < number:
+                raise DamageError(f"it ends early, after {len(self.data)} bytes")
+            starts = np.concatenate(([0], ends[:-1]))
+            sizes = ends - starts
+            if sizes.max() > VARINT_BYTES:
+                raise DamageError(f"a number after byte {self.place} has no end")
+            shift = np.arange(ends[-1]) - np.repeat(starts, sizes)
+            bits = (view[: ends[-1]] & 0x7F).astype(np.uint64) << (7 * shift).astype(np.uint64)
+            value = np.bitwise_or.reduceat(bits, starts)
+            parts.append((value >> np.uint64(1)).astype(np.int64) ^ -(value & np.uint64(1)).astype(np.int64))
+            self.place += int(ends[-1])
+            left -= number
+        return np.concatenate(parts)
+
+    def counts(self) -> Iterator[int]:
+        """Yield the numbers of items in the blocks of an array or a map."""
+        while number := self.long():
+            if number < 0:
+                self.long()
+            yield abs(number)
+
+
+class SchemaDecoder:
+    """Decodes values by a schema.
+
+    Args:
+        schema: as JSON.
+    """
+
+    def __init__(self, schema: Any) -> None:
+        self._schema = schema
+        self._types_by_name: dict[str, Any] = {}
+        self._values = 0
+
+    def record(self, data: ByteReader) -> dict[str, Any]:
+        """Return the record, or map, that the data begin with."""
+        value = self._value(self._schema, data, 0)
+        if not isinstance(value, dict):
+            raise DamageError("its schema is not that of a record")
+        return value
+
+    def _value(self, schema: Any, data: ByteReader, depth: int) -> Any:
+        self._values += 1
+        if depth > DEEPEST or self._values > MOST_VALUES:
+            raise DamageError("its schema is nested too deep")
+        if isinstance(schema, list):
+            branch = data.long()
+            if not 0 <= branch < len(schema):
+                raise DamageError(f"a value before byte {data.place} is of no known type")
+            return self._value(schema[branch], data, depth + 1)
+        if isinstance(schema, str):
+            if schema in PRIMITIVES:
+                return _primitive(schema, data)
+            if schema.rpartition(".")[2] not in self._types_by_name:
+                raise DamageError(f"its schema does not say what {schema[:40]!r} is")
+            return self._value(self._types_by_name[schema.rpartition(".")[2]], data, depth + 1)
+        if not isinstance(schema, Mapping):
+            raise DamageError("its schema is damaged")
+        return self._complex(schema, data, depth)
+
+    def _complex(self, schema: Mapping[str, Any], data: ByteReader, depth: int) -> Any:
+        kind = schema.get("type")
+        if isinstance(name := schema.get("name"), str):
+            self._types_by_name[name.rpartition(".")[2]] = schema
+        if kind == "record":
+            return {key: self._value(item, data, depth + 1) for key, item in _fields(schema)}
+        if kind == "array":
+            return self._array(schema.get("items"), data, depth)
+        if kind == "map":
+            return self._map(schema.get("values"), data, depth)
+        if kind == "enum":
+            return data.long()
+        if kind == "fixed":
+            size = schema.get("size")
+            return data.take(size if isinstance(size, int) else -1)
+        return self._value(kind, data, depth + 1)
+
+    def _array(self, items: Any, data: ByteReader, depth: int) -> Any:
+        plain = items.get("type") if isinstance(items, Mapping) else items
+        if plain in WHOLE:
+            parts = [data.longs(_fitting(count, data, 1)) for count in data.counts()]
+            return np.concatenate([np.empty(0, np.int64), *parts])
+        if isinstance(plain, str) and plain in NUMBERS:
+            kind = np.dtype(NUMBERS[plain])
+            raw = [data.take(_fitting(count, data, kind.itemsize) * kind.itemsize) for count in data.counts()]
+            return np.frombuffer(b"".join(raw), kind)
+        values: list[Any] = []
+        for count in data.counts():
+            if len(values) + count > MOST_ITEMS:
+                raise DamageError(f"a list claims {count} items")
+            values += [self._value(items, data, depth + 1) for _ in range(count)]
+        return values
+
+    def _map(self, values: Any, data: ByteReader, depth: int) -> dict[str, Any]:
+        found: dict[str, Any] = {}
+        for count in data.counts():
+            if len(found) + count > MOST_ITEMS:
+                raise DamageError(f"a map claims {count} items")
+            for _ in range(count):
+                key = _primitive("string", data)
+                found[str(key)] = self._value(values, data, depth + 1)
+        return found
+
+
+def _fitting(count: int, data: ByteReader, least: int) -> int:
+    """Return a number of items of at least `least` bytes each; DamageError if they cannot be there."""
+    if count * least > len(data.data) - data.place:
+        raise DamageError(f"an array claims {count} numbers, more than there are bytes")
+    return count
+
+
+def _primitive(kind: str, data: ByteReader) -> Any:
+    if kind == "null":
+        return None
+    if kind == "boolean":
+        return data.take(1) != b"\0"
+    if kind in WHOLE:
+        return data.long()
+    if kind in NUMBERS:
+        size = np.dtype(NUMBERS[kind]).itemsize
+        return float(struct.unpack("<f" if kind == "float" else "<d", data.take(size))[0])
+    raw = data.take(data.long())
+    return raw.decode("utf-8", "replace") if kind == "string" else raw
+
+
+def _fields(schema: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    fields = schema.get("fields")
+    for field in fields if isinstance(fields, list) else []:
+        if not isinstance(field, Mapping) or not isinstance(field.get("name"), str) or "type" not in field:
+            raise DamageError("its schema is damaged")
+        yield field["name"], field["type"]
+
+
+def read_first(path: Path) -> FirstRecord:
+    """Decode the first record.
+
+    Raises:
+        UnreadableError: the file is cut off, damaged, too large, or packed in a way that is not known.
+    """
+    with ByteSource(path) as source:
+        data = ByteReader(source.read_exact(LARGEST_BYTES + 1))
+        source.refuse_damaged()
+    if len(data.data) > LARGEST_BYTES:
+        what = f"has more than {LARGEST_BYTES >> 20} MB, which no half hour of an EmbracePlus takes"
+        raise UnreadableError(
+            what, path=path, hint="give it as the files of half an hour that Empatica writes"
+        )
+    try:
+        return _first_record(data)
+    except DamageError as error:
+        raise UnreadableError(
+            f"cannot be decoded: {error}", path=path, byte_offset=data.place, hint=DOWNLOAD_AGAIN
+        ) from error
+
+
+def _first_record(data: ByteReader) -> FirstRecord:
+    data.take(MAGIC_BYTES)
+    about: dict[str, bytes] = SchemaDecoder(HEADER).record(data)
+    marker = data.take(MARKER_BYTES)
+    try:
+        schema = json.loads(about.get("avro.schema", b""))
+    except (ValueError, RecursionError) as error:
+        raise DamageError("its schema is damaged") from error
+    records, begin = data.long(), data.place
+    if records < 1:
+        raise DamageError("it holds no record")
+    block = data.take(data.long())
+    marked = data.take(min(MARKER_BYTES, len(data.data) - data.place)) == marker
+    unpacked = ByteReader(_unpacked(block, about.get("avro.codec", b"null")))
+    fields = SchemaDecoder(schema).record(unpacked)
+    more = records - 1 or len(unpacked.data) - unpacked.place or len(data.data) - data.place
+    return FirstRecord(fields, begin, data.place, marked, more)
+
+
+def _unpacked(block: bytes, codec: bytes) -> bytes:
+    try:
+        if codec == b"null":
+            return block
+        if codec == b"deflate":
+            whole = zlib.decompressobj(-15).decompress(block, LARGEST_BYTES + 1)
+        elif codec == b"bzip2":
+            whole = bz2.BZ2Decompressor().decompress(block, LARGEST_BYTES + 1)
+        else:
+            raise DamageError(
+                f"it is packed with {codec[:20].decode('ascii', 'replace')}, which is not known"
+            )
+    except (zlib.error, OSError, EOFError) as error:
+        raise DamageError(f"its packed data are damaged ({error})") from error
+    if len(whole) > LARGEST_BYTES:
+        raise DamageError(f"it unpacks to more than {LARGEST_BYTES >> 20} MB")
+    return whole
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +324,9 @@ class Sensor:
 
     Attributes:
         counts: (n, 3) int32.
-        step: what one count is: in g, or in deg/s.
-        largest: physical value that it can measure, None if the file does not say.
-        spare: numbers of axes that are longer than others.
+        step: size of one count, in g or in deg/s.
+        largest: largest physical value that it can measure, None if the file does not say.
+        spare: how many values the longest axis has more than the shortest.
     """
 
     counts: NDArray[np.int32]
@@ -60,21 +337,21 @@ class Sensor:
     spare: int
 
 
-def part(fields: Any, *names: str) -> dict[str, Any]:
-    """A record within a record; empty if it is not there."""
+def subrecord(fields: Any, *names: str) -> dict[str, Any]:
+    """Return a record within a record; empty if it is missing."""
     for name in names:
         fields = fields.get(name) if isinstance(fields, Mapping) else None
     return dict(fields) if isinstance(fields, Mapping) else {}
 
 
 def number(value: Any) -> float:
-    """A number; NaN for all else."""
+    """Return a number; NaN for anything else."""
     plain = isinstance(value, int | float) and not isinstance(value, bool)
     return float(value) if plain and abs(value) < 1e300 else math.nan
 
 
-def sensor_in(fields: Mapping[str, Any], version: tuple[int, ...]) -> Sensor | None:
-    """A sensor's data; None if it has none that can be used."""
+def read_sensor(fields: Mapping[str, Any], version: tuple[int, ...]) -> Sensor | None:
+    """Return a sensor's data; None if it has none that can be used."""
     axes = [fields.get(axis) for axis in "xyz"]
     if not all(isinstance(axis, np.ndarray) and axis.dtype == np.int64 for axis in axes):
         return None
@@ -82,7 +359,7 @@ def sensor_in(fields: Mapping[str, Any], version: tuple[int, ...]) -> Sensor | N
     rows = min(map(len, columns))
     if not rows or any(column.min() < -MOST_COUNTS or column.max() > MOST_COUNTS for column in columns):
         return None
-    params = part(fields, "imuParams")
+    params = subrecord(fields, "imuParams")
     low, high, first, last = (
         number(params.get(name)) for name in ("physicalMin", "physicalMax", "digitalMin", "digitalMax")
     )
@@ -102,7 +379,7 @@ def sensor_in(fields: Mapping[str, Any], version: tuple[int, ...]) -> Sensor | N
 
 
 def temperature_of(fields: Mapping[str, Any], sensor: Sensor, rate_hz: float) -> NDArray[np.int32] | None:
-    """Of each row the last value measured, (n,) thousandths of a degree C; None if there is none."""
+    """Return for each row the last value measured, (n,) thousandths of a degree C; None if there is none."""
     values, rate, start = (
         fields.get("values"),
         *(number(fields.get(key)) for key in ("samplingFrequency", "timestampStart")),
@@ -163,9 +440,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     record = read_first(path)
     fields = record.fields
     version = schema_version(fields)
-    accel = sensor_in(part(fields, "rawData", "accelerometer"), version)
+    accel = read_sensor(subrecord(fields, "rawData", "accelerometer"), version)
     if accel is None:
-        raise UnreadableError("holds no acceleration", path=path, hint=AGAIN)
+        raise UnreadableError("holds no acceleration", path=path, hint=DOWNLOAD_AGAIN)
     if not 1 <= 1 / accel.step <= LARGEST_LSB_PER_G:
         what = "does not say how many counts make one g"
         raise UnreadableError(what, path=path, hint="its imuParams are damaged; download it again")
@@ -195,23 +472,23 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def schema_version(fields: Mapping[str, Any]) -> tuple[int, ...]:
-    """Such as (6, 5, 0)."""
-    version = part(fields, "schemaVersion")
+    """Return the version of the schema, such as (6, 5, 0)."""
+    version = subrecord(fields, "schemaVersion")
     return tuple(
         value if isinstance(value := version.get(name), int) else 0 for name in ("major", "minor", "patch")
     )
 
 
 def device_of(fields: Mapping[str, Any]) -> Device:
-    """Serial number and firmware."""
-    serial, version = fields.get("deviceSn"), part(fields, "fwVersion")
+    """Return the device with serial number and firmware."""
+    serial, version = fields.get("deviceSn"), subrecord(fields, "fwVersion")
     numbers = [version.get(name) for name in ("major", "minor", "patch")]
     firmware = ".".join(map(str, numbers)) if all(isinstance(item, int) for item in numbers) else None
     return Device("EmbracePlus", serial if isinstance(serial, str) and serial else None, firmware)
 
 
 def zone_note(fields: Mapping[str, Any]) -> tuple[str, ...]:
-    """Where the wearer was; the times are UTC all the same."""
+    """Return a note on the wearer's time zone; times are UTC all the same."""
     ahead = fields.get("timezone")
     if not isinstance(ahead, int) or abs(ahead) > LONGEST_ZONE_S:
         return ()
@@ -222,9 +499,9 @@ def zone_note(fields: Mapping[str, Any]) -> tuple[str, ...]:
 def channels_of(
     fields: Mapping[str, Any], accel: Sensor, rate_hz: float, version: tuple[int, ...]
 ) -> tuple[Channels, float | None, tuple[str, ...]]:
-    """Gyroscope and temperature, deg/s in one count, and why a gyroscope is not used."""
+    """Return gyroscope and temperature, deg/s in one count, and why a gyroscope is not used."""
     channels: Channels = {}
-    gyro = sensor_in(part(fields, "rawData", "gyroscope"), version)
+    gyro = read_sensor(subrecord(fields, "rawData", "gyroscope"), version)
     step: float | None = None
     notes: tuple[str, ...] = ()
     if gyro is not None:
@@ -233,14 +510,14 @@ def channels_of(
             channels["gyro_counts"], step = gyro.counts, gyro.step
         else:
             notes = ("the gyroscope is not used: its samples are not those of the accelerometer",)
-    temperature = temperature_of(part(fields, "rawData", "temperature"), accel, rate_hz)
+    temperature = temperature_of(subrecord(fields, "rawData", "temperature"), accel, rate_hz)
     if temperature is not None:
         channels["temperature_mc"] = temperature
     return channels, step, notes
 
 
 def problems_of(record: FirstRecord, accel: Sensor) -> Iterator[Problem]:
-    """What is wrong with the file."""
+    """Yield what is wrong with the file."""
     rows = len(accel.counts)
     if not accel.start_us:
         yield Problem("no_start_time", "it has no start time; times count from 1970-01-01", None, 0)

@@ -14,15 +14,15 @@ from accelcal_cli.core.formats import GYRO_OPTIONS, Format, Probe
 DESCRIPTION = "unisens.xml"
 ROOT = re.compile(rb"<(?:\w+:)?unisens\b")
 MOST_BYTES = 1 << 22
-"""No description is longer."""
+"""Length [bytes] that no description exceeds."""
 
 ENTRY = re.compile(rb"<(?:\w+:)?(\w+Entry)\b([^>]*)>")
 _ID = re.compile(rb"""\bid\s*=\s*["']([^"']*)["']""")
 _CLASS = re.compile(rb"""\bcontentClass\s*=\s*["']([^"']*)["']""")
 
 
-def description_beside(path: Path) -> bytes | None:
-    """The description in the folder of a file; None without one."""
+def sibling_description(path: Path) -> bytes | None:
+    """Return the description in the folder of a file; None if there is none."""
     try:
         with path.with_name(DESCRIPTION).open("rb") as file:
             text = file.read(MOST_BYTES)
@@ -32,29 +32,26 @@ def description_beside(path: Path) -> bytes | None:
 
 
 def listed_files(description: bytes) -> list[str]:
-    """Names of all files that a description lists."""
+    """Return the names of all files that a description lists."""
     ids = (_ID.search(entry[2]) for entry in ENTRY.finditer(description))
     return [match[1].decode("utf-8", "replace") for match in ids if match]
 
 
 def accelerations(description: bytes) -> list[str]:
-    """Names of the files with signals of class `acc`, in their order, binary ones first."""
+    """Return the names of files with signals of class `acc`, in their order, binary ones first."""
     signals = [entry[2] for entry in ENTRY.finditer(description) if entry[1] == b"signalEntry"]
     classes = [(_ID.search(signal), _CLASS.search(signal)) for signal in signals]
-    names = [name[1].decode("utf-8", "replace") for name, kind in classes if name and kind and _is_acc(kind)]
+    found = [name for name, kind in classes if name and kind and kind[1].lower() == b"acc"]
+    names = [name[1].decode("utf-8", "replace") for name in found]
     return sorted(names, key=lambda name: not name.lower().endswith(".bin"))
 
 
-def _is_acc(kind: re.Match[bytes]) -> bool:
-    return kind[1].lower() == b"acc"
-
-
 def belongs_to_another(path: Path) -> bool:
-    """Whether a file is part of a Unisens recording that goes by the name of another file.
+    """Return True for a file of a Unisens recording that goes by the name of another file.
 
-    A folder goes by the name of its accelerations, or of its description if they are not there.
+    A folder goes by the name of its accelerations, or of its description if they are missing.
     """
-    text = description_beside(path)
+    text = sibling_description(path)
     names = [] if text is None else accelerations(text)
     if text is None or not names or path.name == names[0]:
         return False
@@ -64,12 +61,13 @@ def belongs_to_another(path: Path) -> bool:
 
 
 def sniff(probe: Probe) -> int:
-    """100 for a description; 98 for a binary file of accelerations that one beside it lists."""
+    """Return 100 for a description; 98 for a binary file of accelerations that the description beside it
+    lists."""
     if ROOT.search(probe.head[:4096]):
         return 100
     if probe.suffix != ".bin":
         return 0
-    text = description_beside(probe.path)
+    text = sibling_description(probe.path)
     return 98 if text is not None and probe.path.name in accelerations(text) else 0
 
 

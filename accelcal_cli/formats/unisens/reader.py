@@ -1,13 +1,19 @@
-"""An open Unisens recording: its accelerations, and the rotation rates and temperatures beside them.
+"""Reads Unisens recordings: the accelerations, and the rotation rates and temperatures measured with them.
 
-All signals begin at the description's time, each with its own rate and in a file of its own.
+`unisens.xml` describes the signals: rates, types of numbers, scales, units, channels. A value is
+(number - baseline) * lsbValue, in the signal's unit; `adcZero`, the middle of the converter's range, plays no
+part in that. All signals begin at the description's time, each with its own rate and in a file of its own.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from fractions import Fraction
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +26,7 @@ from accelcal_cli.core.recording import (
     LARGEST_LSB_PER_G,
     Channels,
     Counts,
+    Device,
     Problem,
     Reader,
     Recording,
@@ -37,16 +44,9 @@ from accelcal_cli.core.vocabulary import (
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import FrameFile, FrameReader, Frames
 from accelcal_cli.formats._rows import MISSING, first_values
-from accelcal_cli.formats.unisens import DESCRIPTION
-from accelcal_cli.formats.unisens.description import (
-    COPY_AGAIN,
-    RATES_HZ,
-    Description,
-    Signal,
-    load_description,
-)
+from accelcal_cli.formats.unisens import DESCRIPTION, MOST_BYTES
 
-ACC, GYRO, WARM = (names_in(names, In.UNISENS) for names in (ACCELEROMETER, GYROSCOPE, THERMOMETER))
+ACC, GYRO, TEMPERATURES = (names_in(names, In.UNISENS) for names in (ACCELEROMETER, GYROSCOPE, THERMOMETER))
 AXES = "xyz"
 LARGEST_G = 100.0
 WARMEST_MC = 200_000
@@ -59,15 +59,152 @@ NO_START = "the description does not tell when the recording began: times count 
 OTHER_GYRO = (
     "{name} was not used: it has another rate, length or unit than those of rotation rates beside {acc}"
 )
+TYPES = {
+    "int8": "i1",
+    "uint8": "u1",
+    "int16": "i2",
+    "uint16": "u2",
+    "int32": "i4",
+    "uint32": "u4",
+    "float": "f4",
+    "double": "f8",
+}
+RATES_HZ = (1e-3, 100_000.0)
+LARGEST_BASELINE = 1 << 31
+COPY_AGAIN = "copy the whole folder again"
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
-    """A signal in a file of its own, by the rows of the accelerations.
+class Signal:
+    """One signal of even rate.
+
+    Attributes:
+        name: name of its file.
+        kind: its content class, in lower case.
+        number: numpy's name of the type of its numbers; None if it is no binary file or of another type.
+        lsb: the unit's value of one step.
+        bits: resolution of the converter, None if unknown.
+        channels: names.
+    """
+
+    name: str
+    kind: str
+    number: str | None
+    rate_hz: float
+    lsb: float
+    baseline: int
+    bits: int | None
+    unit: str
+    channels: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Description:
+    """The description of a recording.
+
+    Attributes:
+        start_us: start of all signals [us], None if unknown.
+        is_utc: True if the start was given with an offset from UTC.
+    """
+
+    signals: tuple[Signal, ...]
+    start_us: int | None
+    is_utc: bool
+    device: Device
+
+    def of_kind(self, *kinds: str) -> Signal | None:
+        """Return the first binary signal of one of these content classes."""
+        return next((one for one in self.signals if one.kind in kinds and one.number is not None), None)
+
+
+def load_description(path: Path) -> Description:
+    """Read `unisens.xml`.
+
+    Raises:
+        UnreadableError: it cannot be read, or is no XML of Unisens.
+    """
+    try:
+        with path.open("rb") as file:
+            text = file.read(MOST_BYTES)
+        if b"<!" in text.replace(b"<!--", b""):
+            raise UnreadableError("has declarations, which Unisens does not use", path=path, hint=COPY_AGAIN)
+        root = ElementTree.fromstring(text)
+    except OSError as error:
+        what = f"cannot be read ({error.strerror or error})"
+        raise UnreadableError(what, path=path, hint=COPY_AGAIN) from error
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
+        raise UnreadableError(f"is damaged ({error})", path=path, hint=COPY_AGAIN) from error
+    if _tag(root) != "unisens":
+        raise UnreadableError("is not a description of Unisens", path=path, hint=COPY_AGAIN)
+    moment = _moment(root.get("timestampStart", ""))
+    return Description(
+        signals=tuple(_signal(item) for item in _children(root, "signalEntry")),
+        start_us=None if moment is None else moment[0],
+        is_utc=moment is not None and moment[1],
+        device=_device(root),
+    )
+
+
+def _tag(item: ElementTree.Element) -> str:
+    return item.tag.rpartition("}")[2] if isinstance(item.tag, str) else ""
+
+
+def _children(item: ElementTree.Element, tag: str) -> Iterator[ElementTree.Element]:
+    return (child for child in item if _tag(child) == tag)
+
+
+def _signal(item: ElementTree.Element) -> Signal:
+    binary = next(_children(item, "binFileFormat"), None)
+    order = "<" if binary is None or binary.get("endianess", "LITTLE").upper() == "LITTLE" else ">"
+    code = TYPES.get(item.get("dataType", "").lower())
+    bits = round(_number(item.get("adcResolution"), 0.0))
+    return Signal(
+        name=item.get("id", ""),
+        kind=item.get("contentClass", "").lower(),
+        number=None if binary is None or code is None else order + code,
+        rate_hz=_number(item.get("sampleRate"), 0.0),
+        lsb=_number(item.get("lsbValue"), 1.0),
+        baseline=round(max(-LARGEST_BASELINE, min(LARGEST_BASELINE, _number(item.get("baseline"), 0.0)))),
+        bits=bits if 1 < bits <= 32 else None,
+        unit=item.get("unit", "").strip(),
+        channels=tuple(channel.get("name", "") for channel in _children(item, "channel")),
+    )
+
+
+def _number(text: str | None, default: float) -> float:
+    """Return a finite number; `default` if the text is none."""
+    try:
+        value = float(text or "")
+    except ValueError:
+        return default
+    return value if math.isfinite(value) else default
+
+
+def _moment(text: str) -> tuple[int, bool] | None:
+    """Return the microseconds since 1970, and whether they are UTC; None if the text is no time."""
+    try:
+        moment = datetime.fromisoformat(text.strip())
+        known = moment.tzinfo is not None
+        since = moment.astimezone(UTC) if known else moment.replace(tzinfo=UTC)
+    except (ValueError, OverflowError):
+        return None
+    return (since - datetime(1970, 1, 1, tzinfo=UTC)) // datetime.resolution, known
+
+
+def _device(root: ElementTree.Element) -> Device:
+    pairs = (item for group in _children(root, "customAttributes") for item in group)
+    attributes = {item.get("key", ""): (item.get("value") or "").strip() for item in pairs}
+    model, serial = attributes.get("sensorType") or None, attributes.get("sensorSerialNumber") or None
+    return Device(model, serial, attributes.get("sensorFirmwareVersion") or None)
+
+
+@dataclass(frozen=True, slots=True)
+class SiblingSignal:
+    """A signal in a file of its own, read for the rows of the accelerations.
 
     Attributes:
         ratio: its samples for each row.
-        frames: how many it has.
+        frames: how many samples it has.
     """
 
     path: Path
@@ -76,7 +213,8 @@ class Beside:
     frames: int
 
     def values(self, first: int, rows: int) -> NDArray[np.float64]:
-        """Its numbers less the baseline, (rows, channels): those that lasted while each row was measured."""
+        """Return its numbers less the baseline, (rows, channels): those that held while each row was
+        measured."""
         ratio, width = self.ratio, frame_bytes(self.signal)
         wanted = (
             first * ratio.numerator + np.arange(rows, dtype=np.int64) * ratio.numerator
@@ -92,32 +230,32 @@ class Beside:
 
 
 def frame_bytes(signal: Signal) -> int:
-    """Bytes of one sample of all channels."""
+    """Return the bytes of one sample of all channels."""
     return np.dtype(signal.number or "u1").itemsize * max(1, len(signal.channels))
 
 
 def numbers_of(table: NDArray[np.uint8], signal: Signal) -> NDArray[np.generic]:
-    """Samples (n, bytes) as numbers, (n, channels)."""
+    """Return samples (n, bytes) as numbers, (n, channels)."""
     return np.ascontiguousarray(table).view(np.dtype(signal.number))
 
 
 @dataclass(frozen=True, slots=True)
 class Decoder:
-    """Turns the file of accelerations into rows.
+    """Decodes the file of accelerations to rows.
 
     Attributes:
         axes: channels of x, y and z.
-        grid: of a signal of floating-point numbers, counts in one of them; None for whole numbers.
+        grid: for a signal of floating-point numbers, counts in one unit; None for whole numbers.
     """
 
     signal: Signal
     axes: tuple[int, ...]
     grid: float | None
-    gyro: Beside | None
-    warm: Beside | None
+    gyro: SiblingSignal | None
+    thermometer: SiblingSignal | None
 
     def __call__(self, table: NDArray[np.uint8], first: int) -> Frames:
-        """Rows of some frames."""
+        """Decode some frames to rows."""
         numbers = numbers_of(table, self.signal)[:, self.axes]
         counts, faulty = self._whole(numbers) if self.grid is None else self._rounded(numbers, self.grid)
         return Frames(counts, faulty if faulty.any() else None, None, self.channels(first, len(table)))
@@ -136,14 +274,14 @@ class Decoder:
         return np.rint(np.where(faulty[:, None], 0, counts)).astype(np.int32), faulty
 
     def channels(self, first: int, rows: int) -> Channels:
-        """What was measured beside the accelerations of some rows."""
+        """Return what was measured together with the accelerations of some rows."""
         channels: Channels = {}
         if self.gyro is not None:
             values = self.gyro.values(first, rows)
             channels["gyro_counts"] = np.clip(values, WIDE.min, WIDE.max).astype(np.int32)
-        if self.warm is not None:
+        if self.thermometer is not None:
             with np.errstate(invalid="ignore", over="ignore"):
-                values = self.warm.values(first, rows)[:, 0] * (self.warm.signal.lsb * 1000)
+                values = self.thermometer.values(first, rows)[:, 0] * (self.thermometer.signal.lsb * 1000)
             known = np.abs(values) <= WARMEST_MC
             whole = np.rint(np.where(known, values, 0))
             channels["temperature_mc"] = np.where(known, whole, MISSING).astype(np.int32)
@@ -155,7 +293,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
     Raises:
         UnreadableError: the description is missing or damaged, it lists no binary accelerations, these are
-            not there or hold no sample, or their rate, scale, unit or axes are not told.
+            missing or hold no sample, or their rate, scale, unit or axes are unknown.
         UsageError: the user's rate contradicts the description.
     """
     named = path.name == DESCRIPTION or path.suffix.lower() == ".xml"
@@ -164,7 +302,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     signal = signal_of(description, xml, None if named else path.name)
     data = path.with_name(signal.name)
     rows = frames_of(data, signal)
-    gyro = beside(description.of_kind(*GYRO), signal, data)
+    gyro = sibling_signal(description.of_kind(*GYRO), signal, data)
     fits = gyro is not None and gyro.ratio == 1 and gyro.frames >= rows and is_rotation(gyro.signal)
     scale, is_float = lsb_per_g_of(signal, options, xml), np.dtype(signal.number).kind == "f"
     decoder = Decoder(
@@ -172,7 +310,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         axes_of(signal, xml),
         FLOAT_LSB_PER_G / scale if is_float else None,
         gyro if fits else None,
-        beside(description.of_kind(*WARM), signal, data),
+        sibling_signal(description.of_kind(*TEMPERATURES), signal, data),
     )
     start_us = description.start_us
     first = first_values(decoder.channels(0, min(rows, MOST_FIRST_ROWS)))
@@ -199,7 +337,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
-    """The accelerations, of that name if one is given.
+    """Return the accelerations, of this name if one is given.
 
     Raises:
         UnreadableError: there are none in a binary file, this is not there, or their rate is impossible.
@@ -217,19 +355,19 @@ def signal_of(description: Description, xml: Path, name: str | None) -> Signal:
     if not RATES_HZ[0] <= signal.rate_hz <= RATES_HZ[1]:
         what = f"gives {signal.name} an impossible sampling rate of {signal.rate_hz:g} Hz"
         raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
-    if not is_beside(xml, signal):
+    if not has_file(xml, signal):
         what = f"lists {signal.name!r}, which is no file in its folder"
         raise UnreadableError(what, path=xml, hint=COPY_AGAIN)
     return signal
 
 
-def is_beside(xml: Path, signal: Signal) -> bool:
-    """Whether a signal's file is there; names that lead elsewhere are none."""
+def has_file(xml: Path, signal: Signal) -> bool:
+    """Return True if a signal's file is in the folder; names that lead elsewhere do not count."""
     return Path(signal.name).name == signal.name != "" and xml.with_name(signal.name).is_file()
 
 
 def frames_of(data: Path, signal: Signal) -> int:
-    """How many whole samples a file has.
+    """Return how many whole samples a file has.
 
     Raises:
         UnreadableError: it cannot be read, is compressed, or has none.
@@ -243,7 +381,7 @@ def frames_of(data: Path, signal: Signal) -> int:
 
 
 def axes_of(signal: Signal, xml: Path) -> tuple[int, ...]:
-    """Which channels are x, y and z: those whose names end so, else the only three.
+    """Return which channels are x, y and z: those whose names end so, else the only three.
 
     Raises:
         UnreadableError: neither is the case.
@@ -258,7 +396,7 @@ def axes_of(signal: Signal, xml: Path) -> tuple[int, ...]:
 
 
 def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
-    """Steps in one g: the user's, else those of the signal's scale and unit, or the user's unit.
+    """Return the steps in one g: the user's, else those of the signal's scale and unit, or the user's unit.
 
     Raises:
         UnreadableError: the unit is none of acceleration, or the scale is impossible.
@@ -276,8 +414,8 @@ def lsb_per_g_of(signal: Signal, options: ReadOptions, xml: Path) -> float:
     return found
 
 
-def beside(other: Signal | None, signal: Signal, data: Path) -> Beside | None:
-    """A signal beside the accelerations; None if it is not there, or nothing is in it."""
+def sibling_signal(other: Signal | None, signal: Signal, data: Path) -> SiblingSignal | None:
+    """Return a signal's file beside the accelerations; None if it is missing, empty or too fast."""
     if (
         other is None
         or Path(other.name).name != other.name
@@ -287,11 +425,11 @@ def beside(other: Signal | None, signal: Signal, data: Path) -> Beside | None:
     path = data.with_name(other.name)
     frames = path.stat().st_size // frame_bytes(other) if path.is_file() else 0
     ratio = rate_fraction(other.rate_hz) / rate_fraction(signal.rate_hz)
-    return Beside(path, other, ratio, frames) if frames and 0 < ratio < MOST_RATIO else None
+    return SiblingSignal(path, other, ratio, frames) if frames and 0 < ratio < MOST_RATIO else None
 
 
 def is_rotation(signal: Signal) -> bool:
-    """Whether a signal holds rotation rates of three axes, as whole numbers."""
+    """Return True if a signal holds rotation rates of three axes, as whole numbers."""
     whole = np.dtype(signal.number).kind in "iu"
     return (
         whole

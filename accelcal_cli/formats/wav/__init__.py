@@ -17,7 +17,8 @@ CHANNEL = re.compile(rb"Channel-\d+: *Accel-[XYZ]")
 
 
 def sniff(probe: Probe) -> int:
-    """100 for a sound file whose comment names an axis of acceleration; other sounds are no recordings."""
+    """Return 100 for a sound file whose comment names an axis of acceleration; no other sound is a
+    recording."""
     if not probe.head.startswith(MAGIC) or not probe.head.startswith(KIND, KIND_AT):
         return 0
     return 100 if CHANNEL.search(probe.head) else 0

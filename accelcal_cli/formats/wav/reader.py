@@ -1,15 +1,21 @@
-"""An open sound file by omconvert: what is known of the recording, and its rows.
+"""Reads sound files by omconvert: the chunks that describe the recording, and its samples.
 
-Its samples are not those of the device but resampled to an even rate, and calibrated if omconvert was told
-so. The last channel says of each sample whether it was measured and whether clipped, and now and then what a
-thermometer measured.
+Metadata are lines of `key: value` in the chunks of a LIST of kind INFO: IART names the device, ICMT has the
+first sample's time and the channels, and ICRD that time again.
+
+The samples are not those of the device but resampled to an even rate, and calibrated if omconvert was told
+to. The last channel says of each sample whether it was measured and whether clipped, and now and then holds a
+temperature.
 """
 
 from __future__ import annotations
 
+import re
+import struct
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +23,10 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
+from accelcal_cli.core.recording import Channels, Chunk, Device, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._bytes import ByteSource
 from accelcal_cli.formats._frames import AFTER_BYTES, FIRST_ROWS, FrameFile, FrameIntake, FrameReader, Frames
 from accelcal_cli.formats._rows import MISSING, first_values
-from accelcal_cli.formats.wav.header import CHUNK, EXTENSIBLE, PCM, Header, parse_header
 
 FULL_SCALE = 1 << 15
 VALUE_BYTES = 2
@@ -38,8 +43,122 @@ NO_SENSOR = (0, CONTENT)
 NOT_MEASURED = "missing_value", "samples that the file marks as not measured, left out"
 NO_START = "the file does not tell its time: times count from its start"
 COPY_AGAIN = "convert the recording again with omconvert"
-WARM = "temperature = raw * 75 / 256 - 50 degrees C"
+TEMPERATURE_NOTE = "temperature = raw * 75 / 256 - 50 degrees C"
 RESAMPLED = "omconvert resampled the recording, and may have calibrated it"
+FORM = struct.Struct("<HHIIHH")
+PCM, EXTENSIBLE = 1, 0xFFFE
+USUAL_START = 1024
+"""Length [bytes] to which omconvert fills up the chunks before the samples."""
+
+CHUNK = struct.Struct("<4sI")
+_PAIR = re.compile(r"([^:\n]{1,64}):([^\n]*)")
+_SCALE = re.compile(r"\d{1,6}(\.\d{1,6})?")
+_EPOCH = datetime(1970, 1, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """The content of the chunks before the samples; None or empty for what they lack.
+
+    Attributes:
+        data_start: offset of the samples [bytes].
+        data_bytes: length of the samples according to the header.
+        channels: number of values in each sample.
+        tag: kind of the samples, by the form.
+        labels: what each channel holds, by its number from 0, such as `Accel-X`.
+        scales: the physical value of 32768, by the same numbers.
+        start_us: time of the first sample [us].
+        damage: what is wrong with the chunks, in plain words.
+    """
+
+    data_start: int
+    data_bytes: int
+    channels: int
+    rate_hz: int
+    bits: int
+    tag: int
+    labels: dict[int, str]
+    scales: dict[int, float]
+    start_us: int | None
+    device: Device
+    damage: str | None
+
+
+def parse_header(head: bytes) -> Header | None:
+    """Read the chunks; None without the form of the samples, or without the samples.
+
+    Args:
+        head: the file's first bytes.
+    """
+    chunks, start, size = _chunks(head)
+    damage = None
+    usual = head[USUAL_START - CHUNK.size : USUAL_START]
+    if start is None and len(usual) == CHUNK.size and usual.startswith(b"data"):
+        start, size = USUAL_START, CHUNK.unpack(usual)[1]
+        damage = "the chunks before the samples are damaged"
+    form = chunks.get(b"fmt ", b"")
+    if start is None or len(form) < FORM.size:
+        return None
+    tag, channels, rate_hz, _, _, bits = FORM.unpack_from(form)
+    comment = _pairs(chunks.get(b"ICMT", b""))
+    names = _pairs(chunks.get(b"IART", b""))
+    scales = _numbered(comment, "Scale-")
+    texts = (comment.get("Time"), _text(chunks.get(b"ICRD", b"")))
+    times = [time for time in map(_time, texts) if time is not None]
+    return Header(
+        data_start=start,
+        data_bytes=size,
+        channels=channels,
+        rate_hz=rate_hz,
+        bits=bits,
+        tag=tag,
+        labels=_numbered(comment, "Channel-"),
+        scales={k: float(text) for k, text in scales.items() if _SCALE.fullmatch(text) and float(text) > 0},
+        start_us=times[0] if times else None,
+        device=Device(names.get("Device"), names.get("Id"), names.get("Firmware")),
+        damage=damage,
+    )
+
+
+def _chunks(head: bytes) -> tuple[dict[bytes, bytes], int | None, int]:
+    """Return the chunks by name, also those of lists; and the offset and length of the samples."""
+    found: dict[bytes, bytes] = {}
+    at, end = 12, len(head)
+    while at + CHUNK.size <= end:
+        name, size = CHUNK.unpack_from(head, at)
+        at += CHUNK.size
+        if name == b"data":
+            return found, at, size
+        if name == b"LIST":
+            at += 4
+            continue
+        found.setdefault(name, head[at : at + size])
+        at += size + size % 2
+    return found, None, 0
+
+
+def _text(data: bytes) -> str:
+    return data.split(b"\0")[0].decode("ascii", "replace")
+
+
+def _pairs(data: bytes) -> dict[str, str]:
+    """Return the lines of `key: value`."""
+    return {match[1].strip(): match[2].strip() for match in _PAIR.finditer(_text(data))}
+
+
+def _numbered(pairs: dict[str, str], prefix: str) -> dict[int, str]:
+    """Return the values of keys such as `Channel-1`, by their numbers from 0."""
+    keys = {key: key.removeprefix(prefix) for key in pairs if key.startswith(prefix)}
+    return {int(number) - 1: pairs[key] for key, number in keys.items() if re.fullmatch(r"\d{1,2}", number)}
+
+
+def _time(text: str | None) -> int | None:
+    """Return the microseconds since 1970 of a time such as 2014-08-01 10:00:00.000."""
+    try:
+        moment = datetime.fromisoformat((text or "").strip())
+    except ValueError:
+        return None
+    return None if moment.tzinfo else (moment - _EPOCH) // timedelta(microseconds=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,8 +166,8 @@ class Layout:
     """Which channels hold what, by their numbers from 0.
 
     Attributes:
-        gyro: None without one, or without its scale.
-        aux: the last channel, None without it.
+        gyro: None without a gyroscope, or without its scale.
+        aux: the last channel, with marks and temperatures; None if there is none.
     """
 
     channels: int
@@ -57,7 +176,7 @@ class Layout:
     aux: int | None
 
     def __call__(self, table: NDArray[np.uint8], _first: int = 0) -> Frames:
-        """Samples (n, bytes) as rows."""
+        """Decode samples (n, bytes) to rows."""
         values = table.view("<i2").astype(np.int16, copy=False)
         channels: Channels = {}
         if self.gyro is not None:
@@ -75,7 +194,7 @@ class Layout:
 
 
 def temperatures_mc(aux: NDArray[np.uint16]) -> NDArray[np.int32]:
-    """Thousandths of a degree C where the last channel holds a temperature, else MISSING, (n,)."""
+    """Return thousandths of a degree C if the last channel holds a temperature, else MISSING, (n,)."""
     raw = aux & CONTENT
     measured = ((aux & KIND) == TEMPERATURE) & ~np.isin(raw, NO_SENSOR)
     scaled = (raw.astype(np.int32) * 75_000 + 128) // 256 - 50_000
@@ -83,7 +202,7 @@ def temperatures_mc(aux: NDArray[np.uint16]) -> NDArray[np.int32]:
 
 
 def layout_of(header: Header, path: Path) -> Layout:
-    """Where the axes are.
+    """Return the channels of the axes.
 
     Raises:
         UnreadableError: the form is not that of omconvert's samples, or an axis has no channel.
@@ -109,10 +228,10 @@ def layout_of(header: Header, path: Path) -> Layout:
 
 
 class WavIntake(FrameIntake):
-    """Takes a sound file as it grows."""
+    """Reads a sound file as it grows."""
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
-        """See `Intake`; raises UnreadableError where more samples follow than the header tells of."""
+        """See `Intake`; raises UnreadableError if more samples follow than the header announces."""
         yield from super().take(data, last=last)
         if len(self.after) == AFTER_BYTES and not self.after[:4].isalnum():
             what = "more samples follow than its header tells of"
@@ -120,7 +239,7 @@ class WavIntake(FrameIntake):
 
 
 class WavReader(FrameReader):
-    """Streams the samples, from a file that may be growing."""
+    """Streams the samples of a file that may be growing."""
 
     def intake(self) -> Intake:
         """See `Reader`."""
@@ -131,7 +250,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     """Open a recording.
 
     Raises:
-        UnreadableError: the form, the samples, the channels or their scale are not told, or there are none.
+        UnreadableError: the form, the samples, the channels or their scale are unknown, or there are none.
         UsageError: the user's rate contradicts the file's.
     """
     probe = probe_file(path, options)
@@ -153,7 +272,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
         left_out=NOT_MEASURED,
         damaged=False,
     )
-    file = replace(file, first_values=first_of(file))
+    file = replace(file, first_values=first_channel_values(file))
     problems = [Problem("damaged_header", text, 0, 0) for text in (header.damage, damage) if text]
     if header.start_us is None:
         problems.append(Problem("no_start_time", NO_START, 0, 0))
@@ -168,9 +287,9 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int | None, str | None]:
-    """How long the samples should be, None for up to the end of the file; and what contradicts that.
+    """Return the length of the samples, None for up to the end of the file; and what contradicts that.
 
-    Of a recording of more than 4 GiB the header tells only the rest.
+    The header of a recording of more than 4 GiB only gives the remainder.
     """
     if size is None or header.data_start + header.data_bytes >= size:
         return header.data_bytes or None, None
@@ -188,8 +307,8 @@ def announced_bytes(header: Header, path: Path, size: int | None) -> tuple[int |
     )
 
 
-def first_of(file: FrameFile) -> dict[str, int | None]:
-    """The first temperature, None if there is none among the first samples."""
+def first_channel_values(file: FrameFile) -> dict[str, int | None]:
+    """Return the first temperature; None if there is none among the first samples."""
     with closing(ByteSource(file.path)) as source:
         file.enter(source, 0)
         data = source.read_exact(FIRST_ROWS * file.frame_bytes)
@@ -201,10 +320,10 @@ def first_of(file: FrameFile) -> dict[str, int | None]:
 
 
 def describe(file: FrameFile, layout: Layout, header: Header, options: ReadOptions, size: int) -> Recording:
-    """What is known of the recording.
+    """Return the description of the recording.
 
     Raises:
-        UnreadableError: the axes' scale is not told or not the same, and `lsb_per_g` not given.
+        UnreadableError: the axes' scale is unknown or not the same, and `lsb_per_g` not given.
         UsageError: the user's rate contradicts the file's.
     """
     scales = {header.scales.get(axis) for axis in layout.accel}
@@ -215,6 +334,7 @@ def describe(file: FrameFile, layout: Layout, header: Header, options: ReadOptio
         raise UnreadableError(what, path=file.path, byte_offset=12, hint=hint)
     dps = tuple(header.scales[axis] / FULL_SCALE for axis in layout.gyro or ())
     frames = None if file.compressed else file.whole_frames()
+    has_temperature = file.first_values.get("temperature_mc") is not None
     return Recording(
         path=file.path,
         format="wav",
@@ -224,7 +344,7 @@ def describe(file: FrameFile, layout: Layout, header: Header, options: ReadOptio
         device=header.device,
         range_g=scale,
         duration_s=None if frames is None else frames / header.rate_hz,
-        has_temperature=file.first_values.get("temperature_mc") is not None,
+        has_temperature=has_temperature,
         gyro_dps_per_lsb=(dps[0], dps[1], dps[2]) if dps else None,
-        notes=(RESAMPLED, *((WARM,) if file.first_values.get("temperature_mc") is not None else ())),
+        notes=(RESAMPLED, TEMPERATURE_NOTE) if has_temperature else (RESAMPLED,),
     )
