@@ -15,12 +15,13 @@ import click
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, Positive, Within
-from accelcal_cli.cli.output import aligned, number, refuse_both
+from accelcal_cli.cli.output import aligned, refuse_both
 from accelcal_cli.core.errors import UsageError, counted, printable
 from accelcal_cli.devices.review import DeviceReview, Review, as_json, columns, review, row
-from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage, with_error
+from accelcal_cli.devices.table import OFFSETS, PARAMETERS, Kind, Usage
 from accelcal_cli.devices.trends import Drift, Rules, Trend
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.words import formatted, with_error
 
 HEAD = ("device", "recordings", "used", "refused", "first", "last", "held out mg", "mg/month", "%/month")
 DETAIL = ("parameter", "value", "+-", "a month", "+-", "scatter", "recordings", "certain")
@@ -57,7 +58,7 @@ def _line(name: str, device: DeviceReview) -> list[str]:
         str(device.refused),
         _date(device.begin),
         _date(device.end),
-        number(device.held_out_mg, ".2f"),
+        formatted(device.held_out_mg, ".2f"),
         _fastest(device, (Kind.OFFSET,)),
         _fastest(device, PERCENT),
     ]
@@ -125,7 +126,7 @@ def _recording(review: Review, index: int) -> list[str]:
 
 
 def _finite(value: float, form: str) -> str:
-    return number(value if isfinite(value) else None, form)
+    return formatted(value if isfinite(value) else None, form)
 
 
 LIMITS = {

@@ -9,11 +9,12 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, bytes_of, each_recording, number, refuse_both
+from accelcal_cli.cli.output import aligned, bytes_of, each_recording, refuse_both
 from accelcal_cli.cli.quality import request_beside
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
 from accelcal_cli.pipeline.effect import EPOCH_S
 from accelcal_cli.pipeline.jobs import ProgressMaker
@@ -91,7 +92,7 @@ def _shown(found: list[MeasuredEffect], values: dict[str, Any]) -> str:
 def _text(one: MeasuredEffect) -> str:
     """A row for each version, and what was left out."""
     rows = [
-        [_label(name, made["model"]), *(number(made[key], form) for key, (_, form) in FIGURES.items())]
+        [_label(name, made["model"]), *(formatted(made[key], form) for key, (_, form) in FIGURES.items())]
         for name, made in one.effect["versions"].items()
     ]
     table = aligned(["", *(words for words, _ in FIGURES.values())], rows)

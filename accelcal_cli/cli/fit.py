@@ -13,6 +13,7 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, fitting_options
 from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
+from accelcal_cli.output.report_view import report_view
 from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.given import fitting_settings
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
@@ -51,7 +52,7 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
     if as_json:
         exit_codes.show(json.dumps(report))
     else:
-        show_result(report, points, shown, values)
+        show_result(report_view(report), points, shown, values)
     if refused:
         say_refused(report["message"], points, values, shown=not as_json)
         return exit_codes.REFUSED

@@ -12,20 +12,10 @@ from typing import Any, TypeVar
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
-from accelcal_cli.output import advice
-from accelcal_cli.output.report import sphere_columns
+from accelcal_cli.output import words
+from accelcal_cli.output.report_view import ReportView, report_view, sphere_columns
+from accelcal_cli.output.words import formatted, mg, outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
-
-WORDS = {
-    Outcome.CALIBRATED: "calibrated",
-    Outcome.REDUCED_MODEL: "calibrated in part",
-    Outcome.ALREADY_GOOD: "good as it is",
-    Outcome.BORROWED: "calibrated with another recording's coefficients",
-}
-"""Outcomes for people, where their names are no words."""
-
-NUMBERS = {"3": "three", "6": "six", "9": "nine", "12": "twelve"}
-"""Parameters of models."""
 
 
 def aligned(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -40,42 +30,30 @@ def _line(row: Sequence[str], widths: list[int]) -> str:
     return "  ".join([first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in rest)]).rstrip()
 
 
-def figure(value: float | None, digits: int = 3) -> str:
-    """A cell of so many significant digits, `-` for none."""
-    if value is None:
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}".rstrip(".")
-
-
-def number(value: float | None, form: str) -> str:
-    """A cell of a number in a format, `-` for none."""
-    return "-" if value is None else format(value, form)
-
-
-def show_result(report: dict[str, Any], source: Path, written: Path | None, values: dict[str, Any]) -> None:
+def show_result(report: ReportView, source: Path, written: Path | None, values: dict[str, Any]) -> None:
     """Print the line of one recording's report, see `show_row`; at a terminal also what to be aware of."""
-    holdout, calibration = report["holdout"] or {}, report["calibration"] or {}
-    before, after = (holdout.get(f"{when}_mg", {}).get("mean") for when in ("before", "after"))
-    low, high = holdout.get("ci95_mg", (None, None))
-    row = {"outcome": report["outcome"], "model": calibration.get("model"), "before_mg": before}
-    judged = {
-        "after_mg": after,
-        "ci95_low_mg": low,
-        "ci95_high_mg": high,
-        "improvement_percent": holdout.get("improvement_percent"),
-        **sphere_columns(report),
+    holdout, calibrated = report.holdout, report.calibration is not None
+    row: dict[str, Any] = {
+        "outcome": report.outcome,
+        "model": None if report.calibration is None else report.calibration.model,
+        "before_mg": None if holdout is None else holdout.before_mg.mean,
+        "message": report.message,
+        "improvement_percent": None,
     }
-    row |= {"message": report["message"]} | (judged if calibration else dict.fromkeys(judged))
-    quiet = values.get("quiet", False)
-    show_row(row, source, written, values, () if quiet else _remarks(report))
+    if holdout is not None and calibrated:
+        low, high = holdout.ci95_mg
+        row |= {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
+        row["improvement_percent"] = holdout.improvement_percent
+    row |= sphere_columns(report.sphere_mg if calibrated else None)
+    show_row(row, source, written, values, () if values.get("quiet", False) else _remarks(report))
 
 
-def _remarks(report: dict[str, Any]) -> tuple[str, ...]:
-    """What to be aware of in a result, and what to do about a refusal."""
-    if report["outcome"] == Outcome.REFUSED:
-        return tuple(f"What to do: {one}" for one in advice.ways_on(report))
-    found = (*advice.cautions(report), *filter(None, (advice.unchecked(report),)))
-    return tuple(f"Caution: {one}" for one in found)
+def _remarks(report: ReportView) -> tuple[str, ...]:
+    """Return what to be aware of in a result, and what to do about a refusal."""
+    if report.outcome == Outcome.REFUSED:
+        return tuple(f"What to do: {one}" for one in words.ways_on(report))
+    remarks = (*words.cautions(report), *filter(None, (words.unchecked(report),)))
+    return tuple(f"Caution: {one}" for one in remarks)
 
 
 def show_row(
@@ -123,8 +101,8 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
         str(source),
         row["outcome"],
         row["model"] or "-",
-        *(number(row[name], ".3f") for name in ("before_mg", "after_mg")),
-        number(row["improvement_percent"], ".0f"),
+        *(formatted(row.get(name), ".3f") for name in ("before_mg", "after_mg")),
+        formatted(row["improvement_percent"], ".0f"),
         "-" if written is None else str(written),
     ]
     return "\t".join(map(printable, fields))
@@ -132,18 +110,18 @@ def _fields(row: dict[str, Any], source: Path, written: Path | None) -> str:
 
 def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
     """What became of a recording, and how certain the error is that was left."""
-    outcome, before, after = row["outcome"], row["before_mg"], row["after_mg"]
-    told = f"{source}: {WORDS.get(outcome, outcome)}"
+    outcome, before, after = row["outcome"], row["before_mg"], row.get("after_mg")
+    told = f"{source}: {outcome_words(outcome).result}"
     parts = []
     if row["model"] is not None and outcome != Outcome.ALREADY_GOOD:
-        parameters = _parameters(row["model"])
+        parameters = parameters_of(row["model"])
         told += f" ({parameters})" if outcome == Outcome.BORROWED else f" with {parameters}"
     if outcome == Outcome.REFUSED and row.get("message"):
         parts.append(row["message"])
     elif after is not None:
         parts += _errors(row)
     elif before is not None:
-        parts.append(f"the raw data are off by {_mg(before)} mg")
+        parts.append(f"the raw data are off by {mg(before)} mg")
     if written is not None:
         parts.append(f"written to {written}")
     return printable(": ".join(filter(None, (told, "; ".join(parts)))))
@@ -151,26 +129,13 @@ def _sentence(row: dict[str, Any], source: Path, written: Path | None) -> str:
 
 def _errors(row: dict[str, Any]) -> list[str]:
     """Errors before and after [mg], and the interval of the one to quote."""
-    before, after, sphere = row["before_mg"], row["after_mg"], row.get("sphere_mg")
+    before, after, sphere = row["before_mg"], row.get("after_mg"), row.get("sphere_mg")
     held_out = "on its own still windows" if row["outcome"] == Outcome.BORROWED else "held out"
-    change = f"{_mg(after)} mg" if after == before else f"{_mg(before)} -> {_mg(after)} mg"
+    change = f"{mg(after)} mg" if after == before else f"{mg(before)} -> {mg(after)} mg"
     if sphere is None:
-        return [f"{change} {held_out}, 95 % {_mg(row['ci95_low_mg'])}-{_mg(row['ci95_high_mg'])}"]
-    interval = f"95 % {_mg(row['sphere_low_mg'])}-{_mg(row['sphere_high_mg'])}"
-    return [f"{change} {held_out}", f"{_mg(sphere)} mg over the whole sphere, {interval}"]
-
-
-def _mg(value: float | None) -> str:
-    """A number of three digits, without zeros at its end."""
-    return "-" if value is None else f"{value:.0f}" if abs(value) >= 100 else f"{value:.3g}"
-
-
-def _parameters(model: str) -> str:
-    """A model for people: `nine parameters and temperature`."""
-    number_of = NUMBERS.get(model.removesuffix("T"))
-    if number_of is None:
-        return f"model {model}"
-    return f"{number_of} parameters{' and temperature' if model.endswith('T') else ''}"
+        return [f"{change} {held_out}, 95 % {mg(row['ci95_low_mg'])}-{mg(row['ci95_high_mg'])}"]
+    interval = f"95 % {mg(row['sphere_low_mg'])}-{mg(row['sphere_high_mg'])}"
+    return [f"{change} {held_out}", f"{mg(sphere)} mg over the whole sphere, {interval}"]
 
 
 def _doubts(row: dict[str, Any]) -> list[str]:
@@ -181,7 +146,7 @@ def _doubts(row: dict[str, Any]) -> list[str]:
     high = row.get("sphere_high_mg" if sphere else "ci95_high_mg")
     good = row["outcome"] == Outcome.ALREADY_GOOD
     before = None if good else row.get("sphere_before_mg" if sphere else "before_mg")
-    return advice.doubts(high, before, everywhere=sphere)
+    return words.doubts(high, before, everywhere=sphere)
 
 
 @contextlib.contextmanager
@@ -262,7 +227,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
     if values["as_json"]:
         exit_codes.show(json.dumps(result.report))
     else:
-        show_result(result.report, result.job.source, written(result), values)
+        show_result(report_view(result.report), result.job.source, written(result), values)
     _comment(result, values)
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 
@@ -294,29 +259,28 @@ def _caution(result: Result, values: dict[str, Any]) -> str | None:
 
         return warning(result.report)
     with_it = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
-    return None if with_it else advice.unchecked_poses(result.report)
+    return None if with_it else words.unchecked_poses(report_view(result.report))
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
-    report, name = result.report, printable(result.job.source)
+    report, name = report_view(result.report), printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
-        say_refused(report["message"], result.job.source, values)
+        say_refused(report.message, result.job.source, values)
     if (caution := _caution(result, values)) is not None:
         exit_codes.say(f"{name}: {caution}")
     if values["quiet"]:
         return
     if result.up_to_date:
         exit_codes.say(f"{name}: up to date")
-    problems = report["file_health"]["problems"]
+    problems = report.file_health.problems
     for problem in problems if values["verbose"] else problems[:1]:
         omitted = 0 if values["verbose"] else len(problems) - 1
         more = f" (and {omitted} more; see the report)" if omitted else ""
-        exit_codes.say(f"{name}: {problem['code']}: {problem['message']}{more}")
+        exit_codes.say(f"{name}: {problem.code}: {problem.message}{more}")
     if values["verbose"]:
         if result.outcome is not Outcome.REFUSED:
-            exit_codes.say(f"{name}: {report['message']}")
-        for trial in report["models_tried"]:
-            after_mg = trial["after_mg"]
-            error = trial["reason"] if after_mg is None else f"{after_mg:.3f} mg held out"
-            prior = " with the prior" if "prior" in trial else ""
-            exit_codes.say(f"{name}: model {trial['model']}{prior}: {error}")
+            exit_codes.say(f"{name}: {report.message}")
+        for trial in report.models_tried:
+            error = trial.reason if trial.after_mg is None else f"{trial.after_mg:.3f} mg held out"
+            prior = " with the prior" if trial.prior is not None else ""
+            exit_codes.say(f"{name}: model {trial.model}{prior}: {error}")

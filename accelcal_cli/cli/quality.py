@@ -10,9 +10,10 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, bytes_of, number, progress_bars
+from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
+from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.quality import Quality, State, as_json, quality
@@ -97,7 +98,7 @@ def _lines(columns: dict[str, list[Any]]) -> list[list[str]]:
 
 
 def _cell(value: Any) -> str:
-    return number(value, ".2f") if isinstance(value, float) or value is None else str(value)
+    return formatted(value, ".2f") if isinstance(value, float) or value is None else str(value)
 
 
 def _sentence(found: Quality) -> str:

@@ -16,6 +16,7 @@ import numpy as np
 from accelcal_cli.core.version import __version__
 from accelcal_cli.devices import table
 from accelcal_cli.devices.trends import SIGNIFICANT, Drift, Referred, Rules, Trend, at_one_temperature, trends
+from accelcal_cli.output.words import with_error
 
 PERHAPS = 0.05
 """A drift that is not certain is reported if it is less probable than this by chance; our choice."""
@@ -163,7 +164,7 @@ def _drifts(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
     for trend, drift in sorted(found, key=lambda one: -abs(one[1].per_month) / limits[one[0].parameter]):
         size = abs(drift.per_month)
         if size > limits[trend.parameter] and drift.probability < PERHAPS:
-            shown = f"{table.with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
+            shown = f"{with_error(drift.per_month, drift.error)} {trend.parameter.unit}"
             text = f"{trend.parameter.label} drifts by {shown} a month"
             doubt = "" if drift.significant else f" (not certain from {trend.number} recordings)"
             yield Reason("drift", text + doubt, drift.significant)
@@ -176,7 +177,7 @@ def _levels(device: DeviceReview, rules: Rules) -> Iterator[Reason]:
         if beyond > 0:
             unit = trend.parameter.unit
             limit = f"limit {limits[trend.parameter]:g} {unit}"
-            text = f"{trend.parameter.label} is {table.with_error(trend.value, trend.error)} {unit} ({limit})"
+            text = f"{trend.parameter.label} is {with_error(trend.value, trend.error)} {unit} ({limit})"
             yield Reason("level", text, beyond > SIGNIFICANT * trend.error)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from enum import StrEnum
-from math import floor, isnan, log10, nan
+from math import isnan, nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -81,12 +81,6 @@ class Parameter:
     def label(self) -> str:
         """For people."""
         return self.name.replace("_", " ")
-
-
-def with_error(value: float, error: float) -> str:
-    """A value and its standard error, this to two significant digits."""
-    digits = 2 if error <= 0 else min(6, max(0, 1 - floor(log10(error))))
-    return f"{value:+.{digits}f} +- {error:.{digits}f}"
 
 
 def _parameter(index: int, axes: str) -> Parameter:

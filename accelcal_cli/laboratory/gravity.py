@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import METHOD, Positive, Within, gravity_options
-from accelcal_cli.cli.output import aligned, figure, progress_bars
+from accelcal_cli.cli.output import aligned, progress_bars
 from accelcal_cli.core.calibration import Calibration, in_standard_g
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
@@ -34,6 +34,7 @@ from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.judge.turning import Gravity
 from accelcal_cli.laboratory.cases import ALL, Case, Method, Plan, as_points, make_case, measured, methods
 from accelcal_cli.output.report import significant
+from accelcal_cli.output.words import figure
 from accelcal_cli.pipeline.given import gravity
 from accelcal_cli.simulate import draw_gyroscope, unit
 

@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.options import Positive
-from accelcal_cli.cli.output import aligned, figure, number, progress_bars, refuse_both
+from accelcal_cli.cli.output import aligned, progress_bars, refuse_both
 from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.words import figure, formatted
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
@@ -493,7 +494,7 @@ def _clock(one: Compared) -> list[str]:
     if clock is None:
         return ["-"] * len(HEAD)
     shown = ((clock.lag_s, "+.3f"), (clock.drift_ppm, "+.1f"), (clock.residual_ms, ".1f"))
-    return [*(number(value, form) for value, form in shown), number(clock.correlation, ".3f")]
+    return [*(formatted(value, form) for value, form in shown), formatted(clock.correlation, ".3f")]
 
 
 def _pairs(likeness: Likeness | None) -> list[str]:

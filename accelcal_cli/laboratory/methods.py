@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
+from accelcal_cli.cli.output import aligned, each_recording, refuse_both
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS
@@ -23,6 +23,7 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
+from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
 from accelcal_cli.pipeline.stated import options_of
@@ -243,9 +244,9 @@ def _means(rows: list[Row]) -> list[str]:
         [
             one.optimizer,
             str(one.recordings),
-            number(one.before_mg, ".3f"),
-            number(one.after_mg, ".3f"),
-            number(one.improvement_percent, ".0f"),
+            formatted(one.before_mg, ".3f"),
+            formatted(one.after_mg, ".3f"),
+            formatted(one.improvement_percent, ".0f"),
         ]
         for one in means(rows)
     ]
@@ -257,10 +258,10 @@ def _cells(row: Row) -> list[str]:
     return [
         row.optimizer,
         row.model or row.outcome,
-        number(row.before_mg, ".3f"),
-        number(row.after_mg, ".3f"),
-        number(row.improvement_percent, ".0f"),
-        number(row.iterations, "d"),
-        number(counted, "d"),
-        number(None if row.seconds is None else row.seconds * 1000, ".1f"),
+        formatted(row.before_mg, ".3f"),
+        formatted(row.after_mg, ".3f"),
+        formatted(row.improvement_percent, ".0f"),
+        formatted(row.iterations, "d"),
+        formatted(counted, "d"),
+        formatted(None if row.seconds is None else row.seconds * 1000, ".1f"),
     ]

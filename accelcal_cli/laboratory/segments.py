@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, each_recording, number
+from accelcal_cli.cli.output import aligned, each_recording
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import read_table, windows_of
 from accelcal_cli.core.errors import DivergedError, UsageError, printable
@@ -31,6 +31,7 @@ from accelcal_cli.core.settings import Settings
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.verdict import held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
+from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.stated import options_of
@@ -461,5 +462,5 @@ def _table(found: list[Segment], limit_mg: float) -> str:
     rows = []
     for name, group in {**groups, "all": found}.items():
         row = asdict(summary(group, limit_mg))
-        rows.append([name, *(number(row[key], form) for key, form in shown.items())])
+        rows.append([name, *(formatted(row[key], form) for key, form in shown.items())])
     return aligned(["hours", *(key.replace("_", " ") for key in shown)], rows)

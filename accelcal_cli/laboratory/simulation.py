@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import METHOD, Listed, OneOf
-from accelcal_cli.cli.output import aligned, figure, number, progress_bars
+from accelcal_cli.cli.output import aligned, progress_bars
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.fixed import ONE
@@ -45,6 +45,7 @@ from accelcal_cli.laboratory.descent import (
 from accelcal_cli.laboratory.descent import as_json as convergence_json
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import significant
+from accelcal_cli.output.words import figure, formatted
 
 Real = NDArray[np.float64]
 Step = Callable[[int], None]
@@ -426,9 +427,9 @@ def _cost(scores: Scores) -> tuple[str, ...]:
     seconds, charge = predicted_seconds(done, arithmetic) or {}, predicted_charge_mc(done, arithmetic) or {}
     return (
         scores.method.label,
-        number(scores.iterations, ".0f"),
-        number(done.additions or None, "d"),
-        number(done.multiplications or None, "d"),
+        formatted(scores.iterations, ".0f"),
+        formatted(done.additions or None, "d"),
+        formatted(done.multiplications or None, "d"),
         figure(None if scores.seconds is None else 1e3 * scores.seconds),
         *(figure(of.get(item.name)) for item in MICROCONTROLLERS for of in (seconds, charge)),
     )
@@ -548,5 +549,5 @@ def _course(found: Convergence) -> Iterator[str]:
 
 
 def _arrival(limit: float, one: Spread) -> str:
-    after = " and ".join(number(value, ".0f") for value in (one.median, one.p90))
+    after = " and ".join(formatted(value, ".0f") for value in (one.median, one.p90))
     return f"All nine stay within {limit:g} of it after {after} iterations (median, 90th percentile)."

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
-from accelcal_cli.cli.output import aligned, each_recording, number, refuse_both
+from accelcal_cli.cli.output import aligned, each_recording, refuse_both
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import printable
 from accelcal_cli.core.fixed import ONE
@@ -30,6 +30,7 @@ from accelcal_cli.judge.errors import deviations_mg, per_posture
 from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import rounded
+from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
@@ -235,12 +236,13 @@ def text(shown: list[Row]) -> str:
     known = any(row.get("gain_error") is not None for row in shown)
     columns = [name for name in FIGURES if known or name not in ("gain_error", "offset_error_mg")]
     first = [
-        [row["rule"], *(number(row[name], FIGURES[name]) for name in columns)]
+        [row["rule"], *(formatted(row[name], FIGURES[name]) for name in columns)]
         for row in shown
         if row["rule"] != RAW
     ]
     cross = [
-        [row["rule"], *(number(error, ".3f") for error in row["on_points_of_mg"].values())] for row in shown
+        [row["rule"], *(formatted(error, ".3f") for error in row["on_points_of_mg"].values())]
+        for row in shown
     ]
     head = ["rule", *(name.replace("_", " ") for name in columns)]
     return f"{aligned(head, first)}\n\n{aligned(['mg on the points of', *STILLNESS], cross)}"

@@ -19,7 +19,7 @@ from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.local_time import ZoneChange, zone_of_times
 from accelcal_cli.core.operations import predicted_seconds
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet
-from accelcal_cli.core.recording import Device, Problem, Recording
+from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
 from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
@@ -27,15 +27,13 @@ from accelcal_cli.core.version import __version__
 from accelcal_cli.output.coefficients import coefficients_json
 from accelcal_cli.output.files import json_text
 from accelcal_cli.output.report_reading import SCHEMA_VERSION
+from accelcal_cli.output.report_view import ReportRecording
 
 DAY_S = 86_400
-SPHERE_COLUMNS = ("sphere_mg", "sphere_low_mg", "sphere_high_mg", "sphere_worst_mg", "sphere_before_mg")
 SHORT_JUMPS = (
     "its times jitter or skip a little: {} short gaps and steps back in what was read; "
     "windows go on over them (--longest-gap)"
 )
-ONLY_SOME = ("factory_calibration",)
-"""Keys of `recording` that only some reports have."""
 
 
 def calibration_json(verdict: Judgement, optimizer: dict[str, Any]) -> dict[str, Any] | None:
@@ -192,15 +190,6 @@ def misfits_json(misfits: tuple[results.Misfit, ...] | None) -> list[dict[str, A
     ]
 
 
-def sphere_columns(report: dict[str, Any]) -> dict[str, float | None]:
-    """What tables and the terminal say of a report's `sphere_mg`, by column."""
-    sphere = report.get("sphere_mg")
-    if sphere is None:
-        return dict.fromkeys(SPHERE_COLUMNS)
-    values = (sphere["mean"], *sphere["ci95"], sphere["worst_direction"], sphere["before"])
-    return dict(zip(SPHERE_COLUMNS, values, strict=True))
-
-
 def rest_json(rest: results.Rest) -> dict[str, Any] | None:
     """The object `file_health.rest`; None without still windows."""
     if not rest.windows:
@@ -284,34 +273,6 @@ class WindowUse:
     temperature_left_out: int
     saturated_left_out: int
     used: int
-
-
-@dataclass(frozen=True, slots=True)
-class ReportRecording:
-    """The report's `recording`, in the order of its keys; by default that of no samples."""
-
-    path: str
-    sha256: str
-    bytes: int
-    format: str
-    device: Device = field(default_factory=Device)
-    sample_rate_hz: float | None = None
-    lsb_per_g: float | None = None
-    range_g: float | None = None
-    start_time: str | None = None
-    timezone: str | None = None
-    time_zone: str | None = None
-    samples: int = 0
-    duration_s: float | None = None
-    gaps: list[dict[str, Any]] = field(default_factory=list)
-    gaps_omitted: int = 0
-    notes: list[str] = field(default_factory=list)
-    factory_calibration: dict[str, Any] | None = None
-
-    def as_json(self) -> dict[str, Any]:
-        """The object; the maker's calibration is a key only where one was applied."""
-        keys = asdict(self)
-        return {name: value for name, value in keys.items() if name not in ONLY_SOME or value is not None}
 
 
 @dataclass(frozen=True, slots=True)

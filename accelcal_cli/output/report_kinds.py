@@ -18,6 +18,7 @@ from accelcal_cli.core.recording import Recording
 from accelcal_cli.core.results import Holdout
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report_reading import Document
+from accelcal_cli.output.report_view import ReportRecording
 
 FORMAT = "pool"
 TAKEN = ("calibration", "without_misalignment", "sphere_mg", "holdout", "fit", "coverage", "models_tried")
@@ -45,7 +46,7 @@ class PointsInput(reports.JudgedInput):
 
 def build_points(data: PointsInput) -> dict[str, Any]:
     """The report without `provenance`."""
-    recording = reports.ReportRecording(
+    recording = ReportRecording(
         path=printable(data.path), sha256=data.sha256, bytes=data.bytes, format="points", samples=data.rows
     )
     return reports.document(recording, reports.FileHealth(), _windows(data), data)
@@ -114,9 +115,9 @@ def build_pool(data: PoolInput) -> dict[str, Any]:
     return {**report, "pool": section | copies}
 
 
-def _pool_recording(data: PoolInput) -> reports.ReportRecording:
+def _pool_recording(data: PoolInput) -> ReportRecording:
     example, members = data.example, data.members
-    return reports.ReportRecording(
+    return ReportRecording(
         path=printable(f"pool of {len(members)} recordings of device {example.device.serial}"),
         sha256=hashlib.sha256("".join(one.sha256 for one in members).encode()).hexdigest(),
         bytes=data.bytes,

@@ -10,15 +10,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from math import ceil, floor, hypot, log10
-from typing import Any
 
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, listed
 from accelcal_cli.core.statistics import weighted_percentile
+from accelcal_cli.output.report_view import ChangeView, ReportRecording, ReportView
+from accelcal_cli.output.words import number
 from accelcal_cli.pages import svg
-from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, number, path
-from accelcal_cli.pages.time_series import Along
+from accelcal_cli.pages.svg import LEFT, RIGHT, WIDTH, label, path
+from accelcal_cli.pages.time_series import TimeSeries
 
 BARS = 40
 LEAST_MG, LARGEST_MG = 0.01, 1e4
@@ -53,7 +54,7 @@ class Figure:
     text: str
 
 
-def length_along_time(data: Along) -> Figure | None:
+def length_along_time(data: TimeSeries) -> Figure | None:
     """|a| of still windows along time, before and after (F Fig. 1)."""
     values = [
         one for table in data.off.values() for column in table.values() for one in column if one is not None
@@ -81,7 +82,7 @@ def length_along_time(data: Along) -> Figure | None:
     return Figure("length", title, svg.figure("length", title, text, 290, body), text)
 
 
-def histogram(data: Along) -> Figure | None:
+def histogram(data: TimeSeries) -> Figure | None:
     """|a| − 1 g of the points before and after, in which still windows count alike."""
     weights, held = data.points["windows"], [one for one in WORDS if one in data.points]
     if not sum(weights):
@@ -137,7 +138,7 @@ def _percentiles(
     return low, high
 
 
-def error_by_hour(data: Along, change: Mapping[str, Any] | None) -> Figure | None:
+def error_by_hour(data: TimeSeries, change: ChangeView | None) -> Figure | None:
     """Mean error of each row with the band up to its 95th percentile, and where the sensor changed."""
     columns = [column for table in data.errors.values() for column in table.values()]
     values = [min(max(one, LEAST_MG), LARGEST_MG) for column in columns for one in column if one is not None]
@@ -166,9 +167,9 @@ def error_by_hour(data: Along, change: Mapping[str, Any] | None) -> Figure | Non
     return Figure("error", title, svg.figure("error", title, text, 290, body), text)
 
 
-def _changed(data: Along, change: Mapping[str, Any] | None) -> tuple[float | None, str]:
+def _changed(data: TimeSeries, change: ChangeView | None) -> tuple[float | None, str]:
     """When the sensor changed, as seconds from the start, and a sentence."""
-    at = None if change is None else change["at"]
+    at = None if change is None else change.at
     if at is None:
         return None, ""
     shown = at.partition(".")[0].replace("T", " ")
@@ -179,7 +180,7 @@ def _changed(data: Along, change: Mapping[str, Any] | None) -> tuple[float | Non
     return (seconds if 0 <= seconds <= data.seconds else None), f" The sensor changed at {shown}."
 
 
-def residual_by_temperature(data: Along) -> Figure | None:
+def residual_by_temperature(data: TimeSeries) -> Figure | None:
     """|a| − 1 g of each point after calibration (or before, if there is none) against its temperature."""
     heat = data.points.get("temperature")
     if not heat:
@@ -218,7 +219,7 @@ def _slope(x: Sequence[float], y: Sequence[float], weights: Sequence[float]) -> 
     return sum(w * (a - middle[0]) * (b - middle[1]) for w, a, b in both) / across if across else 0.0
 
 
-def timeline(data: Along, recording: Mapping[str, Any]) -> Figure | None:
+def timeline(data: TimeSeries, recording: ReportRecording) -> Figure | None:
     """Wear, stillness, gaps, and samples that are filled, clipped or damaged, along time."""
     if not data.spans:
         return None
@@ -241,7 +242,7 @@ def timeline(data: Along, recording: Mapping[str, Any]) -> Figure | None:
     return Figure("timeline", title, svg.figure("timeline", title, text, bottom + 66, body), text)
 
 
-def _worn_lane(data: Along) -> str:
+def _worn_lane(data: TimeSeries) -> str:
     kinds = {True: "lane", False: "lane-off", None: "lane-unknown"}
     ways: dict[str, str] = dict.fromkeys(kinds.values(), "")
     for span, worn in zip(data.spans, data.worn, strict=True):
@@ -249,7 +250,7 @@ def _worn_lane(data: Along) -> str:
     return "".join(path(way, kind) for kind, way in ways.items())
 
 
-def _lane(data: Along, top: float, word: str, shares: Sequence[float], kind: str) -> str:
+def _lane(data: TimeSeries, top: float, word: str, shares: Sequence[float], kind: str) -> str:
     """A row of the timeline: bars as high as the share."""
     heights = [max(LEAST_BAR, min(1.0, share)) if share > 0 else None for share in shares]
     area = svg.Plot(svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT), svg.Scale(0, 1, top + 18, top))
@@ -257,7 +258,7 @@ def _lane(data: Along, top: float, word: str, shares: Sequence[float], kind: str
     return label(0, top + 14, word) + track + area.bars(data.spans, heights, kind)
 
 
-def _box(data: Along, span: tuple[float, float], top: float, height: float) -> str:
+def _box(data: TimeSeries, span: tuple[float, float], top: float, height: float) -> str:
     x = svg.Scale(0, data.seconds, LEFT, WIDTH - RIGHT)
     left, right = x(span[0]), x(span[1])
     wide = max(right - left, 1.0)
@@ -266,10 +267,10 @@ def _box(data: Along, span: tuple[float, float], top: float, height: float) -> s
     return f"M{svg.coordinate(left)} {svg.coordinate(top)}h{across}v{svg.coordinate(height)}h-{across}z"
 
 
-def _gap_lane(data: Along, recording: Mapping[str, Any], top: float) -> str:
+def _gap_lane(data: TimeSeries, recording: ReportRecording, top: float) -> str:
     """Gaps where they are; those that the report does not list are not shown."""
     ways, track = [], path(_box(data, (0, data.seconds), top + 2, 16), "lane-off")
-    for gap in recording["gaps"]:
+    for gap in recording.gaps:
         try:
             begun = datetime.fromisoformat(gap["start_time"]) - datetime.fromisoformat(data.times[0])
         except (ValueError, TypeError):
@@ -280,7 +281,7 @@ def _gap_lane(data: Along, recording: Mapping[str, Any], top: float) -> str:
     return track + path("".join(dict.fromkeys(ways)), "lane-bad")
 
 
-def _told_of_rows(data: Along, recording: Mapping[str, Any]) -> str:
+def _told_of_rows(data: TimeSeries, recording: ReportRecording) -> str:
     """The timeline as a sentence."""
     worn = Counter(data.worn)
     known = worn[True] + worn[False]
@@ -292,7 +293,7 @@ def _told_of_rows(data: Along, recording: Mapping[str, Any]) -> str:
         else "there is no window"
     )
     said = [f"worn in {worn[True]:.0f} of {counted(known, 'row')} in which that can be told", share]
-    gaps = len(recording["gaps"]) + recording["gaps_omitted"]
+    gaps = recording.all_gaps
     said.append(f"{counted(gaps, 'gap')} of {number(sum(rows['gap_s']))} s in all" if gaps else "no gaps")
     for name, word, _ in LANES:
         if total := sum(rows[name]):
@@ -302,7 +303,7 @@ def _told_of_rows(data: Along, recording: Mapping[str, Any]) -> str:
     return f"{_sentence(said)} Bars are as high as the share of the row."
 
 
-def convergence(data: Along) -> Figure | None:
+def convergence(data: TimeSeries) -> Figure | None:
     """Error of the fitted points after each step of the fit (F Fig. 9)."""
     values = [min(max(one, LEAST_MG / 100), LARGEST_MG) for one in data.convergence]
     if len(values) < 2:
@@ -323,28 +324,28 @@ def convergence(data: Along) -> Figure | None:
     return Figure("convergence", title, svg.figure("convergence", title, text, 240, body), text)
 
 
-def sphere(data: Along, report: Mapping[str, Any]) -> Figure | None:
+def sphere(data: TimeSeries, report: ReportView) -> Figure | None:
     """Both halves of the sphere of directions, with the cells in which the sensor rested (F Figs. 4, 5)."""
     filled = _filled(data)
     if not filled:
         return None
     halves = (svg.Hemisphere(1, 190, 176, 130), svg.Hemisphere(-1, 570, 176, 130))
     body = [_half(half, filled) for half in halves]
-    body += _faces(halves, report["coverage"]["subsets"])
-    if (found := report.get("sphere_mg")) is not None:
-        body.append(_least_certain(halves, found["worst_direction_at"]))
+    body += _faces(halves, report.coverage.subsets)
+    if report.sphere_mg is not None:
+        body.append(_least_certain(halves, report.sphere_mg.worst_direction_at))
     body.append(label(WIDTH / 2, 350, SHADES, "soft", "middle"))
     number_of = 2 * len(svg.all_cells())
-    missing = empty_subsets(report)
+    missing = empty_subsets(report.coverage.subsets)
     named = f"Empty subsets: {listed(missing)}." if missing else "None of the nine subsets is empty."
     title = "Directions in which the sensor rested"
     text = f"It rested in {len(filled)} of {number_of} cells of equal area. {named}"
-    if found is not None:
+    if report.sphere_mg is not None:
         text += " The cross marks the direction in which the calibration is least certain."
     return Figure("sphere", title, svg.figure("sphere", title, text, 362, body), text)
 
 
-def _filled(data: Along) -> dict[tuple[int, int, int], float]:
+def _filled(data: TimeSeries) -> dict[tuple[int, int, int], float]:
     """Still windows in each cell of the sphere."""
     found: Counter[tuple[int, int, int]] = Counter()
     columns = (data.points[name] for name in ("x", "y", "z", "windows"))
@@ -379,7 +380,7 @@ def _faces(halves: Sequence[svg.Hemisphere], subsets: Sequence[Sequence[int]]) -
             label(
                 half.x,
                 half.y - 160,
-                f"{sign}z half, {_so_many(points)} near {sign}z",
+                f"{sign}z half, {counted(points, 'point') if points else 'no point'} near {sign}z",
                 "strong" if points else "bad",
                 "middle",
             )
@@ -402,10 +403,6 @@ def _face(at: tuple[float, float], half: svg.Hemisphere, name: str, points: int)
     )
 
 
-def _so_many(points: int) -> str:
-    return counted(points, "point") if points else "no point"
-
-
 def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float]) -> str:
     """A cross at a direction."""
     length = hypot(*direction)
@@ -417,9 +414,8 @@ def _least_certain(halves: Sequence[svg.Hemisphere], direction: Sequence[float])
     return path(f"M{corner}l12 12m-12 0l12-12", "mark")
 
 
-def empty_subsets(report: Mapping[str, Any]) -> list[str]:
-    """Names of the nine subsets of F without a point, such as `xn (x near −1 g)`."""
-    subsets = report["coverage"]["subsets"]
+def empty_subsets(subsets: Sequence[Sequence[int]]) -> list[str]:
+    """Name those of the nine subsets of F that have no point, such as `xn (x near −1 g)`."""
     return [
         f"{axis}{level} ({axis} near {NEAR[row]})"
         for place, axis in enumerate("xyz")
@@ -428,7 +424,7 @@ def empty_subsets(report: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _time_axes(area: svg.Plot, data: Along, y_ticks: list[svg.Tick], y_name: str) -> str:
+def _time_axes(area: svg.Plot, data: TimeSeries, y_ticks: list[svg.Tick], y_name: str) -> str:
     name = "time" if data.start is not None else "time from the first sample"
     return area.axes(svg.time_ticks(data.seconds, data.start), y_ticks, name, y_name)
 

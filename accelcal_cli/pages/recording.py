@@ -1,6 +1,7 @@
 """The page of one recording, made of its report and its `STEM.quality.json` alone.
 
-The same two files make the same bytes.
+The same two files make the same bytes. Each part of the page is a function here that makes its tables; the
+figures are in `figures.py`, sentences in `output/words.py`, the order of all in `templates/recording.html`.
 """
 
 from __future__ import annotations
@@ -10,21 +11,35 @@ from dataclasses import dataclass
 from typing import Any
 
 from accelcal_cli.core.errors import counted
-from accelcal_cli.output import advice
-from accelcal_cli.pages import figures, words
+from accelcal_cli.output.report_view import (
+    CalibrationView,
+    GyroscopeView,
+    LevelView,
+    PoseView,
+    ReportView,
+    RollView,
+    report_view,
+)
+from accelcal_cli.output.words import (
+    PARAMETERS,
+    corrections_of,
+    methods_paragraph,
+    millionths,
+    number,
+    page_verdict,
+    unchecked_poses,
+)
+from accelcal_cli.pages import figures
 from accelcal_cli.pages.figures import NEAR, Figure
-from accelcal_cli.pages.gyroscope import gyroscope_of
-from accelcal_cli.pages.hours import hours
-from accelcal_cli.pages.rendering import Rows, Table, decimals, rendered
-from accelcal_cli.pages.svg import number
-from accelcal_cli.pages.time_series import Along, UnfitError, along
-from accelcal_cli.pages.words import Report
+from accelcal_cli.pages.rendering import Rows, Table, rendered
+from accelcal_cli.pages.time_series import TimeSeries, UnfitError, hourly_table, time_series
 
 AGAIN = "figures that need it are missing. Calibrate again with --force to have them."
 NO_FILE = f"There is no STEM.quality.json beside the report: {AGAIN}"
 MOST_PROBLEMS = 20
+MOST_POSES = 200
 LONGEST_TEXT = 2000
-"""Of what may be of any length, such as a command that names thousands of recordings."""
+"""Characters that are shown of a text of any length, such as a command that names thousands of recordings."""
 
 WINDOWS = {
     "complete": "windows in all",
@@ -40,90 +55,90 @@ WINDOWS = {
     "temperature_left_out": "left out: temperature that cannot be",
     "saturated_left_out": "left out: near where an axis saturates",
 }
+"""Fates of windows, by their keys in the report."""
 
 
-def page(report: Report, quality: Mapping[str, Any] | None = None) -> str:
-    """The page as HTML.
+def page(report: Mapping[str, Any], quality: Mapping[str, Any] | None = None) -> str:
+    """Return the page as HTML.
 
     Args:
-        report: of this version's schema, or an older one's.
+        report: of this version's schema, or an older one's; valid.
         quality: what STEM.quality.json holds; None where it is missing.
     """
+    view = report_view(report)
     data, note = None, NO_FILE
     if quality is not None:
         try:
-            data, note = along(quality, report), ""
+            data, note = time_series(quality, view), ""
         except UnfitError as error:
             note = f"STEM.quality.json {error}: {AGAIN}"
-    recording = report["recording"]
     return rendered(
         "recording.html",
-        name=recording["path"].rpartition("/")[2] or "(no name)",
-        verdict=words.verdict(report),
+        name=view.recording.path.rpartition("/")[2] or "(no name)",
+        verdict=page_verdict(view),
         note=note,
-        facts=_facts(report),
-        figures=_drawn(report, data),
-        subsets=_subsets(report),
-        hours=None if data is None else Table(*hours(data)),
-        coefficients=_coefficients(report),
-        models=_models(report),
-        misfits=_misfits(report),
-        known=poses_of(report),
-        gyroscope=gyroscope_of(report),
-        health=_health(report),
-        windows=_windows(report),
-        problems=_problems(report),
-        notes=recording["notes"],
-        methods=words.methods(report),
-        origin=_origin(report),
+        facts=_facts(view),
+        figures=_drawn(view, data),
+        subsets=_subsets(view),
+        hours=None if data is None else Table(*hourly_table(data)),
+        coefficients=None if view.calibration is None else _coefficients(view.calibration),
+        models=_models(view),
+        misfits=_misfits(view),
+        known=_known_orientations(view),
+        gyroscope=None if view.gyroscope is None else _gyroscope(view.gyroscope),
+        health=_health(view),
+        windows=_windows(view),
+        problems=_problems(view),
+        notes=view.recording.notes,
+        methods=methods_paragraph(view),
+        origin=_origin(view),
     )
 
 
-def _drawn(report: Report, data: Along | None) -> dict[str, Figure | None]:
-    """The figures by name; None for those that there is nothing to draw of."""
+def _drawn(report: ReportView, data: TimeSeries | None) -> dict[str, Figure | None]:
+    """Return the figures by name; None for those that there is nothing to draw of."""
     names = ("length", "histogram", "sphere", "error", "timeline", "temperature", "convergence")
     if data is None:
         return dict.fromkeys(names)
-    found = (
+    drawn = (
         figures.length_along_time(data),
         figures.histogram(data),
         figures.sphere(data, report),
-        figures.error_by_hour(data, report.get("change")),
-        figures.timeline(data, report["recording"]),
+        figures.error_by_hour(data, report.change),
+        figures.timeline(data, report.recording),
         figures.residual_by_temperature(data),
         figures.convergence(data),
     )
-    return dict(zip(names, found, strict=True))
+    return dict(zip(names, drawn, strict=True))
 
 
-def _facts(report: Report) -> list[tuple[str, str]]:
-    """What was recorded, by what."""
-    recording = report["recording"]
-    device, rate = recording["device"], recording["sample_rate_hz"]
-    start = recording["start_time"]
-    zone = recording["timezone"] or recording.get("time_zone") or "unknown"
+def _facts(report: ReportView) -> list[tuple[str, str]]:
+    """Return what was recorded, by what."""
+    recording = report.recording
+    device, rate, start = recording.device, recording.sample_rate_hz, recording.start_time
+    zone = recording.timezone or recording.time_zone or "unknown"
     facts = [
-        ("Recording", recording["path"]),
-        ("Device", " ".join(filter(None, (device["model"], device["serial"]))) or "not stated"),
-        ("Firmware", device["firmware"]),
-        ("Format", recording["format"]),
+        ("Recording", recording.path),
+        ("Device", " ".join(filter(None, (device.model, device.serial))) or "not stated"),
+        ("Firmware", device.firmware),
+        ("Format", recording.format),
         ("Start", start and f"{start.partition('.')[0].replace('T', ' ')} (time zone: {zone})"),
-        ("Length", None if recording["duration_s"] is None else _duration(recording["duration_s"])),
-        ("Samples", f"{recording['samples']} at {number(rate)} Hz" if rate else str(recording["samples"])),
-        ("SHA-256", recording["sha256"]),
+        ("Length", None if recording.duration_s is None else _duration(recording.duration_s)),
+        ("Samples", f"{recording.samples} at {number(rate)} Hz" if rate else str(recording.samples)),
+        ("SHA-256", recording.sha256),
     ]
     return [(name, value) for name, value in facts if value]
 
 
 def _begun(text: str) -> str:
-    """A text, or how it begins if it is as long as no line."""
+    """Return a text, or how it begins if it is longer than any line."""
     if len(text) <= LONGEST_TEXT:
         return text
     return f"{text[:LONGEST_TEXT]} ... ({len(text) - LONGEST_TEXT} more characters are in the report)"
 
 
 def _duration(seconds: float) -> str:
-    """A length of time in the two largest units."""
+    """Write a length of time in the two largest units."""
     days, hours, minutes = seconds / 86_400, seconds / 3600, seconds / 60
     if days >= 2:
         return f"{int(days)} days {round(24 * (days % 1))} hours"
@@ -132,195 +147,234 @@ def _duration(seconds: float) -> str:
     return f"{int(minutes)} minutes {int(seconds % 60)} seconds"
 
 
-def _subsets(report: Report) -> Table:
-    """Points in F's nine subsets."""
+def _subsets(report: ReportView) -> Table:
     rows = [
         [near, *(str(count) if count else "empty" for count in counts)]
-        for near, counts in zip(NEAR, report["coverage"]["subsets"], strict=True)
+        for near, counts in zip(NEAR, report.coverage.subsets, strict=True)
     ]
     caption = "Points of the fit in the nine subsets of Farago et al. (a point counts on every axis)"
     return Table(caption, ["", "x", "y", "z"], rows)
 
 
-def _coefficients(report: Report) -> Table | None:
-    """Coefficients with their standard errors."""
-    calibration = report["calibration"]
-    if calibration is None:
-        return None
-    errors = calibration["standard_errors"] or {}
-    values = dict(calibration["parameters"])
-    if calibration["temperature"] is not None:
-        slopes = calibration["temperature"]["slope_g_per_c"]
+def _coefficients(calibration: CalibrationView) -> Table:
+    errors = calibration.standard_errors or {}
+    values = dict(calibration.parameters)
+    if calibration.temperature is not None:
+        slopes = calibration.temperature.slope_g_per_c
         values |= {f"s{axis}": slope for axis, slope in zip("xyz", slopes, strict=True)}
     rows = [
-        [name, words.MEANINGS.get(name, ""), decimals(value), decimals(errors.get(name))]
+        [name, PARAMETERS.get(name, ""), millionths(value), millionths(errors.get(name))]
         for name, value in values.items()
     ]
-    return Table(
-        f"Coefficients of model {calibration['model']}",
-        ["Name", "What it is", "Value", "Standard error"],
-        rows,
-        (0, 1),
-    )
+    head = ["Name", "What it is", "Value", "Standard error"]
+    return Table(f"Coefficients of model {calibration.model}", head, rows, (0, 1))
 
 
-def _models(report: Report) -> Table | None:
-    """The models tried, and why each was not taken."""
+def _models(report: ReportView) -> Table | None:
+    """Return the models tried, and why each was not taken."""
     rows: Rows = []
-    tried, model = report["models_tried"], (report["calibration"] or {}).get("model")
-    chosen = max((place for place, trial in enumerate(tried) if trial["model"] == model), default=None)
-    for place, trial in enumerate(tried):
-        prior = f"with the prior {trial['prior']}" if trial.get("prior") else ""
-        why = "; ".join(filter(None, ("chosen" if place == chosen else "", prior, trial["reason"])))
-        rows.append([trial["model"], words.model_name(trial["model"]), number(trial["after_mg"]), why])
+    model = None if report.calibration is None else report.calibration.model
+    chosen = max((at for at, trial in enumerate(report.models_tried) if trial.model == model), default=None)
+    for at, trial in enumerate(report.models_tried):
+        prior = f"with the prior {trial.prior}" if trial.prior else ""
+        why = "; ".join(filter(None, ("chosen" if at == chosen else "", prior, trial.reason)))
+        rows.append([trial.model, corrections_of(trial.model), number(trial.after_mg), why])
     head = ["Model", "Corrects", "Held-out error [mg]", "Remark"]
-    return (
-        Table("Models tried, by their error on postures that they had not seen", head, rows, (0, 1, 3))
-        if rows
-        else None
-    )
+    caption = "Models tried, by their error on postures that they had not seen"
+    return Table(caption, head, rows, (0, 1, 3)) if rows else None
 
 
-def _misfits(report: Report) -> Table | None:
-    """What the parameters do not describe."""
+def _misfits(report: ReportView) -> Table | None:
     rows = [
         [
-            one["kind"],
-            "found" if one["found"] else "not found",
-            f"{', '.join(number(size, 2) for size in one['size'])} {one['unit']}",
-            number(one["before_mg"]),
-            number(one["after_mg"]),
+            one.kind,
+            "found" if one.found else "not found",
+            f"{', '.join(number(size, 2) for size in one.size)} {one.unit}",
+            number(one.before_mg),
+            number(one.after_mg),
         ]
-        for one in report.get("misfits") or ()
+        for one in report.misfits or ()
     ]
     head = ["Looked for", "", "Size on x, y, z", "Held-out error without [mg]", "with [mg]"]
-    return (
-        Table("What a sensor may do that the coefficients do not describe", head, rows, (0, 1, 2))
-        if rows
-        else None
-    )
+    caption = "What a sensor may do that the coefficients do not describe"
+    return Table(caption, head, rows, (0, 1, 2)) if rows else None
 
 
-def _health(report: Report) -> Table:
-    """The state of the file."""
-    health, recording = report["file_health"], report["recording"]
-    clock = health.get("clock") or {}
-    gaps = len(recording["gaps"]) + recording["gaps_omitted"]
-    facts: list[tuple[str, Any]] = [
-        ("Problems found", str(len(health["problems"]))),
+def _health(report: ReportView) -> Table:
+    """Return the state of the file."""
+    health, gaps = report.file_health, str(report.recording.all_gaps)
+    lost, rate, clock = health.lost_percent, health.rate_hz_measured, health.clock
+    gap_s, drift = (None, None) if clock is None else (clock.gap_seconds, clock.drift_s_per_day)
+    facts = [
+        ("Problems found", str(len(health.problems))),
         (
             "Lost to damage",
-            None
-            if "lost_percent" not in health
-            else f"{number(health['lost_percent'])} % ({counted(health['lost_bytes'], 'byte')})",
+            None if lost is None else f"{number(lost)} % ({counted(health.lost_bytes or 0, 'byte')})",
         ),
-        (
-            "Gaps",
-            f"{gaps}, {number(clock['gap_seconds'])} s in all" if clock.get("gap_seconds") else str(gaps),
-        ),
-        ("Filled samples", str(health["filled_samples"])),
-        ("Samples at the sensor's range", str(health["clipped_samples_before"])),
-        (
-            "Measured rate",
-            None if health["rate_hz_measured"] is None else f"{number(health['rate_hz_measured'], 6)} Hz",
-        ),
-        (
-            "Drift of the clock",
-            None if clock.get("drift_s_per_day") is None else f"{number(clock['drift_s_per_day'])} s per day",
-        ),
+        ("Gaps", f"{gaps}, {number(gap_s)} s in all" if gap_s else gaps),
+        ("Filled samples", str(health.filled_samples)),
+        ("Samples at the sensor's range", str(health.clipped_samples_before)),
+        ("Measured rate", None if rate is None else f"{number(rate, 6)} Hz"),
+        ("Drift of the clock", None if drift is None else f"{number(drift)} s per day"),
     ]
     return Table("The file", ["", ""], [[name, value] for name, value in facts if value is not None])
 
 
-def _windows(report: Report) -> Table:
-    """What became of the windows."""
-    held = report["fit"]["windows"]
-    rows = [[text, str(held[name])] for name, text in WINDOWS.items() if held.get(name)]
+def _windows(report: ReportView) -> Table:
+    counts = report.fit.windows
+    rows = [[text, str(counts[name])] for name, text in WINDOWS.items() if counts.get(name)]
     return Table("Windows", ["", "Number"], rows)
 
 
-def _problems(report: Report) -> Table | None:
-    """Damage that was found, the first of it."""
-    problems = report["file_health"]["problems"]
+def _problems(report: ReportView) -> Table | None:
+    """Return the damage that was found, the first of it."""
+    problems = report.file_health.problems
     rows = [
         [
-            one["code"],
-            _begun(one["message"]),
-            "–" if one["byte_offset"] is None else str(one["byte_offset"]),
-            str(one["count"]),
+            one.code,
+            _begun(one.message),
+            "–" if one.byte_offset is None else str(one.byte_offset),
+            str(one.count),
         ]
         for one in problems[:MOST_PROBLEMS]
     ]
-    more = (
-        f"; {len(problems) - MOST_PROBLEMS} more are in the report" if len(problems) > MOST_PROBLEMS else ""
-    )
-    return Table(f"Problems{more}", ["Code", "What", "Byte", "Times"], rows, (0, 1)) if rows else None
+    caption = f"Problems{_more(len(problems), MOST_PROBLEMS)}"
+    return Table(caption, ["Code", "What", "Byte", "Times"], rows, (0, 1)) if rows else None
 
 
-def _origin(report: Report) -> list[tuple[str, str]]:
-    """Who made the report, when and with what."""
-    made = report.get("provenance") or {}
-    versions = made.get("versions") or {}
+def _more(number_of: int, shown: int) -> str:
+    return f"; {number_of - shown} more are in the report" if number_of > shown else ""
+
+
+def _origin(report: ReportView) -> list[tuple[str, str]]:
+    """Return who made the report, when and with what."""
+    made = report.provenance
     facts = [
-        ("accelcal", report["accelcal_version"]),
-        ("Command", _begun(" ".join(made.get("command") or ()))),
-        ("Time", made.get("time")),
-        ("Computer", " ".join(filter(None, (made.get("host"), made.get("platform"))))),
-        ("Versions", ", ".join(f"{name} {version}" for name, version in versions.items())),
+        ("accelcal", report.accelcal_version),
+        ("Command", _begun(" ".join(made.command))),
+        ("Time", made.time),
+        ("Computer", " ".join(filter(None, (made.host, made.platform)))),
+        ("Versions", ", ".join(f"{name} {version}" for name, version in made.versions.items())),
     ]
     return [(name, value) for name, value in facts if value]
 
 
-MOST_ROWS = 200
-"""The report has the others."""
-
-
 @dataclass(frozen=True, slots=True)
-class KnownOrientations:
-    """The part of the page; caution: that nothing was held out, None where something was."""
+class KnownOrientationsPart:
+    """The part of the page about known orientations.
+
+    Attributes:
+        caution: that nothing was held out; None where something was.
+    """
 
     caution: str | None
     poses: Table
     rolls: Table | None
 
 
-def poses_of(report: Report) -> KnownOrientations | None:
-    """The part of the page; None for a report without known orientations."""
-    known = report.get("known_orientations")
-    if not known or "poses" not in report:
+def _known_orientations(report: ReportView) -> KnownOrientationsPart | None:
+    if report.known_orientations is None or report.poses is None:
         return None
-    return KnownOrientations(advice.unchecked_poses(report), _poses(report["poses"]), _rolls(known))
-
-
-def _poses(poses: list[dict[str, Any]]) -> Table:
-    rows: Rows = [
-        [
-            one["face"],
-            _where(one),
-            ", ".join(number(value) for value in one["reference_g"]),
-            *(number(one[name]) for name in ("raw_mg", "residual_mg", "held_out_mg", "repeat_mg")),
-        ]
-        for one in poses[:MOST_ROWS]
-    ]
-    more = f"; {len(poses) - MOST_ROWS} more are in the report" if len(poses) > MOST_ROWS else ""
-    head = ["Pose", "Where", "True acceleration [g]", "Raw error [mg]", "Residual of the fit [mg]",
-            "Held-out error [mg]", "From the mean of its orientation [mg]"]  # fmt: skip
-    return Table(f"Poses, and the errors of their vectors{more}", head, rows, (0, 1, 2))
-
-
-def _rolls(known: Mapping[str, Any]) -> Table | None:
-    rows: Rows = [
-        [one["axis"], _where(one), *(_level(one["level_mg"][when]) for when in ("before", "after"))]
-        for one in known.get("rolls") or ()
+    rolls: Rows = [
+        [roll.axis, _where(roll), _level(roll.level_mg.before), _level(roll.level_mg.after)]
+        for roll in report.known_orientations.rolls
     ]
     head = ["Axis", "Where", "Shows [mg] (SD)", "Calibrated [mg] (SD)"]
-    return Table("Rolls with one axis level, which should show nothing", head, rows, (0, 1)) if rows else None
+    caption = "Rolls with one axis level, which should show nothing"
+    return KnownOrientationsPart(
+        unchecked_poses(report), _poses(report.poses), Table(caption, head, rolls, (0, 1)) if rolls else None
+    )
 
 
-def _where(one: Mapping[str, Any]) -> str:
-    times = f"{one['start_s']:.0f} to {one['end_s']:.0f} s"
-    return f"{one['file']}, {times}" if "file" in one else times
+def _poses(poses: tuple[PoseView, ...]) -> Table:
+    rows: Rows = [
+        [
+            str(one.face),
+            _where(one),
+            ", ".join(map(number, one.reference_g)),
+            *map(number, (one.raw_mg, one.residual_mg, one.held_out_mg, one.repeat_mg)),
+        ]
+        for one in poses[:MOST_POSES]
+    ]
+    head = ["Pose", "Where", "True acceleration [g]", "Raw error [mg]", "Residual of the fit [mg]",
+            "Held-out error [mg]", "From the mean of its orientation [mg]"]  # fmt: skip
+    caption = f"Poses, and the errors of their vectors{_more(len(poses), MOST_POSES)}"
+    return Table(caption, head, rows, (0, 1, 2))
 
 
-def _level(level: Mapping[str, Any] | None) -> str:
-    return "–" if level is None else f"{number(level['mean'])} ({number(level['sd'])})"
+def _where(one: PoseView | RollView) -> str:
+    times = f"{one.start_s:.0f} to {one.end_s:.0f} s"
+    return times if one.file is None else f"{one.file}, {times}"
+
+
+def _level(level: LevelView | None) -> str:
+    return "–" if level is None else f"{number(level.mean)} ({number(level.sd)})"
+
+
+@dataclass(frozen=True, slots=True)
+class GyroscopePart:
+    """The part of the page about the gyroscope.
+
+    Attributes:
+        verdict: a sentence; reason: the report's message.
+        coefficients: None if it was refused; errors: None if it never rested.
+    """
+
+    verdict: str
+    reason: str
+    coefficients: Table | None
+    errors: Table | None
+
+
+def _gyroscope(gyroscope: GyroscopeView) -> GyroscopePart:
+    verdict = "Calibrated: angular rates in the calibrated recording are put right."
+    if gyroscope.outcome == "refused":
+        verdict = "Not calibrated: angular rates in the calibrated recording are as measured."
+    coefficients, errors = _gyroscope_coefficients(gyroscope), _gyroscope_errors(gyroscope)
+    return GyroscopePart(verdict, gyroscope.message, coefficients, errors)
+
+
+def _gyroscope_coefficients(gyroscope: GyroscopeView) -> Table | None:
+    errors, bias = gyroscope.standard_errors, gyroscope.bias_dps
+    if gyroscope.scale is None or bias is None:
+        return None
+    rows: Rows = [
+        [
+            f"s_{row}{column}",
+            f"scale of {row}" if row == column else f"{column} in {row}",
+            millionths(value),
+            millionths(error),
+        ]
+        for row, values, of_row in zip("xyz", gyroscope.scale, errors.scale or (), strict=True)
+        for column, value, error in zip("xyz", values, of_row, strict=True)
+    ]
+    for axis, value, error in zip("xyz", bias, errors.bias_dps or (None,) * 3, strict=True):
+        rows.append([f"b{axis}", f"bias of {axis} [deg/s]", millionths(value), millionths(error)])
+    if gyroscope.temperature is not None:
+        for axis, value in zip("xyz", gyroscope.temperature.slope_dps_per_c, strict=True):
+            rows.append([f"c{axis}", f"change of the bias of {axis} [deg/s per °C]", millionths(value), "–"])
+    head = ["Name", "What it is", "Value", "Standard error"]
+    return Table(f"Coefficients of {gyroscope.equation}", head, rows, (0, 1))
+
+
+def _gyroscope_errors(gyroscope: GyroscopeView) -> Table | None:
+    holdout, rest = gyroscope.holdout_deg, gyroscope.rest
+    rows: Rows = []
+    if holdout is not None:
+        low, high = holdout.ci95
+        rows += [
+            [
+                f"Gravity after a turn, raw, median of {counted(gyroscope.pairs, 'turn')}",
+                f"{number(holdout.before)} degrees off",
+            ],
+            [
+                "The same on turns that took no part, calibrated",
+                f"{number(holdout.after)} degrees off (95 % interval {number(low)} to {number(high)})",
+            ],
+        ]
+    if rest is not None:
+        rows.append(["At rest, raw", f"{number(rest.raw_dps)} deg/s"])
+        for rate, text in ((rest.constant_dps, "less a bias"), (rest.slope_dps, "less a bias with a slope")):
+            if rate is not None:
+                rows.append([f"At rest, {text}, on time that took no part", f"{number(rate)} deg/s"])
+    return Table("Errors of the gyroscope", ["", ""], rows, (0, 1)) if rows else None

@@ -32,11 +32,6 @@ class Table:
     words: tuple[int, ...] = (0,)
 
 
-def decimals(value: float | None) -> str:
-    """A coefficient or its standard error, to a millionth."""
-    return "–" if value is None else f"{value:.6f}".replace("-", "−")
-
-
 def resource(name: str) -> str:
     """The text of a file of this package."""
     return files("accelcal_cli.pages").joinpath(name).read_text("utf-8")

@@ -21,7 +21,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import counted, printable
-from accelcal_cli.output.advice import LIMIT_MG
+from accelcal_cli.output.words import LIMIT_MG, OUTCOMES, mg_of_two_digits, outcome_words
 from accelcal_cli.pages import study_figures as figures
 from accelcal_cli.pages.rendering import rendered
 
@@ -32,17 +32,6 @@ WANTED = (
 )  # fmt: skip
 """Columns of the study's table that the page shows."""
 
-MEANINGS = {
-    "calibrated": "use them",
-    "reduced_model": "use them; a simpler model was fitted",
-    "already_good": "use them as they are: the raw data were good",
-    "borrowed": "use them; the coefficients are those of another recording of the device",
-    "refused": "not calibrated",
-    "failed": "could not be read or processed",
-}
-"""Each outcome in a few words, the best first."""
-TROUBLE = ("refused", "failed")
-"""Outcomes that are shown reason by reason."""
 REASONS = 8
 """Reasons of an outcome that have a line of their own."""
 FIRST = 3
@@ -294,7 +283,7 @@ def _listed(groups: Sequence[Group]) -> list[tuple[ProblemKind, list[_Entry], in
 
 def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
     """The study in a few figures."""
-    usable = sum(entry.outcome not in TROUBLE for entry in entries)
+    usable = sum(outcome_words(entry.outcome).usable for entry in entries)
     pairs = [pair for entry in entries if (pair := _errors(entry.row)) is not None]
     found = {
         "Recordings": f"{len(entries):,}",
@@ -304,12 +293,8 @@ def _headline(entries: Sequence[_Entry]) -> dict[str, str]:
     }
     if pairs:
         before, after = (median(errors) for errors in zip(*pairs, strict=True))
-        found["Median error"] = f"{_mg(before)} mg before, {_mg(after)} mg after"
+        found["Median error"] = f"{mg_of_two_digits(before)} mg before, {mg_of_two_digits(after)} mg after"
     return found
-
-
-def _mg(value: float) -> str:
-    return f"{value:.1f}" if value >= 1 else f"{value:.2f}"
 
 
 def _errors(row: dict[str, Any]) -> tuple[float, float] | None:
@@ -338,13 +323,13 @@ def _outcomes(entries: Sequence[_Entry]) -> list[dict[str, Any]]:
     """A line for each outcome, and one for each reason of those that are trouble."""
     total, numbers = len(entries), Counter(entry.outcome for entry in entries)
     lines: list[dict[str, Any]] = []
-    for outcome in sorted(numbers, key=lambda one: list(MEANINGS).index(one) if one in MEANINGS else 99):
-        number = numbers[outcome]
+    for outcome in sorted(numbers, key=lambda one: list(OUTCOMES).index(one) if one in OUTCOMES else 99):
+        number, words = numbers[outcome], outcome_words(outcome)
         own = [entry for entry in entries if entry.outcome == outcome]
         lines.append(
-            {"outcome": outcome, "name": outcome.replace("_", " "), "meaning": MEANINGS.get(outcome, ""),
+            {"outcome": outcome, "name": outcome.replace("_", " "), "meaning": words.use,
              "number": number, "share": figures.bar(number, total), "percent": f"{100 * number / total:.1f}",
-             "reasons": _reasons(own, total) if outcome in TROUBLE else []}
+             "reasons": [] if words.usable else _reasons(own, total)}
         )  # fmt: skip
     return lines
 
@@ -382,7 +367,7 @@ def _recordings_table(entries: Sequence[_Entry], scatter: figures.Scatter) -> di
         "what": "recording",
         "columns": [
             column("path", "recording", "text", 19, [entry.path for entry in entries]),
-            choice_column("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in MEANINGS]),
+            choice_column("outcome", 8, outcomes, [outcome.replace("_", " ") for outcome in OUTCOMES]),
             choice_column("problem", 9, problems, ["", *(kind.short for kind in KINDS)]),
             number_column("before", "before, mg", 7.5, (pair[0] for pair in pairs), kind="mg"),
             number_column("after", "after, mg", 7, (pair[1] for pair in pairs), kind="mg"),

@@ -15,6 +15,7 @@ from math import atan2, ceil, cos, floor, hypot, log10, pi, sin, sqrt
 from markupsafe import Markup
 
 from accelcal_cli.core.errors import printable
+from accelcal_cli.output.words import number
 
 WIDTH = 760
 LEFT, RIGHT = 70, 26
@@ -42,16 +43,6 @@ def coordinate(value: float) -> str:
     """A coordinate, to a tenth."""
     text = f"{value:.1f}"
     return text.removesuffix(".0") if text != "-0.0" else "0"
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """A number for people: so many significant digits, at least all before the point; a dash for none."""
-    if value is None:
-        return "–"
-    places = 0 if value == 0 else max(0, digits - 1 - floor(log10(abs(value))))
-    text = f"{value:.{min(places, 9)}f}"
-    text = text.rstrip("0").removesuffix(".") if "." in text else text
-    return text.replace("-", "−") if float(text) else text.removeprefix("-")
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,18 +6,21 @@ page says so.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import accumulate, pairwise
-from math import isfinite
-from typing import Any
+from math import ceil
+from typing import Any, TypeVar
 
 from accelcal_cli.collect.cell_points import MAX_POINTS
 from accelcal_cli.collect.cells import MAX_BLOCKS
+from accelcal_cli.output.report_view import ReportRecording, ReportView
+from accelcal_cli.output.words import number
 
 Value = float | None
 Column = list[Value]
+Item = TypeVar("Item")
 
 COUNTS = ("samples", "still", "moving", "windows", "filled", "clipped", "recovered", "lost_bytes", "gap_s")
 SIZE, OFF = ("mean", "p95"), ("p5", "p50", "p95")
@@ -29,13 +32,25 @@ LEAST_HZ = 1e-6
 MOST_STEPS = 1000
 """Of a fit."""
 
+HOURLY, MOST_ROWS = 14 * 24, 192
+"""Rows that stand as they are, and so many at most where there are more: no page is larger than 300 KB."""
+
+TOTALS = {
+    "gap_s": "Gaps [s]",
+    "filled": "Filled",
+    "clipped": "Clipped",
+    "recovered": "Recovered",
+    "lost_bytes": "Lost bytes",
+}
+"""Columns of what few recordings have; those without any are left out."""
+
 
 class UnfitError(Exception):
     """The file is not what the page needs; the text says why."""
 
 
 @dataclass(frozen=True, slots=True)
-class Along:
+class TimeSeries:
     """A recording along its time, and its points.
 
     Attributes:
@@ -62,14 +77,13 @@ class Along:
     seconds: float
 
 
-def along(quality: Mapping[str, Any], report: Mapping[str, Any]) -> Along:
+def time_series(quality: Mapping[str, Any], report: ReportView) -> TimeSeries:
     """What the quality file of a report says; raises UnfitError if it is not of this result, or damaged."""
     if "sha256" not in quality:
         raise UnfitError("is damaged")
     made = (quality.get("sha256"), quality.get("outcome"), quality.get("model"))
-    calibration = report["calibration"]
-    model = None if calibration is None else calibration["model"]
-    if made != (report["recording"]["sha256"], report["outcome"], model):
+    model = None if report.calibration is None else report.calibration.model
+    if made != (report.recording.sha256, report.outcome, model):
         raise UnfitError("is of another result")
     rows, points = _object(quality, "rows"), _object(quality, "points")
     times = rows.get("start")
@@ -80,9 +94,9 @@ def along(quality: Mapping[str, Any], report: Mapping[str, Any]) -> Along:
     length = len(times)
     counts = {name: _numbers(rows, name, length) for name in COUNTS}
     when = ("before",) if rows.get("after_mg") is None else ("before", "after")
-    start, spans = _spans(times, counts, _rate(quality), report["recording"])
+    start, spans = _spans(times, counts, _rate(quality), report.recording)
     known = [name for name in when if isinstance(rows.get(f"{name}_off_mg"), dict)]
-    return Along(
+    return TimeSeries(
         start=start,
         spans=spans,
         rows=counts,
@@ -115,10 +129,6 @@ def _column(table: Mapping[str, Any], name: str, length: int) -> Column:
     return found
 
 
-def _is_number(value: Any) -> bool:
-    return type(value) in (int, float) and isfinite(value) and abs(value) < LARGEST
-
-
 def _numbers(table: Mapping[str, Any], name: str, length: int) -> list[float]:
     """A column without nulls."""
     found = [one for one in _column(table, name, length) if one is not None]
@@ -140,10 +150,10 @@ def _worn(rows: Mapping[str, Any], length: int) -> list[bool | None]:
 
 
 def _rate(quality: Mapping[str, Any]) -> float:
-    rate = _object(quality, "row").get("rate_hz")
-    if not _is_number(rate) or not float(rate or 0) > LEAST_HZ:
+    rate: Any = _object(quality, "row").get("rate_hz")
+    if type(rate) not in (int, float) or not LEAST_HZ < rate < LARGEST:
         raise UnfitError("is damaged (row.rate_hz)")
-    return float(rate or 0)
+    return float(rate)
 
 
 def _points(table: Mapping[str, Any]) -> dict[str, list[float]]:
@@ -167,7 +177,7 @@ def _steps(quality: Mapping[str, Any]) -> list[float]:
 
 
 def _spans(
-    times: Sequence[str], rows: Mapping[str, list[float]], rate_hz: float, recording: Mapping[str, Any]
+    times: Sequence[str], rows: Mapping[str, list[float]], rate_hz: float, recording: ReportRecording
 ) -> tuple[datetime | None, list[tuple[float, float]]]:
     """When the rows begin and end, by their times where these ascend, else by their samples."""
     lengths = [samples / rate_hz for samples in rows["samples"]]
@@ -180,7 +190,87 @@ def _spans(
         ends = list(accumulate(lengths))
         return None, [(end - length, end) for end, length in zip(ends, lengths, strict=True)]
     full = [one + length + gap for one, length, gap in zip(begun, lengths, rows["gap_s"], strict=True)]
-    last = min(full[-1], recording["duration_s"] or full[-1])
+    last = min(full[-1], recording.duration_s or full[-1])
     ends = [min(pair) for pair in zip(full, [*begun[1:], last], strict=True)]
-    dated = recording["start_time"] is not None
+    dated = recording.start_time is not None
     return (moments[0] if dated else None), list(zip(begun, ends, strict=True))
+
+
+def hourly_table(data: TimeSeries) -> tuple[str, list[str], list[list[str]]]:
+    """Return the caption, names of columns, and rows of cells of all that the figures along time show.
+
+    Where there would be too many rows, one has the sums of several, the mean over their windows, and the
+    worst of the rest.
+    """
+    together = 1 if len(data.times) <= HOURLY else ceil(len(data.times) / MOST_ROWS)
+    rows = _MergedRows(data.rows["windows"], together)
+    columns: dict[str, Sequence[str]] = {
+        "Start": [
+            time.partition(".")[0].replace("T", " ").removesuffix(":00") for time in data.times[::together]
+        ],
+        "Worn": rows.merged(data.worn, _worn_cell),
+        **{name.capitalize(): rows.sums(data.rows[name]) for name in ("still", "moving")},
+    }
+    worst = "" if together == 1 else "largest "
+    for when, table in data.errors.items():
+        columns[f"error {when}, mean [mg]"] = rows.means(table["mean"])
+        columns[f"error {when}, {worst}95 % [mg]"] = rows.merged(table["p95"], _worst)
+    middle = "median" if together == 1 else "median farthest off"
+    for when, table in data.off.items():
+        columns[f"|a| − 1 g {when}, {middle} [mg]"] = rows.merged(table["p50"], _worst)
+    columns["°C"] = rows.means(data.temperature, 4)
+    columns |= {title: rows.sums(data.rows[name]) for name, title in TOTALS.items() if any(data.rows[name])}
+    return _caption(together), list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
+
+
+def _caption(together: int) -> str:
+    if together == 1:
+        return "Hour by hour: all that the figures along time show"
+    each = f"{together} rows of STEM.quality.json in each row, which has their sums, mean and worst values"
+    return f"All that the figures along time show, {each}"
+
+
+class _MergedRows:
+    """Columns with so many values together.
+
+    Args:
+        windows: how much each row counts in means.
+    """
+
+    def __init__(self, windows: Sequence[float], together: int) -> None:
+        self.windows = windows
+        self.together = together
+
+    def _parts(self, values: Sequence[Item]) -> list[Sequence[Item]]:
+        return [values[at : at + self.together] for at in range(0, len(values), self.together)]
+
+    def merged(self, values: Sequence[Item], how: Callable[[Sequence[Item]], str]) -> list[str]:
+        return [how(part) for part in self._parts(values)]
+
+    def sums(self, values: Sequence[float]) -> list[str]:
+        return [f"{sum(part):g}" if sum(part) < 1e6 else f"{sum(part):.0f}" for part in self._parts(values)]
+
+    def means(self, values: Sequence[Value], digits: int = 3) -> list[str]:
+        """Over the windows; over rows where these have no window, such as of temperatures in motion."""
+        found = []
+        for part, windows in zip(self._parts(values), self._parts(self.windows), strict=True):
+            known = [(one, weight) for one, weight in zip(part, windows, strict=True) if one is not None]
+            total = sum(weight for _, weight in known)
+            weighed = known if total else [(one, 1.0) for one, _ in known]
+            total = total or len(known)
+            mean = sum(one * weight for one, weight in weighed) / total if known else None
+            found.append(number(known[0][0] if len(known) == 1 else mean, digits))
+        return found
+
+
+def _worst(part: Sequence[Value]) -> str:
+    """What is farthest from 0."""
+    known = [one for one in part if one is not None]
+    return number(max(known, key=abs) if known else None)
+
+
+def _worn_cell(part: Sequence[bool | None]) -> str:
+    known = set(part)
+    if True in known and False in known:
+        return "in part"
+    return "yes" if True in known else "no" if False in known else "–"

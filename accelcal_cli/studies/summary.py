@@ -20,7 +20,14 @@ from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output import files
 from accelcal_cli.output.files import json_text, replacing, write_text
-from accelcal_cli.output.report import SPHERE_COLUMNS, sphere_columns
+from accelcal_cli.output.report_view import (
+    SPHERE_COLUMNS,
+    CalibrationView,
+    CoverageView,
+    ReportView,
+    report_view,
+    sphere_columns,
+)
 from accelcal_cli.studies.records import FAILED, Item
 
 if TYPE_CHECKING:
@@ -80,17 +87,22 @@ def failed(item: Item, code: int, message: str) -> dict[str, Any]:
 def of_report(
     item: Item, code: int, report: dict[str, Any], outputs: dict[str, str | None]
 ) -> dict[str, Any]:
-    """The row of a recording from its report.
+    """Return the row of a recording from its report.
 
     Args:
         outputs: `parquet` and `report`, their names under OUT.
     """
+    view = report_view(report)
     identity = {"path": printable(item.name), "exit_code": code}
-    verdict = {name: report[name] for name in ("outcome", "message", "accelcal_version")}
-    verdict["prior"] = report["settings"].get("prior")
-    figures = _recording(report) | _errors(report) | _coverage(report) | _calibration(report["calibration"])
-    found = _change(report) | _misfits(report) | _gyroscope(report) | _effect(report)
-    return dict.fromkeys(COLUMNS) | identity | verdict | figures | found | outputs
+    verdict = {
+        "outcome": str(view.outcome),
+        "message": view.message,
+        "accelcal_version": view.accelcal_version,
+        "prior": view.settings.get("prior"),
+    }
+    figures = _recording(view) | _errors(view) | _coverage(view.coverage) | _calibration(view.calibration)
+    judged = _change(view) | _misfits(view) | _gyroscope(view) | _effect(view)
+    return dict.fromkeys(COLUMNS) | identity | verdict | figures | judged | outputs
 
 
 def own(line: dict[str, Any]) -> dict[str, Any]:
@@ -98,96 +110,100 @@ def own(line: dict[str, Any]) -> dict[str, Any]:
     return {f"own_{name}": line[name] for name in ("outcome", "message", "after_mg")}
 
 
-def _recording(report: dict[str, Any]) -> dict[str, Any]:
-    recording, health = report["recording"], report["file_health"]
+def _recording(report: ReportView) -> dict[str, Any]:
+    recording, health = report.recording, report.file_health
     same = ("format", "start_time", "duration_s", "samples", "bytes", "sha256", "lsb_per_g", "range_g")
     counts = ("filled_samples", "clipped_samples_before", "clipped_samples_after")
     figures = ("rate_hz_measured", "lost_percent")
     return {
-        **{name: recording[name] for name in same},
-        "time_zone": recording.get("time_zone"),
-        **{name: health[name] for name in counts + figures},
-        **{f"device_{name}": recording["device"][name] for name in DEVICE},
-        "rate_hz": recording["sample_rate_hz"],
-        "gaps": len(recording["gaps"]) + recording["gaps_omitted"],
-        "problems": sum(problem["count"] or 1 for problem in health["problems"]),
+        **{name: getattr(recording, name) for name in (*same, "time_zone")},
+        **{name: getattr(health, name) for name in counts + figures},
+        **{f"device_{name}": getattr(recording.device, name) for name in DEVICE},
+        "rate_hz": recording.sample_rate_hz,
+        "gaps": recording.all_gaps,
+        "problems": sum(problem.count or 1 for problem in health.problems),
     }
 
 
-def _errors(report: dict[str, Any]) -> dict[str, Any]:
-    holdout = report["holdout"]
+def _errors(report: ReportView) -> dict[str, Any]:
+    holdout = report.holdout
     if holdout is None:
         return {}
-    low, high = holdout["ci95_mg"]
-    before = {"before_mg": holdout["before_mg"]["mean"], **{n: holdout[n] for n in ("postures", "points")}}
-    if report["calibration"] is None:
+    low, high = holdout.ci95_mg
+    before = {
+        "before_mg": holdout.before_mg.mean,
+        "postures": holdout.postures,
+        "points": holdout.points,
+    }
+    if report.calibration is None:
         return before
-    after = {"after_mg": holdout["after_mg"]["mean"], "ci95_low_mg": low, "ci95_high_mg": high}
-    return before | after | {"improvement_percent": holdout["improvement_percent"]} | sphere_columns(report)
+    after = {"after_mg": holdout.after_mg.mean, "ci95_low_mg": low, "ci95_high_mg": high}
+    percent = {"improvement_percent": holdout.improvement_percent}
+    return before | after | percent | sphere_columns(report.sphere_mg)
 
 
-def _change(report: dict[str, Any]) -> dict[str, Any]:
-    change = report.get("change")
-    if change is None or change["unchecked"] is not None:
+def _change(report: ReportView) -> dict[str, Any]:
+    change = report.change
+    if change is None or change.unchecked is not None:
         return {}
-    return {"change": change["kind"], "change_at": change["at"], "change_mg": change["size_mg"]}
+    return {"change": change.kind, "change_at": change.at, "change_mg": change.size_mg}
 
 
-def _misfits(report: dict[str, Any]) -> dict[str, Any]:
-    """What was found that the parameters do not describe."""
-    misfits = report.get("misfits")
-    if misfits is None:
+def _misfits(report: ReportView) -> dict[str, Any]:
+    """Return what was found that the parameters do not describe."""
+    if report.misfits is None:
         return {}
-    return {"misfits": ", ".join(one["kind"] for one in misfits if one["found"]) or "none"}
+    return {"misfits": ", ".join(one.kind for one in report.misfits if one.found) or "none"}
 
 
-def _gyroscope(report: dict[str, Any]) -> dict[str, Any]:
-    found = report.get("gyroscope")
-    if found is None:
+def _gyroscope(report: ReportView) -> dict[str, Any]:
+    gyroscope = report.gyroscope
+    if gyroscope is None:
         return {}
-    held = found["holdout_deg"] or {}
-    angles = {f"gyro_{when}_deg": held.get(when) for when in ("before", "after")}
-    return {"gyroscope": found["outcome"], "gyro_pairs": found["pairs"], **angles}
+    errors = gyroscope.holdout_deg
+    return {
+        "gyroscope": gyroscope.outcome,
+        "gyro_pairs": gyroscope.pairs,
+        "gyro_before_deg": None if errors is None else errors.before,
+        "gyro_after_deg": None if errors is None else errors.after,
+    }
 
 
-def _effect(report: dict[str, Any]) -> dict[str, Any]:
-    """Measures of activity, where they were asked for."""
-    versions = report.get("effect", {}).get("versions", {})
+def _effect(report: ReportView) -> dict[str, Any]:
+    """Return measures of activity, where they were asked for."""
+    versions = {} if report.effect is None else report.effect.get("versions", {})
     return {column: versions[name][key] for (name, key), column in EFFECT.items() if name in versions}
 
 
-def _coverage(report: dict[str, Any]) -> dict[str, Any]:
-    coverage = report["coverage"]
+def _coverage(coverage: CoverageView) -> dict[str, Any]:
     ends = {
         f"{end}_{axis}_g": value
-        for end in ("min", "max")
-        for axis, value in zip(AXES, coverage[f"axis_{end}_g"] or (), strict=False)
+        for end, values in (("min", coverage.axis_min_g), ("max", coverage.axis_max_g))
+        for axis, value in zip(AXES, values or (), strict=False)
     }
-    return {"cells": coverage["cells"], "condition_number": coverage["condition_number"], **ends}
+    return {"cells": coverage.cells, "condition_number": coverage.condition_number, **ends}
 
 
-def _calibration(section: dict[str, Any] | None) -> dict[str, Any]:
-    if section is None:
+def _calibration(calibration: CalibrationView | None) -> dict[str, Any]:
+    if calibration is None:
         return {}
-    temperature = section["temperature"]
-    slopes = (
-        {} if temperature is None else dict(zip(PARAMETERS[9:], temperature["slope_g_per_c"], strict=True))
-    )
-    gain = [value for row in section["gain"] for value in row]
+    temperature = calibration.temperature
+    slopes = {} if temperature is None else dict(zip(PARAMETERS[9:], temperature.slope_g_per_c, strict=True))
+    gain = [value for row in calibration.gain for value in row]
     return {
-        "model": section["model"],
+        "model": calibration.model,
         **dict(zip([f"k_{row}{column}" for row in AXES for column in AXES], gain, strict=True)),
-        **dict(zip(PARAMETERS[6:9], section["offset_g"], strict=True)),
+        **dict(zip(PARAMETERS[6:9], calibration.offset_g, strict=True)),
         **slopes,
-        "reference_c": None if temperature is None else temperature["reference_c"],
-        **_standard_errors(section),
+        "reference_c": None if temperature is None else temperature.reference_c,
+        **_standard_errors(calibration),
     }
 
 
-def _standard_errors(section: dict[str, Any]) -> dict[str, float]:
-    """Those of the parameters that the model leaves free: what was not fitted has none."""
-    errors = section.get("standard_errors") or {}
-    model = MODELS.get(section["model"])
+def _standard_errors(calibration: CalibrationView) -> dict[str, float]:
+    """Return those of the parameters that the model leaves free: what was not fitted has none."""
+    errors = calibration.standard_errors or {}
+    model = MODELS.get(calibration.model)
     free = range(len(PARAMETERS)) if model is None else model.free
     named = {f"se_{PARAMETERS[index]}": errors.get(PARAMETER_NAMES[index]) for index in free}
     return {name: value for name, value in named.items() if value is not None}

@@ -6,7 +6,8 @@ import pytest
 
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.points import MODELS
-from accelcal_cli.devices.table import PARAMETERS, with_error
+from accelcal_cli.devices.table import PARAMETERS
+from accelcal_cli.output.words import with_error
 
 
 def test_parameters_are_in_the_order_of_the_models() -> None:
