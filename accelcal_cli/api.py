@@ -29,10 +29,9 @@ from accelcal_cli.output.coefficients import calibration_of, read_coefficients
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
 from accelcal_cli.pipeline import export, given, jobs, outputs, survey
-from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
+from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
-from accelcal_cli.pipeline.effect import EPOCH_S
 from accelcal_cli.pipeline.fit import fit_frame, fit_points
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, FileStamp, Job, Request, file_stamp
 from accelcal_cli.pipeline.stated import folder_rules, options_of

@@ -15,10 +15,18 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.coefficients import without_misalignment
 from accelcal_cli.output.files import csv_text, open_plain, refuse_foreign, replacing
-from accelcal_cli.pipeline.activity import MG, Table
+from accelcal_cli.pipeline.activity import (
+    DIGITS,
+    MG,
+    TRUE,
+    EffectMeter,
+    EpochTable,
+    Version,
+    versions,
+    versions_of,
+)
 from accelcal_cli.pipeline.apply import at_reference
 from accelcal_cli.pipeline.calibrate import FirstPass, RecordingRun, open_run
-from accelcal_cli.pipeline.effect import DIGITS, TRUE, Effect, Version, versions, versions_of
 from accelcal_cli.pipeline.jobs import (
     Job,
     ProgressMaker,
@@ -50,7 +58,7 @@ class MeasuredEffect:
     effect: dict[str, Any]
 
 
-Write = Callable[[list[Table]], None]
+Write = Callable[[list[EpochTable]], None]
 
 
 def effect(
@@ -76,7 +84,7 @@ def effect(
         ready, judge = judged_by(run)
         found = ready.result(judge)
         made = _versions(path, ready, found)
-        observer = Effect(made, found.data.recording, epoch_s)
+        observer = EffectMeter(made, found.data.recording, epoch_s)
         shown = progress("measuring", found.data.recording.total_bytes)
         with _epochs(table, path, made, epoch_s, found.data.facts.utc_offset_s) as write:
             for chunk in ready.reader.chunks(request.chunk_samples):
@@ -117,7 +125,7 @@ def _epochs(
     head = (*HEAD, *(f"{name}_{one.name}" for one in made for name in MEASURES))
     with replacing(table) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
 
-        def write(tables: list[Table]) -> None:
+        def write(tables: list[EpochTable]) -> None:
             for part in tables:
                 lines = csv_text(head, list(_lines(part, epoch_s, offset_s)))
                 file.write(lines[lines.index("\n") + 1 :])
@@ -126,7 +134,7 @@ def _epochs(
         yield write
 
 
-def _lines(part: Table, epoch_s: int, offset_s: int | None) -> Iterator[list[object]]:
+def _lines(part: EpochTable, epoch_s: int, offset_s: int | None) -> Iterator[list[object]]:
     """Time, number of samples, and the measures of each version, epoch by epoch."""
     columns: list[list[object]] = [[iso_time(one, offset_s) for one in part.start_us.tolist()]]
     columns.append(part.rows.tolist())

@@ -15,8 +15,7 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.effect import MeasuredEffect, as_json, check_table, effect
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted
-from accelcal_cli.pipeline.activity import LONGEST_EPOCH_S
-from accelcal_cli.pipeline.effect import EPOCH_S
+from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.jobs import ProgressMaker
 
 FIGURES = {

@@ -33,9 +33,8 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import figure, formatted
 from accelcal_cli.pipeline import given
-from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths
+from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths, versions_of
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
-from accelcal_cli.pipeline.effect import versions_of
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
 
 HOUR_US = 3600 * MICROSECONDS

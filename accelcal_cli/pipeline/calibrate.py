@@ -35,7 +35,7 @@ from accelcal_cli.output.gyroscope import gyroscope_json
 from accelcal_cli.output.quality import QualityInput, dumps_quality, quality_json
 from accelcal_cli.output.report import ReportInput, integers_json
 from accelcal_cli.pipeline import export, jobs, outputs, survey
-from accelcal_cli.pipeline.effect import EPOCH_S, Effect, versions_of
+from accelcal_cli.pipeline.activity import EPOCH_S, EffectMeter, versions_of
 from accelcal_cli.pipeline.facts import FactsObserver
 from accelcal_cli.pipeline.gyroscope import gyroscope_of, turning
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
@@ -400,7 +400,7 @@ class RecordingRun:
         outputs.save_report(self.job.report, report)
         return Result(self.job, report, kept=kept)
 
-    def _write_parquet(self, data: ReportInput, path: Path, effect: Effect | None) -> int:
+    def _write_parquet(self, data: ReportInput, path: Path, effect: EffectMeter | None) -> int:
         """Second pass; returns how many of the samples written lie beyond the sensor's range."""
         # Not every run writes Parquet, and pyarrow takes as long to load as all of accelcal.
         from accelcal_cli.output.columns import schema_of
@@ -434,19 +434,19 @@ class RecordingRun:
             over = total if counting else over
         return _with_effect(replace(data, clipped_after=over), effect)
 
-    def _effect(self, data: ReportInput) -> Effect | None:
+    def _effect(self, data: ReportInput) -> EffectMeter | None:
         """What measures activity along the second pass, if it is asked for and there is a calibration."""
         if not self.request.effect or data.judgement.calibration is None:
             return None
-        return Effect(versions_of(data), data.recording, EPOCH_S)
+        return EffectMeter(versions_of(data), data.recording, EPOCH_S)
 
-    def _chunks(self, effect: Effect | None) -> Iterator[Chunk]:
+    def _chunks(self, effect: EffectMeter | None) -> Iterator[Chunk]:
         """The chunks of the second pass."""
         chunks = self.reader.chunks(CALIBRATED_AT_ONCE * self.request.chunk_samples)
         return chunks if effect is None else effect.watch(chunks)
 
 
-def _with_effect(data: ReportInput, effect: Effect | None) -> ReportInput:
+def _with_effect(data: ReportInput, effect: EffectMeter | None) -> ReportInput:
     """The result with what was measured, after the second pass."""
     if effect is None:
         return data

@@ -10,14 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from accelcal_cli.pipeline.activity import MG, Activity, Cutter, Measuring, Table
+from accelcal_cli.pipeline.activity import MG, Activity, ActivityMeter, EpochCutter, EpochTable
 
 SECOND = 1_000_000
 
 
-def measured(times_us, *versions, rate_hz=10.0, epoch_s=5, step=10**9) -> tuple[Measuring, list[Table]]:
+def measured(
+    times_us, *versions, rate_hz=10.0, epoch_s=5, step=10**9
+) -> tuple[ActivityMeter, list[EpochTable]]:
     """Versions (n, 3) of rows, fed so many at a time."""
-    measuring, tables = Measuring(len(versions), epoch_s, rate_hz), []
+    measuring, tables = ActivityMeter(len(versions), epoch_s, rate_hz), []
     for first in range(0, len(times_us), step):
         part = slice(first, first + step)
         xyz = [[axis.astype(np.float32) for axis in one[part].T] for one in versions]
@@ -149,7 +151,7 @@ def test_the_angle_is_that_of_the_mean_of_five_seconds() -> None:
 
 
 def test_a_clock_that_stands_does_not_fill_the_memory() -> None:
-    cutter, seen = Cutter(5 * SECOND, 100), []
+    cutter, seen = EpochCutter(5 * SECOND, 100), []
     for _ in range(50):
         seen += [part.rows.tolist() for part in cutter.feed(np.zeros(30, np.int64), np.zeros(30, np.int64))]
     seen += [part.rows.tolist() for part in cutter.finish()]
