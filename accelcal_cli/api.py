@@ -28,13 +28,23 @@ from accelcal_cli.output import report as reports
 from accelcal_cli.output.coefficients import calibration_of, read_coefficients
 from accelcal_cli.output.report import ReportInput
 from accelcal_cli.output.report_reading import read_document
-from accelcal_cli.pipeline import export, given, jobs, outputs, survey
+from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
 from accelcal_cli.pipeline.fit import fit_frame, fit_points
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, FileStamp, Job, Request, file_stamp
-from accelcal_cli.pipeline.stated import folder_rules, options_of
+from accelcal_cli.pipeline.options import (
+    chosen_settings,
+    field_values,
+    fit_settings,
+    folder_rules,
+    option_fields,
+    read_options,
+    recipient_settings,
+    recording_options,
+    with_values,
+)
 from accelcal_cli.pipeline.windows import WindowLog
 
 if TYPE_CHECKING:
@@ -48,10 +58,10 @@ def _values(options: dict[str, Any], *kinds: type) -> dict[str, Any]:
     """What the options say, by field, None where nothing is said; as from a command line.
 
     Raises:
-        TypeError, UsageError: see `given.values_of`.
+        TypeError, UsageError: see `field_values`.
     """
-    nothing: dict[str, Any] = {name: None for _, name in given.keywords(ReadOptions, Settings).values()}
-    return nothing | {"no_temperature": False, "force_timezone": False} | given.values_of(options, *kinds)
+    nothing: dict[str, Any] = {name: None for _, name in option_fields(ReadOptions, Settings).values()}
+    return nothing | {"no_temperature": False, "force_timezone": False} | field_values(options, *kinds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +152,7 @@ def read(path: AnyPath, *, chunk_samples: int = DEFAULT_CHUNK_SAMPLES, **options
         AccelcalError: it cannot be read.
     """
     source = Path(path)
-    wanted = options_of(source, given.read_options(_values(options, ReadOptions)))
+    wanted = recording_options(source, read_options(_values(options, ReadOptions)))
     return Reading(survey.open_marked(source, wanted), chunk_samples)
 
 
@@ -267,8 +277,8 @@ def calibrate(path: AnyPath, *, report_only: bool = False, **options: Any) -> Re
     """
     values, source = _values(options, ReadOptions, Settings), Path(path)
     request = Request(
-        options=given.read_options(values),
-        settings=given.settings(values),
+        options=read_options(values),
+        settings=chosen_settings(values),
         report_only=report_only,
         parts=True,
     )
@@ -302,7 +312,7 @@ def fit(points: Any, **options: Any) -> dict[str, Any]:
     Raises:
         AccelcalError: it is no table of points, or the options do not go together.
     """
-    settings = given.fitting_settings(_values(options, Settings))
+    settings = fit_settings(_values(options, Settings))
     if isinstance(points, str | PathLike):
         report = fit_points(Path(points), settings)
     else:
@@ -339,8 +349,8 @@ def from_poses(
     source = session_of([Path(one) for one in several], None if poses is None else Path(poses))
     values = _values(options, ReadOptions, PoseSettings)
     request = Request(
-        options=given.read_options(values),
-        settings=replace(given.with_given(POSES, values), roll=tuple(roll)),
+        options=read_options(values),
+        settings=replace(with_values(POSES, values), roll=tuple(roll)),
         poses=None if poses is None else Path(poses),
         report_only=True,
         parts=True,
@@ -438,8 +448,8 @@ def effect(
         raise UsageError("any_device is for coefficients only", hint="omit it")
     values = _values(options, ReadOptions, Settings)
     request = Request(
-        options=given.read_options(values),
-        settings=given.settings(values) if coefficients is None else given.settings_beside(values),
+        options=read_options(values),
+        settings=chosen_settings(values) if coefficients is None else recipient_settings(values),
         coefficients=None if coefficients is None else read_coefficients(Path(coefficients)),
         any_device=any_device,
         report_only=True,
@@ -474,8 +484,8 @@ def study(
 
     values = _values(options, ReadOptions, Settings)
     request = Request(
-        options=given.read_options(values),
-        settings=given.settings(values, in_study=True),
+        options=read_options(values),
+        settings=chosen_settings(values, in_study=True),
         report_only=report_only,
         several=True,
         command=("accelcal_cli.study",),

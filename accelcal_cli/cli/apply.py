@@ -13,9 +13,9 @@ from accelcal_cli.cli import options
 from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.output.coefficients import read_coefficients
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.apply import apply, keep_coefficients
 from accelcal_cli.pipeline.jobs import Request, plan
+from accelcal_cli.pipeline.options import read_options, with_values
 
 
 @click.command("apply")
@@ -39,9 +39,9 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     jobs = plan(list(recordings), values["output_dir"], values["output"])
     keep_coefficients(values["coefficients"], jobs)
     request = Request(
-        options=given.read_options(values),
+        options=read_options(values),
         parts=values["parts"],
-        settings=replace(given.with_given(DEFAULT, values), temperature=not values["no_temperature"]),
+        settings=replace(with_values(DEFAULT, values), temperature=not values["no_temperature"]),
         chunk_samples=values["chunk_samples"],
         force=values["force"],
         command=("accelcal", *sys.argv[1:]),

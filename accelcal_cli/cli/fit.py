@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from accelcal_cli.pipeline.options import fit_settings
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, fitting_options
@@ -15,7 +16,6 @@ from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report_view import report_view
 from accelcal_cli.pipeline.fit import fit_points
-from accelcal_cli.pipeline.given import fitting_settings
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
 from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance
 
@@ -43,7 +43,7 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
         refuse_misnamed(output, JSON)
     if output is not None and not force:
         refuse_report_of_another(output, points)
-    fitted = fit_points(points, fitting_settings(values))
+    fitted = fit_points(points, fit_settings(values))
     report = with_provenance(fitted, ("accelcal", *sys.argv[1:]))
     refused = report["outcome"] == Outcome.REFUSED
     if output is not None and not refused:

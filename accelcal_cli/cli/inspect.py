@@ -15,9 +15,9 @@ from accelcal_cli.core.errors import AccelcalError, UsageError, counted, printab
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.formats import refuse_unused
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.inspect import Inspection, as_json, inspect
 from accelcal_cli.pipeline.jobs import STDIN, Request
+from accelcal_cli.pipeline.options import chosen_settings, read_options
 
 QUICK = "gauss-newton"
 """Finds the parameters of the default optimizer to a few micro-g, a hundred times as fast."""
@@ -45,7 +45,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
         raise UsageError("standard input can be read only once", hint="give - only once")
     named = options.recordings_of(recordings, values)
     several = len(named) > 1
-    reading = given.read_options(values)
+    reading = read_options(values)
     if several and STDIN not in recordings:
         refuse_unused(named, reading)
     rules, parts = options.rules_of(values), values["parts"]
@@ -71,7 +71,7 @@ def _look(path: Path, request: Request, values: dict[str, Any]) -> Inspection:
 
 def _settings(values: dict[str, Any]) -> Settings:
     """As for `calibrate`; a look at pieces is fitted by a quicker optimizer if none is named."""
-    wanted = given.settings(values)
+    wanted = chosen_settings(values)
     look = not values["full"] and values["optimizer"] is None and wanted.profile == DEFAULT.profile
     return replace(wanted, optimizer=QUICK) if look else wanted
 

@@ -20,9 +20,8 @@ from accelcal_cli.core.input_files import may_be_archive, pattern_of
 from accelcal_cli.core.settings import Option, Setting, Settings, setting_of
 from accelcal_cli.formats import all_encoders, all_formats
 from accelcal_cli.optimize import all_optimizers
-from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, Request, real
-from accelcal_cli.pipeline.stated import Rules, folder_rules, read_rules
+from accelcal_cli.pipeline.options import FolderRules, chosen_settings, folder_rules, read_options, read_rules
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -297,7 +296,7 @@ def recordings_of(recordings: tuple[Path, ...], values: dict[str, Any]) -> list[
     return [pattern_of(recordings)] if values["parts"] and files else list(recordings)
 
 
-def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> tuple[Rules, ...]:
+def rules_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) -> tuple[FolderRules, ...]:
     """What --config says of the recordings in folders, else what a study.toml in each of them says.
 
     Args:
@@ -328,7 +327,7 @@ def request_of(values: dict[str, Any], folders: tuple[Path, ...] | None = None) 
     """
     return Request(
         options=read_options(values),
-        settings=settings(values, in_study=folders is not None),
+        settings=chosen_settings(values, in_study=folders is not None),
         chunk_samples=values["chunk_samples"],
         report_only=values["report_only"],
         keep_refused=values["keep_refused"],

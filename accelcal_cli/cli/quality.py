@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import click
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.output.words import formatted
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.pipeline.quality import Quality, State, as_json, quality
 
@@ -66,9 +66,9 @@ def request_beside(recording: Path, values: dict[str, Any]) -> Request:
     if path is None and values["any_device"]:
         raise UsageError("--any-device is for --coefficients only", path=recording, hint="omit it")
     return Request(
-        options=given.read_options(values),
+        options=read_options(values),
         parts=values["parts"],
-        settings=given.settings(values) if path is None else given.settings_beside(values),
+        settings=chosen_settings(values) if path is None else recipient_settings(values),
         chunk_samples=values["chunk_samples"],
         coefficients=None if path is None else read_coefficients(path),
         any_device=values["any_device"],

@@ -13,8 +13,8 @@ from accelcal_cli.cli.output import run_jobs
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.input_files import is_no_part
 from accelcal_cli.core.settings import POSES, PoseSettings
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import Request, Result, plan_report, real
+from accelcal_cli.pipeline.options import read_options, with_values
 from accelcal_cli.six_pose.run import session_of, six_pose
 
 
@@ -54,8 +54,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     job = plan_report(session, values["output_dir"], values["output"], *inputs)
     _refuse_among(job.report, session)
     request = Request(
-        options=given.read_options(values),
-        settings=given.with_given(POSES, values),
+        options=read_options(values),
+        settings=with_values(POSES, values),
         poses=values["poses"],
         report_only=True,
         chunk_samples=values["chunk_samples"],

@@ -30,7 +30,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, LEARNT_PRIORS
 from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
-from accelcal_cli.pipeline.stated import plain
+from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
 from accelcal_cli.studies.heartbeat import LEAST_SILENCE_S
 from accelcal_cli.studies.records import FAILED, Item
@@ -267,7 +267,7 @@ def _preview(study: Study, values: dict[str, Any]) -> int:
     for item, state in sorted(preview(study, note).items(), key=lambda pair: pair[0].name):
         path = printable(item.source)
         if values["as_json"]:
-            stated = {one.field: {"value": plain(one.value), "from": one.origin} for one in item.choices}
+            stated = {one.field: {"value": json_value(one.value), "from": one.origin} for one in item.choices}
             more = {"stated": stated or None, "message": item.refusal}
             known = {name: value for name, value in more.items() if value is not None}
             exit_codes.show(json.dumps({"path": path, "state": state, **known}))

@@ -19,8 +19,8 @@ from accelcal_cli.core.calibration import Transform
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.recording import Recording
 from accelcal_cli.output.files import exists
-from accelcal_cli.pipeline.given import read_options, settings
 from accelcal_cli.pipeline.jobs import STDIN, Request
+from accelcal_cli.pipeline.options import chosen_settings, read_options
 from accelcal_cli.watching.watch import RowsToCalibrate, StepResult, Unpacker, Watch
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ def command(recording: Path, **values: Any) -> int:
     Prints a JSON object for each event: progress, fitted, refitted, drifted, ended; on stderr where rows
     go to standard output. The exit code is that of `calibrate` for all that came.
     """
-    request = Request(options=read_options(values), settings=settings(values))
+    request = Request(options=read_options(values), settings=chosen_settings(values))
     request = request if recording == STDIN else request.for_recording(recording)
     if values["kind"] is not None and values["output"] is None:
         raise UsageError("--to is for --output only", hint="omit it")

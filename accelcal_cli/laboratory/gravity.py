@@ -17,6 +17,7 @@ from typing import Any
 
 import click
 import numpy as np
+from accelcal_cli.pipeline.options import chosen_gravity
 from numpy.random import RandomState
 from numpy.typing import NDArray
 
@@ -35,7 +36,6 @@ from accelcal_cli.judge.turning import Gravity
 from accelcal_cli.laboratory.cases import ALL, Case, Method, Plan, as_points, make_case, measured, methods
 from accelcal_cli.output.report import significant
 from accelcal_cli.output.words import figure
-from accelcal_cli.pipeline.given import gravity
 from accelcal_cli.simulate import draw_gyroscope, unit
 
 TABLE_8 = (0.6015, 0.0090)
@@ -238,7 +238,7 @@ def _rest_g(values: dict[str, Any]) -> Fraction:
     if values["local_gravity"] is not None and values["latitude"] is not None:
         raise UsageError("--local-gravity and --latitude cannot be combined", hint="give one of them")
     if values["latitude"] is not None or values["altitude_m"] is not None:
-        return gravity(values).local_g()
+        return chosen_gravity(values).local_g()
     return standard_g(values["local_gravity"] or TABLE_8_GRAVITY)
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import click
 import numpy as np
+from accelcal_cli.pipeline.options import chosen_settings, read_options
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
@@ -32,7 +33,6 @@ from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import figure, formatted
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths, versions_of
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
@@ -395,8 +395,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     if len(recordings) < 2:
         raise UsageError("one recording has nothing to be compared with", hint="give two or more")
     request = Request(
-        options=given.read_options(values),
-        settings=given.settings(values),
+        options=read_options(values),
+        settings=chosen_settings(values),
         chunk_samples=values["chunk_samples"],
         parts=values["parts"],
     )

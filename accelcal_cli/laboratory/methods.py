@@ -11,6 +11,7 @@ from time import perf_counter
 from typing import Any
 
 import click
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
@@ -24,9 +25,7 @@ from accelcal_cli.judge.model_ladder import Fitting
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
-from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
 
 TABLE_3_OF_F = (
@@ -85,7 +84,7 @@ def collected(path: Path, options: ReadOptions, settings: Settings, progress: Pr
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_marked(path, options_of(path, options)) as reader:
+    with open_marked(path, recording_options(path, options)) as reader:
         method = make_method(reader.recording, settings)
         shown = progress("reading", reader.recording.total_bytes)
         survey(reader.chunks(DEFAULT_CHUNK_SAMPLES), method.segmenter, (method.procedure,), shown)
@@ -202,7 +201,7 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     names = _names(values["only"])
 
     def work(path: Path, bars: ProgressMaker) -> list[Row]:
-        return list(compare(path, given.read_options(values), given.settings(values), names, bars))
+        return list(compare(path, read_options(values), chosen_settings(values), names, bars))
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if rows := list(chain.from_iterable(found)):

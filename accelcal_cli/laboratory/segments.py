@@ -16,6 +16,7 @@ from typing import Any
 
 import click
 import numpy as np
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
@@ -32,9 +33,7 @@ from accelcal_cli.core.statistics import mean
 from accelcal_cli.judge.verdict import held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
 from accelcal_cli.output.words import formatted
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
-from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import (
     CellProcedure,
     StillWindows,
@@ -138,7 +137,7 @@ def stillness(
     Raises:
         AccelcalError: it cannot be read.
     """
-    with open_marked(path, options_of(path, options)) as reader:
+    with open_marked(path, recording_options(path, options)) as reader:
         recording = reader.recording
         kept = StillWindows()
         shown = progress("finding stillness", recording.total_bytes)
@@ -402,13 +401,13 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Segment]]:
-        chosen = given.settings(values)
+        chosen = chosen_settings(values)
         still = _stillness(path, chosen, values, bars)
         return printable(path), list(_found(still, chosen, values))
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if found:
-        exit_codes.show(_shown(dict(found), given.settings(values), as_json=values["as_json"]))
+        exit_codes.show(_shown(dict(found), chosen_settings(values), as_json=values["as_json"]))
     return code
 
 
@@ -438,7 +437,7 @@ def _simulation(values: dict[str, Any]) -> Simulation | None:
 def _stillness(path: Path, chosen: Settings, values: dict[str, Any], bars: ProgressMaker) -> Stillness:
     if values["table_hours"] is not None:
         return stillness_of_table(path, chosen, values["table_hours"])
-    return stillness(path, given.read_options(values), chosen, values["chunk_samples"], bars)
+    return stillness(path, read_options(values), chosen, values["chunk_samples"], bars)
 
 
 def _shown(results: dict[str, list[Segment]], chosen: Settings, *, as_json: bool) -> str:

@@ -23,9 +23,8 @@ from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.recording import Reader
 from accelcal_cli.core.rolling import WIDTHS, width_for
 from accelcal_cli.core.settings import Settings
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker
-from accelcal_cli.pipeline.stated import options_of
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.survey import StillWindows, make_method, open_marked, survey
 
 TABLE_1 = {10: (3.4568e-5, 4.6495e-5), 20: (1.8359e-5, 2.6465e-5)}
@@ -77,7 +76,7 @@ def smoothing(
         AccelcalError: it cannot be read.
         UsageError: it has no still window that is long enough.
     """
-    with open_marked(path, options_of(path, options)) as reader:
+    with open_marked(path, recording_options(path, options)) as reader:
         recording = reader.recording
         method, still = make_method(recording, settings), StillWindows()
         shown = progress("reading", recording.total_bytes)
@@ -157,8 +156,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     """
 
     def work(path: Path, bars: ProgressMaker) -> Smoothing:
-        settings, chunk = given.settings(values), values["chunk_samples"]
-        return smoothing(path, given.read_options(values), settings, chunk, bars)
+        settings, chunk = chosen_settings(values), values["chunk_samples"]
+        return smoothing(path, read_options(values), settings, chunk, bars)
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])
     if found and values["as_json_"]:

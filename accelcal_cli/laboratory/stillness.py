@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 import numpy as np
+from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
@@ -31,10 +32,8 @@ from accelcal_cli.judge.model_ladder import postures
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import rounded
 from accelcal_cli.output.words import formatted
-from accelcal_cli.pipeline import given
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
 from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
-from accelcal_cli.pipeline.stated import options_of
 from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
 
 RAW = "raw"
@@ -96,7 +95,7 @@ def compare(
         AccelcalError: it cannot be read, or its truth file cannot.
     """
     truth = true_parameters(path)
-    with open_marked(path, options_of(path, options)) as reader:
+    with open_marked(path, recording_options(path, options)) as reader:
         found = [
             _by_rule(reader, with_stillness(settings, rule), chunk_samples, progress) for rule in STILLNESS
         ]
@@ -177,8 +176,8 @@ def command(recordings: tuple[Path, ...], **values: Any) -> int:
     refuse_both(as_json=values["as_json"], as_csv=values["as_csv"])
 
     def work(path: Path, bars: ProgressMaker) -> tuple[str, list[Row]]:
-        chosen, chunk_samples = given.fitting_settings(values), values["chunk_samples"]
-        compared = compare(path, given.read_options(values), chosen, chunk_samples, bars)
+        chosen, chunk_samples = fit_settings(values), values["chunk_samples"]
+        compared = compare(path, read_options(values), chosen, chunk_samples, bars)
         return printable(path), rows(compared)
 
     found, code = each_recording(recordings, work, quiet=values["quiet"])

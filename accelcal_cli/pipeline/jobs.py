@@ -23,7 +23,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder
 from accelcal_cli.formats import all_formats, refuse_unused, unused_options
-from accelcal_cli.pipeline import stated
+from accelcal_cli.pipeline.options import FolderRules, StatedOption, stated_options, with_stated
 
 if TYPE_CHECKING:
     from accelcal_cli.output.coefficients import Coefficients
@@ -324,18 +324,18 @@ class Request:
     threads: int = field(default_factory=cpus)
     several: bool = False
     unused: tuple[str, ...] = ()
-    rules: tuple[stated.Rules, ...] = ()
+    rules: tuple[FolderRules, ...] = ()
     parts: bool = False
     as_given: bool = False
 
     def options_of(self, path: Path) -> ReadOptions:
         """How a recording is read: as was given, and as files beside it state; raises UsageError for
         contradictions."""
-        return stated.with_choices(self.options, self.choices_of(path), path)
+        return with_stated(self.options, self.choices_of(path), path)
 
-    def choices_of(self, path: Path) -> dict[str, stated.Choice]:
+    def choices_of(self, path: Path) -> dict[str, StatedOption]:
         """What files beside a recording state, which may contradict what is given; raises UsageError."""
-        return {} if self.as_given else stated.choices_of(path, self.rules, self.options.layout)
+        return {} if self.as_given else stated_options(path, self.rules, self.options.layout)
 
     def for_recording(self, path: Path) -> Request:
         """The request as it is for one recording: with what files beside it state, and without options that
@@ -350,7 +350,7 @@ class Request:
             more = "with --parts it is read as the parts of one"
             raise UnreadableError("is a folder, not a recording", path=path, hint=hint + more)
         said = self.choices_of(path)
-        options = stated.with_choices(self.options, said, path)
+        options = with_stated(self.options, said, path)
         unused = unused_options(path, options) if self.several or said else ()
         unused = tuple(name for name in unused if self.several or name in said)
         return replace(self, options=without(options, unused), unused=unused or self.unused, as_given=True)
@@ -381,8 +381,8 @@ class Request:
 
 def input_settings(options: ReadOptions, companion: Path | None) -> dict[str, Any]:
     """The `input` object of a report's settings: what the user said of the recording."""
-    given = asdict(options)
-    used = {name: value for name, value in given.items() if name not in IF_GIVEN or value is not None}
+    stated = asdict(options)
+    used = {name: value for name, value in stated.items() if name not in IF_GIVEN or value is not None}
     used["layout"] = None if companion is None else printable(companion.name)
     used["layout_sha256"] = None if companion is None else sha256(companion)
     used["columns"] = None if options.columns is None else list(options.columns)

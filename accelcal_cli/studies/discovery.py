@@ -25,7 +25,7 @@ from accelcal_cli.formats.unisens import belongs_to_another
 from accelcal_cli.output.files import stored_schema
 from accelcal_cli.output.report_reading import load
 from accelcal_cli.pipeline import jobs
-from accelcal_cli.pipeline.stated import fits
+from accelcal_cli.pipeline.options import fits_pattern
 from accelcal_cli.studies.ledger import is_ledger
 from accelcal_cli.studies.records import Item
 from accelcal_cli.studies.summary import COLUMNS
@@ -209,7 +209,9 @@ def below_out(where: Where) -> list[Item]:
 
 
 def _wanted(where: Where, below: str) -> bool:
-    return not fits(below, where.exclude) and (not where.include or fits(below, where.include))
+    if fits_pattern(below, where.exclude):
+        return False
+    return not where.include or fits_pattern(below, where.include)
 
 
 def places(where: Where) -> list[tuple[Path, str]]:
@@ -243,8 +245,8 @@ def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[I
             continue
         for name in names:
             below = (base / name).relative_to(folder).as_posix()
-            aside = bool(where.include) and not fits(below, where.include)
-            if not _never(base / name) and not fits(below, where.exclude) and _plain(base / name):
+            aside = bool(where.include) and not fits_pattern(below, where.include)
+            if not _never(base / name) and not fits_pattern(below, where.exclude) and _plain(base / name):
                 yield replace(_item(where, base / name, place + below), aside=aside)
     for error in unlisted:
         yield _unlisted(where, folder, place, error)

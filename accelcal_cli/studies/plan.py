@@ -16,7 +16,7 @@ from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.formats import refuse_unused
 from accelcal_cli.output.files import looking_at
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.pipeline.stated import Rules, stamp_of, with_choices
+from accelcal_cli.pipeline.options import FolderRules, stated_stamp, with_stated
 from accelcal_cli.studies import summary
 from accelcal_cli.studies.discovery import below_out, files, is_recording, without_collisions
 from accelcal_cli.studies.ledger import Ledger
@@ -128,7 +128,7 @@ def as_stated(item: Item, request: Request) -> Item:
     """A file with what others state of how it is read; refused where that makes no sense."""
     try:
         choices = request.choices_of(item.source)
-        with_choices(request.options, choices, item.source)
+        with_stated(request.options, choices, item.source)
     except UsageError as error:
         if item.refusal is None and is_recording(item, request.options, asked_for=False):
             why = str(error).removeprefix(f"{printable(item.source)}: ")
@@ -136,10 +136,10 @@ def as_stated(item: Item, request: Request) -> Item:
         return item
     if not choices:
         return item
-    return replace(item, stamps=(*item.stamps, stamp_of(choices)), choices=tuple(choices.values()))
+    return replace(item, stamps=(*item.stamps, stated_stamp(choices)), choices=tuple(choices.values()))
 
 
-def unfit_patterns(rules: Sequence[Rules], items: Sequence[Item]) -> list[str]:
+def unfit_patterns(rules: Sequence[FolderRules], items: Sequence[Item]) -> list[str]:
     """Patterns of `study.toml` that none of the files fits, each with the file's name."""
     fitting = {(one.path, pattern) for one in rules for item in items for pattern in one.fitting(item.source)}
     named = dict.fromkeys((one.path, pattern) for one in rules for pattern in one.patterns)

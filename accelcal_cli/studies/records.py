@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from accelcal_cli.pipeline.jobs import FileStamp, Job
-from accelcal_cli.pipeline.stated import Choice
+from accelcal_cli.pipeline.options import StatedOption
 
 FAILED = "failed"
 """The summary's outcome of a recording that gave no report."""
@@ -35,7 +35,7 @@ class Item:
     stamps: tuple[FileStamp | None, ...]
     refusal: str | None = None
     aside: bool = False
-    choices: tuple[Choice, ...] = ()
+    choices: tuple[StatedOption, ...] = ()
 
     @property
     def source(self) -> Path:

@@ -1,0 +1,505 @@
+"""Options, as the command line, the Python API and files name them, made into the records that the work uses.
+
+Names are those of the records' fields; None stands for an option that is not given. Text and bounds of single
+values have been checked by click, or by `field_values`; how options go together is checked here.
+
+Files beside recordings may state how to read them: `study.toml` for a folder, `NAME.toml` for one recording.
+A `study.toml` has a table for each pattern of names, with reading options by name:
+
+    ["phone/*.csv"]
+    unit = "m/s2"
+    timezone = "Europe/Berlin"
+
+and before these, if some files are no recordings, `exclude = ["*_gyro.csv"]`. Where several patterns fit a
+recording, the later one decides, option by option; its own NAME.toml takes precedence over all of them. The
+command line must not contradict them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from datetime import date
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+import numpy as np
+
+from accelcal_cli.core.errors import UsageError, did_you_mean, printable
+from accelcal_cli.core.formats import ReadOptions, option_name
+from accelcal_cli.core.gravity import Gravity
+from accelcal_cli.core.input_files import read_toml
+from accelcal_cli.core.settings import (
+    DEFAULT,
+    LEARNT_PRIORS,
+    NEVER,
+    NO_PRIOR,
+    PROFILES,
+    RANGE_RULES,
+    STILLNESS,
+    PoseSettings,
+    Settings,
+    setting_of,
+    with_stillness,
+)
+from accelcal_cli.formats.raw import FOLDER_NAME, SUFFIX, check_layout, is_file, named_layout
+from accelcal_cli.optimize import named_optimizer
+from accelcal_cli.pipeline.report_settings import converted
+
+STUDY_FILE = "study.toml"
+LARGEST_FILE = 1 << 20
+"""Most bytes of a file that states options."""
+
+CHECKED_ALONE = {"timezone", "start"}
+"""Options whose text can be checked without the others."""
+
+PAPER_ONLY = ("min_distance_g", "min_subset_points", "max_subset_points")
+"""Settings that only profile `paper` has."""
+
+BROUGHT_ALONG = (
+    *("profile", *PAPER_ONLY, "stillness", "stillness_axes", "segment_seconds", "stillness_threshold_g"),
+    *("optimizer", "model", "prior"),
+)
+"""Settings that the coefficients of a report bring along from their own recording."""
+
+AnySettings = TypeVar("AnySettings", Settings, PoseSettings)
+
+
+@cache
+def option_fields(*kinds: type) -> dict[str, tuple[type, str]]:
+    """Return the record and the field that each option sets, by its name without dashes: `lsb_per_g`."""
+    return {
+        option.name.removeprefix("--").replace("-", "_"): (kind, one.name)
+        for kind in kinds
+        for one in fields(kind)
+        if (option := setting_of(kind, one.name).option) is not None
+    }
+
+
+def field_values(options: Mapping[str, Any], *kinds: type) -> dict[str, Any]:
+    """Return the values of options given by keyword, by field, without those that are None.
+
+    Raises:
+        TypeError: an option does not exist, or has a value of another type.
+        UsageError: a value is out of bounds, or is none of the choices.
+    """
+    known, values = option_fields(*kinds), {}
+    for keyword, value in options.items():
+        if keyword not in known:
+            meant = did_you_mean(keyword, known)
+            raise TypeError("; ".join([f"there is no option {keyword!r}", *filter(None, [meant])]))
+        if value is not None:
+            kind, name = known[keyword]
+            values["no_temperature" if keyword == "no_temperature" else name] = _checked(
+                keyword, kind, name, value
+            )
+    return values
+
+
+def _checked(keyword: str, kind: type, name: str, value: Any) -> Any:
+    plain = list(map(str, value)) if isinstance(value, tuple | list) else value  # names or numbers of columns
+    plain = str(plain) if isinstance(plain, Path) else plain
+    plain = plain.isoformat() if isinstance(plain, date) else plain  # a date and time, as TOML has them
+    if name == "stillness_axes":
+        if value not in tuple("xyz"):
+            raise UsageError(f"{keyword} cannot be {value!r}", hint="possible: x, y, z")
+        plain = ["xyz".index(value)]
+    hint, declared = get_type_hints(kind)[name], setting_of(kind, name)
+    try:
+        found = converted(plain.item() if isinstance(plain, np.generic) else plain, hint)
+    except TypeError:
+        raise TypeError(f"{keyword} cannot be {value!r}") from None
+    above = None if declared.option is None else declared.option.above
+    if not declared.allows(found) or (above is not None and found <= above):
+        allowed = ", ".join(declared.choices) or f"{declared.low:g} to {declared.high:g}"
+        raise UsageError(f"{keyword} cannot be {value!r}", hint=f"possible: {allowed}")
+    return found
+
+
+def read_options(values: dict[str, Any]) -> ReadOptions:
+    """Return the options of reading a recording.
+
+    Raises:
+        UsageError: a zone does not exist, or a name is not UTF-8 and could not stand in a report.
+    """
+    if values["timezone"] is not None and values["configured_zone"] is not None:
+        raise UsageError("--timezone and --configured-zone are the same", hint="give one of them")
+    options = ReadOptions(**{name: values[name] for name in ReadOptions.__dataclass_fields__})
+    options.times.check()
+    columns = (*(values["columns"] or ()), *(values["gyro_columns"] or ()))
+    for text in (values["time_column"], values["sensor"], *columns):
+        if text is not None and not _utf8(text):
+            raise UsageError(f"{printable(text)!r} is not UTF-8", hint="give columns by number, or rename it")
+    return options
+
+
+def _utf8(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def chosen_settings(values: dict[str, Any], *, in_study: bool = False) -> Settings:
+    """Return the profile's settings with those that the user changed.
+
+    Args:
+        in_study: there are other recordings from which a prior can be learnt.
+
+    Raises:
+        UsageError: the profile has no such model or number, or the stillness rule no such number.
+    """
+    profile = PROFILES[values["profile"] or DEFAULT.profile]
+    if profile.profile == "paper" and (values["model"] or "9") not in ("auto", "9"):
+        raise UsageError(
+            "--profile paper fits nine parameters", hint="omit --model, or use --profile default"
+        )
+    for name in PAPER_ONLY if profile.profile != "paper" else ():
+        if values.get(name) is not None:
+            text = f"{_option(name)} is for --profile paper only"
+            raise UsageError(text, hint="omit it, or use --profile paper")
+    least, most = _subset_points(values)
+    chosen = _stillness_settings(profile, values)
+    chosen = replace(chosen, min_subset_points=least, max_subset_points=most)
+    return fit_settings(values, chosen, in_study=in_study)
+
+
+def _option(name: str) -> str:
+    option = setting_of(Settings, name).option
+    assert option is not None
+    return option.name
+
+
+def recipient_settings(values: dict[str, Any]) -> Settings:
+    """Return the settings of a recording that coefficients of a report are applied to.
+
+    Raises:
+        UsageError: a setting is given that the coefficients bring along.
+    """
+    for name in BROUGHT_ALONG:
+        if values.get(name) is not None:
+            raise UsageError(
+                f"{_option(name)} is for the recording's own calibration",
+                hint="omit it: the coefficients are tested as their own recording was",
+            )
+    return replace(with_values(DEFAULT, values), temperature=not values["no_temperature"])
+
+
+def _subset_points(values: dict[str, Any]) -> tuple[int, int]:
+    """Return the fewest and most points of a subset; the one that is not given follows the other.
+
+    Raises:
+        UsageError: more are needed than taken.
+    """
+    least, most = values.get("min_subset_points"), values.get("max_subset_points")
+    if least is not None and most is not None and least > most:
+        raise UsageError(
+            f"--min-subset-points {least} is more than --max-subset-points {most}", hint="make it less"
+        )
+    usual_least, usual_most = DEFAULT.min_subset_points, DEFAULT.max_subset_points
+    return least or min(usual_least, most or usual_least), most or max(usual_most, least or usual_most)
+
+
+def _stillness_settings(profile: Settings, values: dict[str, Any]) -> Settings:
+    """Return the profile's settings with the user's stillness rule, checked against its numbers."""
+    name, seconds = values["stillness"], values["segment_seconds"]
+    chosen = profile if name is None else with_stillness(profile, name)
+    if values["stillness_threshold_g"] is not None and chosen.stillness_threshold_g is None:
+        raise UsageError(
+            f"--stillness {chosen.stillness} has no limit on max - min",
+            hint=f"omit --stillness-threshold-g, or use --stillness {' or '.join(RANGE_RULES)}",
+        )
+    if values.get("stillness_axes") is not None and len(chosen.stillness_axes) != 1:
+        raise UsageError(
+            f"--stillness {chosen.stillness} does not look at one axis",
+            hint="omit --stillness-axis, or use --stillness range or --profile paper",
+        )
+    if chosen.adaptive is None or seconds is None:
+        return chosen
+    if seconds < STILLNESS["adaptive"]["segment_seconds"]:
+        raise UsageError(
+            "--stillness adaptive needs windows of at least 1 s", hint="give --segment-seconds 1 or more"
+        )
+    return replace(chosen, adaptive=replace(chosen.adaptive, min_samples=2))  # bounded by the length alone
+
+
+def fit_settings(values: dict[str, Any], chosen: Settings = DEFAULT, *, in_study: bool = False) -> Settings:
+    """Return settings with the user's choices of the fit, the place and the damage that is tolerated.
+
+    Args:
+        in_study: see `chosen_settings`.
+
+    Raises:
+        UsageError: there is no such optimizer, the prior does not go with the rest, or an altitude without a
+            latitude.
+    """
+    changed = with_values(chosen, values)
+    prior = _prior(changed, values.get("prior"))
+    if prior in LEARNT_PRIORS and not in_study:
+        raise UsageError(
+            f"--prior {prior} is learnt from other recordings",
+            hint="use it with `accelcal study FOLDER -d OUT`",
+        )
+    recalibrate = _recalibrate(changed, values.get("recalibrate"))
+    temperature = changed.temperature and not values["no_temperature"]
+    return replace(changed, temperature=temperature, prior=prior, recalibrate=recalibrate)
+
+
+def _recalibrate(chosen: Settings, given: str | None) -> str:
+    """Return whether to follow a sensor that changes; profile `paper` keeps no windows along time."""
+    if chosen.profile == DEFAULT.profile:
+        return chosen.recalibrate
+    if given not in (None, NEVER):
+        raise UsageError(f"--recalibrate {given} does not go with --profile paper", hint="omit one of them")
+    return NEVER
+
+
+def _prior(chosen: Settings, given: str | None) -> str:
+    """Return the prior: the given one, else the default where there can be one."""
+    why = _why_no_prior(chosen)
+    if given is None:
+        return chosen.prior if why is None else NO_PRIOR
+    if given != NO_PRIOR and why is not None:
+        raise UsageError(
+            f"--prior {given} does not go with {why}", hint="omit one of them, or use --prior none"
+        )
+    return given
+
+
+def _why_no_prior(chosen: Settings) -> str | None:
+    """Return the option that leaves no room for a prior, if any."""
+    if chosen.profile != DEFAULT.profile:
+        return f"--profile {chosen.profile}"
+    if named_optimizer(chosen.optimizer).fit_penalized is None:
+        return f"--optimizer {chosen.optimizer}"
+    return None if chosen.model == "auto" else f"--model {chosen.model}"
+
+
+def with_values(chosen: AnySettings, values: dict[str, Any]) -> AnySettings:
+    """Return settings with all fields that the user gave.
+
+    Raises:
+        UsageError: there is an altitude without a latitude.
+    """
+    chosen_gravity(values)
+    names = (name for name in chosen.__dataclass_fields__ if values.get(name) is not None)
+    return replace(chosen, **{name: values[name] for name in names})
+
+
+def chosen_gravity(values: dict[str, Any]) -> Gravity:
+    """Return where the recording was made; raises UsageError for an altitude without a latitude."""
+    if values["altitude_m"] is not None and values["latitude"] is None:
+        raise UsageError("--altitude needs --latitude too", hint="give both, or neither")
+    return Gravity(values["latitude"], values["altitude_m"])
+
+
+@dataclass(frozen=True, slots=True)
+class FolderRules:
+    """The contents of a `study.toml`.
+
+    Attributes:
+        path: the file.
+        folder: absolute path of the folder that its patterns are relative to.
+        anywhere: recordings outside the folder are matched by their names; else no pattern fits them.
+        tables: options by pattern, each the values of fields of `ReadOptions`.
+        exclude: patterns of files that are no recordings.
+    """
+
+    path: Path
+    folder: Path
+    anywhere: bool
+    tables: tuple[tuple[str, dict[str, Any]], ...]
+    exclude: tuple[str, ...] = ()
+
+    def fitting(self, path: Path) -> list[str]:
+        """Return the patterns that a file fits, in their order, those of `exclude` first."""
+        below = os.path.relpath(path.absolute(), self.folder).replace(os.sep, "/")
+        if below.startswith("../"):
+            below = path.name if self.anywhere else ""
+        return [pattern for pattern in self.patterns if below and fits_pattern(below, (pattern,))]
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """All patterns: those of `exclude`, then those of the tables."""
+        return (*self.exclude, *(pattern for pattern, _ in self.tables))
+
+    def excludes(self, path: Path) -> bool:
+        """Return True if a file is no recording."""
+        return any(pattern in self.exclude for pattern in self.fitting(path))
+
+    def choices(self, path: Path) -> Iterator[StatedOption]:
+        """Yield the options stated for a file; later ones take precedence."""
+        tables = dict(self.tables)
+        for pattern in self.fitting(path):
+            for name, value in tables.get(pattern, {}).items():
+                yield StatedOption(name, value, f'{self.path.name}, "{pattern}"')
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the tables by pattern, with the options' own names."""
+        tables = {
+            pattern: {option_name(name)[2:]: json_value(value) for name, value in values.items()}
+            for pattern, values in self.tables
+        }
+        return {**({"exclude": list(self.exclude)} if self.exclude else {}), **tables}
+
+
+@dataclass(frozen=True, slots=True)
+class StatedOption:
+    """One option that a file states for a recording: a field of `ReadOptions`, its value, and the file."""
+
+    field: str
+    value: Any
+    origin: str
+
+    def __str__(self) -> str:
+        return f"{option_name(self.field)[2:]}={option_text(self.value)}"
+
+
+def fits_pattern(below: str, patterns: Iterable[str]) -> bool:
+    """Return True if a path fits a pattern: its name, or all of it if the pattern has a `/`."""
+
+    def one(pattern: str) -> bool:
+        text = below if "/" in pattern else below.rpartition("/")[2]
+        return fnmatchcase(text.lower(), pattern.lower())
+
+    return any(map(one, patterns))
+
+
+def json_value(value: Any) -> Any:
+    """Return a value as JSON can hold it."""
+    return list(value) if isinstance(value, tuple) else printable(value) if isinstance(value, Path) else value
+
+
+def option_text(value: Any) -> str:
+    """Return a value as it is written on the command line."""
+    return ",".join(map(str, value)) if isinstance(value, tuple) else printable(str(value))
+
+
+def read_rules(path: Path, folder: Path | None = None) -> FolderRules:
+    """Read a `study.toml`.
+
+    Args:
+        folder: of the recordings; None: that of the file, and recordings elsewhere are matched by name.
+
+    Raises:
+        UsageError: it cannot be read, or holds something that is no reading option.
+    """
+    document = read_toml(path, STUDY_FILE, LARGEST_FILE)
+    exclude = document.pop("exclude", [])
+    if not isinstance(exclude, list) or not all(isinstance(pattern, str) for pattern in exclude):
+        raise UsageError('exclude is no list of patterns such as ["*_gyro.csv"]', path=path)
+    for pattern, table in document.items():
+        if not isinstance(table, Mapping):
+            hint = f'write it below a pattern such as ["*.csv"], or ["*"] for all: {pattern} = ...'
+            raise UsageError(f"{pattern!r} is not a table", path=path, hint=hint)
+    tables = tuple((pattern, _values(table, path, f'"{pattern}": ')) for pattern, table in document.items())
+    for _, values in tables:
+        if "layout" in values:
+            values["layout"] = values["layout"].absolute()
+    return FolderRules(path, (folder or path.parent).absolute(), folder is None, tables, tuple(exclude))
+
+
+def folder_rules(folders: Sequence[Path]) -> tuple[FolderRules, ...]:
+    """Read the `study.toml` of each folder that has one; raises what `read_rules` raises."""
+    found = ((folder / STUDY_FILE, folder) for folder in folders)
+    return tuple(read_rules(path, folder) for path, folder in found if os.path.lexists(path))
+
+
+def sidecar_path(path: Path) -> Path | None:
+    """Return where the options of one recording may lie: `NAME.toml` beside `NAME.csv` or `NAME.csv.gz`."""
+    if not path.name:
+        return None
+    beside = path.with_name(named_layout(path).name.removesuffix(SUFFIX) + ".toml")
+    return None if beside.name in (STUDY_FILE, FOLDER_NAME) else beside
+
+
+def stated_options(
+    path: Path, rules: Sequence[FolderRules], layout: Path | None = None
+) -> dict[str, StatedOption]:
+    """Return the reading options that files state for a recording, by field of `ReadOptions`.
+
+    Args:
+        layout: a layout that the user named, which may be the recording's `NAME.toml`.
+
+    Raises:
+        UsageError: its `NAME.toml` cannot be read, or holds something that is no reading option.
+    """
+    said = [choice for one in rules for choice in one.choices(path)]
+    beside = sidecar_path(path)
+    if (
+        beside is not None
+        and is_file(beside)
+        and not (layout and is_file(layout) and layout.samefile(beside))
+    ):
+        table = read_toml(beside, beside.name, LARGEST_FILE)
+        said += [StatedOption(name, value, beside.name) for name, value in _values(table, beside).items()]
+    return {choice.field: choice for choice in said}
+
+
+def with_stated(options: ReadOptions, choices: Mapping[str, StatedOption], path: Path) -> ReadOptions:
+    """Return options with those that files state for the recording.
+
+    Raises:
+        UsageError: they contradict each other, or do not go together.
+    """
+    if not choices:
+        return options
+    nothing = _defaults()
+    values = {name: getattr(options, name) for name in nothing}
+    for name, choice in choices.items():
+        if values[name] != nothing[name] and values[name] != choice.value:
+            text = f"{option_name(name)} {option_text(values[name])} contradicts {choice} ({choice.origin})"
+            raise UsageError(text, path=path, hint="say it in one place")
+        values[name] = choice.value
+    try:
+        return read_options(values)
+    except UsageError as error:
+        raise UsageError(error.message, path=path, hint=error.hint) from error
+
+
+def recording_options(path: Path, options: ReadOptions, rules: Sequence[FolderRules] = ()) -> ReadOptions:
+    """Return the options by which a recording is read: those given, and those that files state.
+
+    Raises:
+        UsageError: see `stated_options` and `with_stated`.
+    """
+    return with_stated(options, stated_options(path, rules, options.layout), path)
+
+
+def stated_stamp(choices: Mapping[str, StatedOption]) -> tuple[int, int]:
+    """Return the number of stated options, and a hash of them; a layout counts with size and last change."""
+    said = {name: json_value(choice.value) for name, choice in sorted(choices.items())}
+    layout = choices.get("layout")
+    if layout is not None and is_file(layout.value):
+        status = layout.value.stat()
+        said["layout"] = [said["layout"], status.st_size, status.st_mtime_ns]
+    digest = hashlib.sha256(json.dumps(said).encode()).digest()
+    return len(choices), int.from_bytes(digest[:7], "big")
+
+
+def _values(table: Mapping[str, Any], path: Path, place: str = "") -> dict[str, Any]:
+    """Return fields and values of a table's options; a layout's path is relative to the table's file."""
+    try:
+        values = field_values({key.replace("-", "_"): value for key, value in table.items()}, ReadOptions)
+        if "layout" in values:
+            values["layout"] = path.parent / values["layout"]
+            check_layout(values["layout"])
+        for name in CHECKED_ALONE & values.keys():
+            read_options(_defaults() | {name: values[name]})
+    except TypeError as error:
+        known = f"reading options are {', '.join(option_fields(ReadOptions))}"
+        unknown = not {key.replace("-", "_") for key in table} <= option_fields(ReadOptions).keys()
+        raise UsageError(f"{place}{error}", path=path, hint=known if unknown else None) from error
+    except UsageError as error:
+        raise UsageError(f"{place}{error.message}", path=path, hint=error.hint) from error
+    return values
+
+
+def _defaults() -> dict[str, Any]:
+    return {name: getattr(ReadOptions(), name) for name in ReadOptions.__dataclass_fields__}
