@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from accelcal_cli.pipeline.options import fit_settings
 
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import FILE, fitting_options
@@ -17,6 +16,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report_view import report_view
 from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
+from accelcal_cli.pipeline.options import fit_settings
 from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import click
-from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, bytes_of, progress_bars
@@ -16,6 +15,7 @@ from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.output.coefficients import read_coefficients
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recipient_settings
 from accelcal_cli.pipeline.quality import Quality, State, as_json, quality
 
 CODES = {

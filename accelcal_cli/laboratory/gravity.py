@@ -17,7 +17,6 @@ from typing import Any
 
 import click
 import numpy as np
-from accelcal_cli.pipeline.options import chosen_gravity
 from numpy.random import RandomState
 from numpy.typing import NDArray
 
@@ -36,6 +35,7 @@ from accelcal_cli.judge.turning import Gravity
 from accelcal_cli.laboratory.cases import ALL, Case, Method, Plan, as_points, make_case, measured, methods
 from accelcal_cli.output.report import significant
 from accelcal_cli.output.words import figure
+from accelcal_cli.pipeline.options import chosen_gravity
 from accelcal_cli.simulate import draw_gyroscope, unit
 
 TABLE_8 = (0.6015, 0.0090)

@@ -20,7 +20,6 @@ from typing import Any
 
 import click
 import numpy as np
-from accelcal_cli.pipeline.options import chosen_settings, read_options
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
@@ -36,6 +35,7 @@ from accelcal_cli.output.words import figure, formatted
 from accelcal_cli.pipeline.activity import LEAST_MEASURED, MG, fixed, lengths, versions_of
 from accelcal_cli.pipeline.calibrate import OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress
+from accelcal_cli.pipeline.options import chosen_settings, read_options
 
 HOUR_US = 3600 * MICROSECONDS
 CELL_US = MICROSECONDS

@@ -11,7 +11,6 @@ from time import perf_counter
 from typing import Any
 
 import click
-from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
@@ -26,6 +25,7 @@ from accelcal_cli.optimize import all_optimizers, named_optimizer
 from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, ProgressMaker
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.survey import Procedure, fitting, make_method, open_marked, survey
 
 TABLE_3_OF_F = (

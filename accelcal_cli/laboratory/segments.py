@@ -16,7 +16,6 @@ from typing import Any
 
 import click
 import numpy as np
-from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
@@ -34,6 +33,7 @@ from accelcal_cli.judge.verdict import held_out
 from accelcal_cli.laboratory.sensors import Population, Track, sphere_error_mg, track
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.options import chosen_settings, read_options, recording_options
 from accelcal_cli.pipeline.survey import (
     CellProcedure,
     StillWindows,

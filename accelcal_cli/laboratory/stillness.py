@@ -13,7 +13,6 @@ from typing import Any
 
 import click
 import numpy as np
-from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
 from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
@@ -33,6 +32,7 @@ from accelcal_cli.output.files import csv_text
 from accelcal_cli.output.report import rounded
 from accelcal_cli.output.words import formatted
 from accelcal_cli.pipeline.jobs import ProgressMaker, no_progress
+from accelcal_cli.pipeline.options import fit_settings, read_options, recording_options
 from accelcal_cli.pipeline.simulate import TrueParameters, true_parameters
 from accelcal_cli.pipeline.survey import fitting, make_method, open_marked, survey
 
