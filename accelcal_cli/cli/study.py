@@ -32,7 +32,7 @@ from accelcal_cli.core.system import workers
 from accelcal_cli.pipeline.jobs import refuse_dash
 from accelcal_cli.pipeline.options import json_value
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.heartbeat import LEAST_SILENCE_S
+from accelcal_cli.studies.lock import LEAST_SILENCE_S
 from accelcal_cli.studies.records import FAILED, Item
 from accelcal_cli.studies.study import Study, shard
 from accelcal_cli.studies.summary import Summary
@@ -149,6 +149,8 @@ class TerminalObserver:
               help="Process part I of N only; `slurm`: the part of this job array task.")  # fmt: skip
 @click.option("--takeover", type=Within(LEAST_SILENCE_S / 60, 1e4), metavar="MINUTES",
               help="Take over from a run of another host that gave no sign of life for so long.")  # fmt: skip
+@click.option("--unlock", is_flag=True,
+              help="Remove the lock of a run that you know to have ended, and do nothing else.")  # fmt: skip
 @click.option("--collect", is_flag=True, help="Merge the results of all shards.")
 @click.option("--dask", metavar="ADDRESS", help="Use the Dask cluster of this scheduler (or scheduler.json).")
 @click.option(
@@ -175,6 +177,8 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     from accelcal_cli.studies.run import run
 
     study = _study(folders, values)
+    if values["unlock"]:
+        return _unlock(study)
     if not values["quiet"] and (number := overlooked(study)):
         exit_codes.say(
             f"ignored, because they are below {printable(study.out)}: {counted(number, 'recording')}"
@@ -201,6 +205,16 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
         return code
     of_pages = study_pages(study.out, force=study.request.force, quiet=values["quiet"])
     return code or of_pages
+
+
+def _unlock(study: Study) -> int:
+    """Remove the study's lock, and say whose it was."""
+    from accelcal_cli.studies.run import unlock
+
+    lock = unlock(study)
+    what = "there is no lock" if lock is None else f"removed the lock of {printable(str(lock))}"
+    exit_codes.say(f"{printable(study.lock)}: {what}")
+    return exit_codes.OK
 
 
 def _study(folders: tuple[Path, ...], values: dict[str, Any]) -> Study:

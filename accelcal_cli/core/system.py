@@ -152,6 +152,19 @@ def lives(process: int) -> bool:
     return _state(process) != "Z"
 
 
+def process_start(process: int) -> str | None:
+    """Return when a process of this host began, so that a number given again is told apart; None if unknown.
+
+    The boot, and the 22nd field of `/proc/PID/stat` (proc(5)), counted from the last parenthesis.
+    """
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        fields = Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+        return f"{boot} {fields[19]}"
+    except (OSError, IndexError):
+        return None
+
+
 def lives_on_windows(process: int, kernel: Any) -> bool:
     """The same on Windows, where a signal 0 would end the process (OpenProcess and GetExitCodeProcess).
 

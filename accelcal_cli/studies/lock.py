@@ -1,352 +1,251 @@
-"""One run at a time in an output folder: a file that names the run that holds it, and how another takes over.
+"""One run at a time in an output folder: a lock file that names its run, and that this run keeps touching.
 
-Nothing is asked of a disk but that a name is linked to one file (open(2) says why link(2), and not O_EXCL, is
-to be used on NFS), and that a file that is opened shows what was last written. Who takes over claims the lock
-of the run that ended, by a file whose name comes from what that lock says, so that of several only one can;
-then it puts its own name into the lock. The holder is who stands at the end of the lock and the claims on it.
+A lock is linked to its name with its content (open(2) says why link(2), not O_EXCL, is to be used on NFS). It
+is taken away by renaming it, which only one of several runs can, and put back if it is another's by then. No
+clocks are compared: a run that waits for one of another host counts its own looks that saw nothing new. A run
+that was only held up finds that its lock is gone before it writes what two runs must not write.
 """
 
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from typing import Any
 
-from accelcal_cli.core.errors import LockedError, OutputError, output_error, printable
-from accelcal_cli.core.system import host, lives
-from accelcal_cli.output.files import beside, discard, open_plain, parsed
-from accelcal_cli.studies.heartbeat import BEAT_S, Lease, one_that_lives
+from accelcal_cli.core.errors import LockedError, OutputError, printable
+from accelcal_cli.core.system import host, lives, process_start
+from accelcal_cli.output.files import beside, discard, disk_errors, open_plain, parsed
 
+BEAT_S = 10.0
+"""Interval [s] at which a run touches its lock."""
+LOOK_S = 5.0
+"""Interval [s] at which a run looks at the lock of another host that it waits for."""
+LEAST_SILENCE_S = 120.0
+"""Shortest silence [s] that may count as an end: twelve beats, and twice as long as NFS keeps attributes by
+default (`acregmax` in nfs(5))."""
+BLIND_S = 60.0
+"""Time [s] after which a run that cannot read its lock writes nothing more: it may have been taken over."""
+SIGNS = 2
+"""Changes of a lock that show that its run lives: a cache may show the first one after the run has ended."""
 UNFINISHED_S = 60.0
-"""A lock without all its content is one whose writer is about to write it, or died before it could."""
-
-BEGINNING = '{"host": '
-LONGEST = 4096
-"""How the content of a lock begins, and more bytes than it has."""
-
-CLAIM = ".claim"
-MOST_CLAIMS = 100
-"""On each other; each but the last is of a run that died while it took over."""
-
-
-@dataclass(frozen=True, slots=True)
-class Holder:
-    """Who holds a lock.
-
-    Attributes:
-        file: where that stands: the lock, or a claim whose run had no time to put its name into the lock.
-        text: what the file says.
-    """
-
-    file: Path
-    text: str
-
-    @property
-    def says(self) -> dict[str, Any]:
-        """The run; empty where it does not say yet."""
-        try:
-            found = parsed(self.text)
-        except ValueError:
-            return {}
-        return found if isinstance(found, dict) and isinstance(found.get("pid"), int) else {}
+"""Age [s] from which a lock without all its content is that of a run that died while it wrote it."""
+BEGINNING, LONGEST = '{"host": ', 4096
+"""Beginning of the content of every lock, and more bytes than it has."""
+GO_ON = "what was done is kept, and the same command does the rest"
 
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long runs of other hosts may be silent before they are taken to have ended.
-
-    Attributes:
-        notify: is told what is waited for.
-    """
+    """How long runs of other hosts may be silent [s], and what is called with a line about the wait."""
 
     silence_s: float
     notify: Callable[[str], None]
 
 
+@dataclass(frozen=True, slots=True)
+class Lock:
+    """A lock file as it was read: content, run (empty where it is not complete), time of the last touch."""
+
+    text: str
+    run: dict[str, Any]
+    touched_s: float
+
+    def __str__(self) -> str:
+        return f"process {self.run['pid']} on {self.run.get('host')}" if self.run else "another process"
+
+    def has_ended(self) -> bool:
+        """Return True if its run is known to have ended, which is never known of another host's."""
+        if not self.run:
+            return time.time() - self.touched_s > UNFINISHED_S
+        pid, started = self.run["pid"], self.run.get("started")
+        return self.run.get("host") == host() and (not lives(pid) or process_start(pid) != started)
+
+
+class Lease:
+    """The lock that this run holds.
+
+    Attributes:
+        lost: locks that were taken over from runs of other hosts, this one or others, and these hosts.
+    """
+
+    def __init__(self, path: Path, text: str) -> None:
+        self.lost: dict[Path, str] = {}
+        self._path, self._text = path, text
+        self._loss: LockedError | None = None
+        self._seen_s = time.monotonic()
+
+    def check(self) -> None:
+        """Raise LockedError if the lock was found to be lost; reads nothing."""
+        if self._loss is not None:
+            raise self._loss
+
+    def confirm(self) -> None:
+        """Raise LockedError if the lock is lost or unreadable for BLIND_S: before what two must not write."""
+        self.check()
+        try:
+            lock = read_lock(self._path)
+            self._seen_s = time.monotonic()
+            if lock is None or lock.text != self._text:
+                how = "was removed" if lock is None else f"was taken over by {lock}"
+                self._loss = LockedError(f"the lock of this run {how}", path=self._path, hint=GO_ON)
+        except OutputError as error:
+            reason = f"the lock of this run was replaced ({error.message})"
+            self._loss = LockedError(reason, path=self._path)
+        except OSError as error:
+            blind_s = time.monotonic() - self._seen_s
+            if blind_s > BLIND_S:
+                reason = f"cannot be read for {blind_s:.0f} s ({error.strerror or error})"
+                raise LockedError(reason, path=self._path, hint=GO_ON) from error
+        self.check()
+
+    def beat(self, ended: threading.Event) -> None:
+        """Touch the lock every BEAT_S until it is lost or the run has ended."""
+        while self._loss is None and not ended.wait(BEAT_S):
+            with contextlib.suppress(LockedError, OSError):
+                self.confirm()
+                os.utime(self._path)
+
+
 @contextlib.contextmanager
-def held(
+def locked(
     path: Path, others: Callable[[], Iterable[Path]] = tuple, patience: Patience | None = None
 ) -> Iterator[Lease]:
-    """Hold a lock file while the block runs.
+    """Hold a lock file while the block runs; of two that exclude each other at least one sees the other.
 
     Args:
-        others: returns, once ours is held, the locks that no living run may hold meanwhile. Of two that
-            exclude each other, at least one sees the other.
+        others: returns, once ours is there, locks that no living run may hold meanwhile.
         patience: None: only a run of this host is found to have ended.
 
     Raises:
         LockedError: a living process holds one of them, or one on another host that cannot be asked.
         OutputError: the lock cannot be written, or another one not be read.
     """
-    me = this_run()
-    lease = Lease(path, lambda: _loss(path, me))
+    text, ended = this_run(), threading.Event()
+    lease = Lease(path, text)
+    with disk_errors(path):
+        while not _create(path, text):
+            lease.lost |= _remove_ended([path], patience)
+    heart = threading.Thread(target=lease.beat, args=(ended,), daemon=True, name="heartbeat")
+    heart.start()
     try:
-        _note_lost(lease, path, _take(path, me, patience))
-    except OSError as error:
-        raise output_error(error, path) from error
-    try:
-        with lease.kept_alive():
-            for one, ended in _end_others([one for one in others() if one != path], me, patience).items():
-                _note_lost(lease, one, ended.says)
-            yield lease
+        with disk_errors(path):
+            lease.lost |= _remove_ended([one for one in others() if one != path], patience)
+        yield lease
     finally:
-        release(path, me)
-
-
-def _note_lost(lease: Lease, path: Path, says: Mapping[str, Any]) -> None:
-    if (lost := says.get("host")) not in (None, host()):
-        lease.lost[path] = str(lost)
-
-
-def this_run() -> dict[str, Any]:
-    """What a lock of this process holds, different each time."""
-    process = {"host": host(), "pid": os.getpid(), "started": _started(os.getpid())}
-    return {**process, "run": os.urandom(8).hex(), "beat_s": BEAT_S}
-
-
-def holder(path: Path) -> Holder | None:
-    """Who holds a lock; None if there is no lock.
-
-    Raises:
-        OSError: it cannot be read.
-        OutputError: the file is not a lock of ours.
-    """
-    text = _text(path)
-    if text is None:
-        return None
-    found = Holder(path, text)
-    if not found.says and not text.startswith(BEGINNING[: len(text)]):
-        hint = "move it away, or choose another folder with -d"
-        raise OutputError("was not written by accelcal", path=path, hint=hint)
-    for _ in range(MOST_CLAIMS):
-        claim = _claim(path, found.text)
-        if not (text := _text(claim)):
-            break
-        found = Holder(claim, text)
-    return found
-
-
-def take_over(path: Path, ended: Holder, me: dict[str, Any]) -> bool:
-    """Put our name into the lock of a run that has ended; False if another was faster, or it is gone.
-
-    Raises:
-        OSError, OutputError: that cannot be written.
-    """
-    claim, temporary = _claim(path, ended.text), beside(path)
-    try:
-        temporary.write_bytes(json.dumps(me).encode())
-        if not _link(temporary, claim, me):
-            return False
-        if (now := holder(path)) is None or now.says != me:
-            discard(claim)
-            return False
-        temporary.replace(path)
-    finally:
-        discard(temporary)
-    return True
-
-
-def release(path: Path, me: dict[str, Any]) -> None:
-    """Remove our lock, unless another run has taken it over.
-
-    We claim it ourselves first: from then on nobody else can.
-    """
-    with contextlib.suppress(OSError, OutputError):
-        found = holder(path)
-        if found is None or found.says != me:
-            return
-        claims = [*path.parent.glob(f".{path.name}.*{CLAIM}")]
-        own = _claim(path, found.text)
+        ended.set()
+        heart.join()
         with contextlib.suppress(OSError, OutputError):
-            if not _create(path, {**me, "leaving": True}, own):
-                return
-        path.unlink(missing_ok=True)
-        for claim in (*claims, own):
-            discard(claim)
+            remove(path, text)
 
 
-def _take(path: Path, me: dict[str, Any], patience: Patience | None) -> dict[str, Any]:
-    """Make the lock ours; returns what that of a run said that had ended, nothing if there was none."""
-    while not _create(path, me):
-        if (found := holder(path)) is None:
-            continue
-        _require_ended({path: found}, patience)
-        if take_over(path, found, me):
-            return found.says
-        if (faster := holder(path)) is not None:
-            raise _refusal(path, faster.says)
-    return {}
+def this_run() -> str:
+    """Return the content of a lock of this process, different each time."""
+    process = {"host": host(), "pid": os.getpid(), "started": process_start(os.getpid())}
+    return json.dumps({**process, "run": os.urandom(8).hex()})
 
 
-def _end_others(paths: list[Path], me: dict[str, Any], patience: Patience | None) -> dict[Path, Holder]:
-    """Take locks of runs that have ended out of the way; raises LockedError where one has not."""
-    found: dict[Path, Holder] = {}
-    for path in paths:
-        try:
-            if (one := holder(path)) is not None:
-                found[path] = one
-        except OSError as error:
-            raise output_error(error, path) from error
-    _require_ended(found, patience)
-    for path, ended in found.items():
-        try:
-            if take_over(path, ended, me):
-                release(path, me)
-            elif (faster := holder(path)) is not None:
-                raise _refusal(path, faster.says)
-        except OSError as error:
-            raise output_error(error, path) from error
-    return found
-
-
-def _require_ended(found: Mapping[Path, Holder], patience: Patience | None) -> None:
-    """Return once it is known that the runs that hold these locks have ended.
-
-    Raises:
-        LockedError: one has not, or that cannot be found out.
-    """
-    unknown = {path: one for path, one in found.items() if not _ended(path, one)}
-    for path, one in unknown.items():
-        if patience is None or one.says.get("host") in (None, host()) or "beat_s" not in one.says:
-            raise _refusal(path, one.says)
-    if patience is None or not unknown:
-        return
-    for path, one in unknown.items():
-        what = f"{printable(path)} is taken over from {_named(one.says)}"
-        patience.notify(f"{what} after {patience.silence_s / 60:g} minutes without a sign of life")
-    if (alive := one_that_lives(lambda: _signs(unknown), patience.silence_s)) is not None:
-        raise _refusal(alive, unknown[alive].says, seen=True)
-
-
-def _signs(paths: Iterable[Path]) -> dict[Path, object]:
-    """What can be seen of the runs that hold locks; the files are opened, so that NFS asks the server."""
-    seen: dict[Path, object] = {}
-    for path in paths:
-        with contextlib.suppress(FileNotFoundError), open_plain(path, "rb") as file:
-            now = holder(path)
-            seen[path] = now, os.fstat(file.fileno()).st_mtime_ns
-    return seen
-
-
-def _create(path: Path, me: dict[str, Any], claim: Path | None = None) -> bool:
-    """Make a lock, or a claim on it, with its content at once; False if there is one already.
-
-    The temporary is the lock's in both cases, so that the next run finds what a killed one left.
-    """
-    temporary = beside(path)
+def read_lock(path: Path) -> Lock | None:
+    """Read a lock, None if there is none; raises OSError, and OutputError for a file that is no lock."""
     try:
-        temporary.write_bytes(json.dumps(me).encode())
-        return _link(temporary, claim or path, me)
-    finally:
-        discard(temporary)
-
-
-def _link(temporary: Path, path: Path, me: dict[str, Any]) -> bool:
-    """Give a file its name, if no other has it.
-
-    Where the answer of a server was lost, there is an error although the link was made: what it says counts.
-    """
-    try:
-        os.link(temporary, path)
-    except OSError as error:
-        if _says(path) == me:
-            return True
-        return not isinstance(error, FileExistsError) and _create_exclusively(path, me)
-    return True
-
-
-def _create_exclusively(path: Path, me: dict[str, Any]) -> bool:
-    """For disks without links."""
-    try:
-        with path.open("xb") as file:
-            file.write(json.dumps(me).encode())
-    except FileExistsError:
-        return False
-    return _says(path) == me
-
-
-def _says(path: Path) -> dict[str, Any]:
-    try:
-        return Holder(path, _text(path) or "").says
-    except (OSError, OutputError):
-        return {}
-
-
-def _claim(path: Path, text: str) -> Path:
-    """The file by which a lock, or a claim, that says this is claimed."""
-    digest = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()[:16]
-    return path.with_name(f".{path.name}.{digest}{CLAIM}")
-
-
-def _text(path: Path) -> str | None:
-    """What a lock says; None if there is none."""
-    try:
-        with open_plain(path, "rb") as file:
-            return str(file.read(LONGEST).decode(errors="replace"))
+        with open_plain(path, "rb") as file:  # opened, so that NFS asks the server
+            text, touched_s = file.read(LONGEST).decode(errors="replace"), os.fstat(file.fileno()).st_mtime
+        run = parsed(text)
     except FileNotFoundError:
         return None
+    except ValueError:
+        run = None
+    if isinstance(run, dict) and isinstance(run.get("pid"), int):
+        return Lock(text, run, touched_s)
+    if text.startswith(BEGINNING[: len(text)]):
+        return Lock(text, {}, touched_s)
+    hint = "move it away, or choose another folder with -d"
+    raise OutputError("was not written by accelcal", path=path, hint=hint)
 
 
-def _ended(path: Path, found: Holder) -> bool:
-    """Whether the run that holds a lock is known to have ended; of another host's that is not known."""
-    says = found.says
-    if not says:
-        return _age_s(path) > UNFINISHED_S
-    if says.get("host") != host():
+def remove(path: Path, text: str) -> bool:
+    """Remove the lock of this content; False if there is none, or it is another run's, which keeps it."""
+    if not _is_ours(path, text):
         return False
-    return not lives(says["pid"]) or _started(says["pid"]) != says.get("started")
+    aside = beside(path)
+    try:
+        path.replace(aside)
+        if _is_ours(aside, text):
+            return True
+        with contextlib.suppress(OSError):
+            os.link(aside, path)  # it has become another run's just now
+    except FileNotFoundError:
+        pass
+    finally:
+        discard(aside)
+    return False
 
 
-def _age_s(path: Path) -> float:
-    """How old a file is by the clock of its disk: how much newer one is that is made now."""
-    with contextlib.suppress(OSError):
-        temporary = beside(path)
+def _create(path: Path, text: str) -> bool:
+    """Make a lock with its content at once; False if there is one already."""
+    temporary = beside(path)
+    try:
+        temporary.write_bytes(text.encode())
         try:
-            return temporary.stat().st_mtime - path.stat().st_mtime
-        finally:
-            discard(temporary)
-    return 0.0
+            os.link(temporary, path)
+        except FileExistsError:
+            pass
+        except OSError:  # a disk without links, or a link was made but the answer of the server was lost
+            with contextlib.suppress(FileExistsError), path.open("xb") as file:
+                file.write(text.encode())
+    finally:
+        discard(temporary)
+    return _is_ours(path, text)
 
 
-def _started(process: int) -> str | None:
-    """When a process began, so that a number that was given again is not taken for it; None if not known.
-
-    The 22nd field of `/proc/PID/stat` (proc(5)), counted from the last parenthesis, and the boot.
-    """
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        fields = Path(f"/proc/{process}/stat").read_text("utf-8", "replace").rpartition(")")[2].split()
-        return f"{boot} {fields[19]}"
-    except (OSError, IndexError):
-        return None
+def _is_ours(path: Path, text: str) -> bool:
+    return (lock := read_lock(path)) is not None and lock.text == text
 
 
-def _loss(path: Path, me: dict[str, Any]) -> LockedError | None:
-    """How this run lost its lock; None if it still holds it."""
-    try:
-        found = holder(path)
-    except OutputError as error:
-        return LockedError(f"the lock of this run was replaced ({error.message})", path=path)
-    if found is not None and found.says == me:
-        return None
-    how = "was removed" if found is None else f"was taken over by {_named(found.says)}"
-    hint = "what was done is kept, and the same command does the rest"
-    return LockedError(f"the lock of this run {how}", path=path, hint=hint)
+def _remove_ended(paths: Iterable[Path], patience: Patience | None) -> dict[Path, str]:
+    """Remove the locks of runs that have ended, or raise LockedError; returns those of other hosts."""
+    locks = {path: lock for path in paths if (lock := read_lock(path)) is not None}
+    unknown = {path: lock for path, lock in locks.items() if not lock.has_ended()}
+    for path, lock in unknown.items():
+        if patience is None or lock.run.get("host") in (None, host()):
+            raise _refusal(path, lock)
+    if patience is not None:
+        for path, lock in unknown.items():
+            what = f"{printable(path)} is taken over from {lock}"
+            patience.notify(f"{what} after {patience.silence_s / 60:g} minutes without a sign of life")
+        if (alive := _one_that_lives(unknown, patience.silence_s)) is not None:
+            raise _refusal(alive, unknown[alive], seen=True)
+    lost = {path: lock.run.get("host") for path, lock in locks.items() if remove(path, lock.text)}
+    for path in locks.keys() - lost:
+        if (faster := read_lock(path)) is not None:
+            raise _refusal(path, faster)
+    return {path: name for path, name in lost.items() if name not in (None, host())}
 
 
-def _named(says: Mapping[str, Any]) -> str:
-    return f"process {says['pid']} on {says.get('host')}" if says else "another process"
+def _one_that_lives(paths: Iterable[Path], silence_s: float) -> Path | None:
+    """Watch locks until the run of one shows that it lives; None if all were silent for this long."""
+    last, changes, quiet = {path: read_lock(path) for path in paths}, Counter[Path](), 0
+    while any(last.values()) and quiet < ceil(silence_s / LOOK_S):
+        time.sleep(LOOK_S)  # time in which a disk does not answer counts as one look
+        seen = {path: read_lock(path) for path in paths}
+        changes.update(path for path, lock in seen.items() if lock is not None and lock != last[path])
+        if (alive := next((path for path, number in changes.items() if number >= SIGNS), None)) is not None:
+            return alive
+        quiet = quiet + 1 if seen == last else 0
+        last = seen
+    return None
 
 
-def _refusal(path: Path, says: Mapping[str, Any], *, seen: bool = False) -> LockedError:
-    """Why a lock is not ours; `seen`: its run gave signs of life."""
+def _refusal(path: Path, lock: Lock, *, seen: bool = False) -> LockedError:
+    """Say why a lock is not ours; `seen`: its run gave signs of life."""
     hint = "wait for it to end"
-    if says and says.get("host") != host() and not seen:
-        way = ", or give --takeover MINUTES" if "beat_s" in says else ""
-        hint = f"if it is no longer running there, remove {path.name}{way}"
-    return LockedError(f"{_named(says)} is working in this folder", path=path, hint=hint)
+    if lock.run and lock.run.get("host") != host() and not seen:
+        hint = f"if it is no longer running there, remove {path.name}, or give --takeover MINUTES"
+    return LockedError(f"{lock} is working in this folder", path=path, hint=hint)

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
-from accelcal_cli.output.files import looking_at, sweep_host
+from accelcal_cli.output.files import disk_errors, looking_at, sweep_host
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
 from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
-from accelcal_cli.studies.heartbeat import Lease
 from accelcal_cli.studies.ledger import Ledger
+from accelcal_cli.studies.lock import Lease
 from accelcal_cli.studies.plan import Plan, RoundPlanner, ledger_of, plan
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
 from accelcal_cli.studies.prior import LEARNING, without_prior
@@ -59,7 +59,7 @@ def run(study: Study, observer: StudyObserver) -> Summary:
     base = study.shard.basename
     patience = None if study.takeover_s is None else lock.Patience(study.takeover_s, observer.note)
     with (
-        lock.held(study.lock, lambda: _other_locks(study), patience) as lease,
+        lock.locked(study.lock, lambda: _other_locks(study), patience) as lease,
         closing(ledger_of(study)) as ledger,
     ):
         planned = plan(study, ledger)
@@ -83,6 +83,18 @@ def run(study: Study, observer: StudyObserver) -> Summary:
         if study.shard.whole and not (planned.waiting or study.where.include):
             remove_pools(study.out, keep=study_run.known.pools)
     return result
+
+
+def unlock(study: Study) -> lock.Lock | None:
+    """Remove the study's lock, whether or not its run has ended; returns it, None if there is none.
+
+    Raises:
+        OutputError: it cannot be removed, or is no lock.
+    """
+    with disk_errors(study.lock):
+        if (found := lock.read_lock(study.lock)) is not None:
+            lock.remove(study.lock, found.text)
+    return found
 
 
 def _tidy(planned: Plan, lease: Lease) -> None:

@@ -113,12 +113,31 @@ def test_what_is_copied_again_keeps_its_result_until_it_has_settled(tmp_path: Pa
 def test_a_living_run_is_not_disturbed(tmp_path: Path, capsys: Capture) -> None:
     folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
     out.mkdir()
-    (out / "study.lock").write_text(json.dumps(lock.this_run()))
+    (out / "study.lock").write_text(lock.this_run())
     ran = study(capsys, folder, "-q")
     assert (ran.code, ran.out, ran.err.count("\n")) == (75, "", 1)
     assert f"process {os.getpid()} on " in ran.err
     assert [path.name for path in out.iterdir()] == ["study.lock"]
     assert study(capsys, folder, "--dry-run").lines == [f"{folder / NAMES[0]}\ttodo"]
+
+
+@pytest.mark.parametrize(("shard", "name"), [((), "study.lock"), (("--shard", "1/2"), "study.1-of-2.lock")])
+def test_a_lock_is_removed_by_who_knows_that_its_run_has_ended(
+    tmp_path: Path, capsys: Capture, shard: tuple[str, ...], name: str
+) -> None:
+    folder, out = study_folder(tmp_path / "in", NAMES[:1]), tmp_path / "out"
+    out.mkdir()
+    (out / name).write_text(json.dumps({"host": "elsewhere", "pid": 7, "run": "x"}))
+    assert study(capsys, folder, *shard).code == 75
+    ran = study(capsys, folder, *shard, "--unlock")
+    assert (ran.code, ran.out) == (0, "")
+    assert ran.err == f"accelcal: {out / name}: removed the lock of process 7 on elsewhere\n"
+    assert list(out.iterdir()) == []
+    ran = study(capsys, folder, *shard, "--unlock")
+    assert (ran.code, ran.err) == (0, f"accelcal: {out / name}: there is no lock\n")
+    (out / name).write_text("my notes")
+    assert study(capsys, folder, *shard, "--unlock").code == 5
+    assert (out / name).read_text() == "my notes"
 
 
 def test_shards_are_disjoint_and_collected_they_are_the_whole(tmp_path: Path, capsys: Capture) -> None:

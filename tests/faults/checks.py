@@ -226,7 +226,7 @@ class Stage:
 
     def _not_removed(self, name: str, fault: Fault) -> bool:
         """Whether a temporary file is there because it could not be removed."""
-        return fault.operation == "unlink" and name.endswith((".tmp", ".claim"))
+        return fault.operation == "unlink" and name.endswith(".tmp")
 
     def _paired(self, found: Contents) -> bool:
         """Whether a report lies beside the Parquet file that it speaks of."""

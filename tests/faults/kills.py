@@ -26,7 +26,7 @@ from tests.faults.checks import Contents, contents, differences
 from tests.faults.shim import Fault, Runner, Struck, running
 from tests.recordings import directions, still_counts, write_csv, write_raw
 
-ALSO = (".tmp", ".claim", "study.lock")
+ALSO = (".tmp", "study.lock")
 """How names end of what a killed run may leave, and a later one removes."""
 
 PROBE = re.compile("[a-z0-9_]{8}")

@@ -12,11 +12,11 @@ import pytest
 
 from accelcal_cli.core.errors import LockedError, OutputError
 from accelcal_cli.studies import lock
-from accelcal_cli.studies.lock import held
+from accelcal_cli.studies.lock import locked
 
 
 def write(path: Path, **changed: object) -> Path:
-    path.write_text(json.dumps({**lock.this_run(), **changed}))
+    path.write_text(json.dumps({**json.loads(lock.this_run()), **changed}))
     return path
 
 
@@ -30,30 +30,30 @@ def dead() -> int:
 
 def test_a_lock_says_who_holds_it_and_goes_with_the_block(tmp_path: Path) -> None:
     path = tmp_path / "study.lock"
-    with held(path):
+    with locked(path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
-        with pytest.raises(LockedError, match=f"process {os.getpid()} on"), held(path):
+        with pytest.raises(LockedError, match=f"process {os.getpid()} on"), locked(path):
             pass
         assert path.exists()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_it_goes_when_the_block_fails(tmp_path: Path) -> None:
-    with pytest.raises(ZeroDivisionError), held(tmp_path / "study.lock"):
+    with pytest.raises(ZeroDivisionError), locked(tmp_path / "study.lock"):
         raise ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
 
 
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, dead: int) -> None:
     path = write(tmp_path / "study.lock", pid=dead)
-    with held(path):
+    with locked(path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
     assert not path.exists()
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="needs /proc")
 def test_a_number_that_was_given_again_is_not_taken_for_its_owner(tmp_path: Path) -> None:
-    with held(write(tmp_path / "study.lock", started="another time")):
+    with locked(write(tmp_path / "study.lock", started="another time")):
         pass
 
 
@@ -64,7 +64,7 @@ def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
             LockedError,
             match=r"on elsewhere.*; if it is no longer running there, remove study\.lock, or give --takeover",
         ),
-        held(path),
+        locked(path),
     ):
         pass
     assert path.exists()
@@ -74,10 +74,10 @@ def test_another_hosts_lock_is_respected(tmp_path: Path, dead: int) -> None:
 def test_a_lock_without_an_owner_is_stale_after_a_while(tmp_path: Path, text: str) -> None:
     path = tmp_path / "study.lock"
     path.write_text(text)
-    with pytest.raises(LockedError, match="another process"), held(path):
+    with pytest.raises(LockedError, match="another process"), locked(path):
         pass
     os.utime(path, (1, 1))
-    with held(path):
+    with locked(path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
 
 
@@ -85,7 +85,7 @@ def test_a_lock_with_damaged_text_is_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "study.lock"
     path.write_bytes(b'{"host": "\xff", "pid": 1')
     os.utime(path, (0, 0))
-    with held(path):
+    with locked(path):
         assert json.loads(path.read_text())["pid"] == os.getpid()
 
 
@@ -94,7 +94,7 @@ def test_a_file_that_is_not_a_lock_is_kept(tmp_path: Path, text: str) -> None:
     path = tmp_path / "study.lock"
     path.write_text(text)
     os.utime(path, (1, 1))
-    with pytest.raises(OutputError, match=r"study\.lock: was not written by accelcal"), held(path):
+    with pytest.raises(OutputError, match=r"study\.lock: was not written by accelcal"), locked(path):
         pass
     assert path.read_text() == text
 
@@ -109,26 +109,28 @@ def test_what_is_not_a_plain_file_is_neither_followed_nor_waited_for(tmp_path: P
     if kind == "link":
         target.write_text("")
         os.utime(target, (1, 1))
-    with pytest.raises(OutputError, match=r"study\.lock: is not a plain file"), held(path):
+    with pytest.raises(OutputError, match=r"study\.lock: is not a plain file"), locked(path):
         pass
     assert not target.exists() or target.read_text() == ""
 
 
-def test_of_two_that_find_it_stale_one_wins(tmp_path: Path, dead: int) -> None:
+def test_of_two_that_find_it_stale_one_removes_it(tmp_path: Path, dead: int) -> None:
     path = write(tmp_path / "study.lock", pid=dead)
-    ended, winner = lock.holder(path), lock.this_run()
+    ended, others = lock.read_lock(path), lock.this_run()
     assert ended is not None
-    assert lock.take_over(path, ended, winner)
-    assert not lock.take_over(path, ended, lock.this_run())
-    assert json.loads(path.read_text()) == winner
+    assert lock.remove(path, ended.text)
+    assert not lock.remove(path, ended.text)
+    path.write_text(others)
+    assert not lock.remove(path, ended.text)
+    assert path.read_text() == others
 
 
 def test_others_locks_count(tmp_path: Path, dead: int) -> None:
     living, gone = write(tmp_path / "a.lock"), write(tmp_path / "b.lock", pid=dead)
-    with pytest.raises(LockedError), held(tmp_path / "study.lock", lambda: (gone, living)):
+    with pytest.raises(LockedError), locked(tmp_path / "study.lock", lambda: (gone, living)):
         pass
     assert not (tmp_path / "study.lock").exists()
-    with held(tmp_path / "study.lock", lambda: (gone,)):
+    with locked(tmp_path / "study.lock", lambda: (gone,)):
         pass
 
 
@@ -137,7 +139,7 @@ def test_a_lock_that_cannot_be_read_is_said(tmp_path: Path) -> None:
     folder.mkdir()
     with (
         pytest.raises(OutputError, match=r"study\.1-of-2\.lock: "),
-        held(tmp_path / "study.lock", lambda: (folder,)),
+        locked(tmp_path / "study.lock", lambda: (folder,)),
     ):
         pass
     assert list(tmp_path.iterdir()) == [folder]
@@ -148,6 +150,6 @@ def test_a_disk_without_links_is_served(tmp_path: Path, monkeypatch: pytest.Monk
         raise PermissionError
 
     monkeypatch.setattr(lock.os, "link", refuse)
-    with held(tmp_path / "study.lock"), pytest.raises(LockedError), held(tmp_path / "study.lock"):
+    with locked(tmp_path / "study.lock"), pytest.raises(LockedError), locked(tmp_path / "study.lock"):
         pass
     assert list(tmp_path.iterdir()) == []

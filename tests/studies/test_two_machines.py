@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from accelcal_cli.studies import heartbeat
+from accelcal_cli.studies import lock
 from tests.cli.run import Ran
 from tests.cli.studies import results, run_in, study_folder
 from tests.studies.processes import begun, held, kill, lines, soon
@@ -44,7 +44,7 @@ def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """This machine waits for no other longer than a moment, in which that one has no time to beat."""
-    monkeypatch.setattr(heartbeat, "time", Hours())
+    monkeypatch.setattr(lock, "time", Hours())
 
 
 def here(folder: Path, out: Path, *words: object) -> Ran:
@@ -103,4 +103,4 @@ def test_a_part_that_went_down_does_not_hinder_the_collection(
     assert {name: content for name, content in results(out).items() if "-of-" not in name} == undisturbed
     requeued = here(folder, out, "--shard", "1/2")
     assert requeued.code == 0, requeued.err
-    assert not [name for name in results(out) if name.endswith((".lock", ".claim", ".tmp"))]
+    assert not [name for name in results(out) if name.endswith((".lock", ".tmp"))]
