@@ -32,7 +32,6 @@ from accelcal_cli.pipeline import export, jobs, outputs, survey
 from accelcal_cli.pipeline.activity import EPOCH_S, LONGEST_EPOCH_S
 from accelcal_cli.pipeline.calibrate import FirstPass, OwnCalibration, open_run
 from accelcal_cli.pipeline.calibrate import calibrate as run_job
-from accelcal_cli.pipeline.fit import fit_frame, fit_points
 from accelcal_cli.pipeline.jobs import DEFAULT_CHUNK_SAMPLES, FileStamp, Job, Request, file_stamp
 from accelcal_cli.pipeline.options import (
     chosen_settings,
@@ -45,7 +44,7 @@ from accelcal_cli.pipeline.options import (
     recording_options,
     with_values,
 )
-from accelcal_cli.pipeline.windows import WindowLog
+from accelcal_cli.pipeline.windows import WindowLog, fit_frame, fit_points
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -39,11 +39,11 @@ from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
 from accelcal_cli.pipeline.calibrate import Judge, OwnCalibration, RecordingRun, open_run
 from accelcal_cli.pipeline.export import calibrated, columns_of, transform_of
-from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.jobs import Job, ProgressMaker, Request, no_progress, sha256
 from accelcal_cli.pipeline.outputs import json_round_trip
 from accelcal_cli.pipeline.pool import PoolCoefficients
 from accelcal_cli.pipeline.report_settings import POINTS, NamedFile, ReportSettings, settings_from_report
+from accelcal_cli.pipeline.windows import fit_points
 from accelcal_cli.six_pose.run import known_orientations
 
 NOT_COMPARED = ("provenance", "accelcal_version")

@@ -14,10 +14,10 @@ from accelcal_cli.cli.options import FILE, fitting_options
 from accelcal_cli.cli.output import say_refused, show_result
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report_view import report_view
-from accelcal_cli.pipeline.fit import fit_points
 from accelcal_cli.pipeline.jobs import JSON, refuse_misnamed, refuse_nameless, refuse_overwriting
 from accelcal_cli.pipeline.options import fit_settings
 from accelcal_cli.pipeline.outputs import refuse_report_of_another, save_report, with_provenance
+from accelcal_cli.pipeline.windows import fit_points
 
 
 @click.command("fit")

@@ -1,25 +1,39 @@
-"""`--windows`: all still windows of a recording, kept along its first pass, and what became of each."""
+"""Tables of still windows: written along a recording (`--windows`), and fitted (`accelcal fit`)."""
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import UsageError, printable
 from accelcal_cli.core.points import PointSet
-from accelcal_cli.core.settings import Settings
+from accelcal_cli.core.settings import EffectiveSettings, Settings
+from accelcal_cli.core.statistics import mean
+from accelcal_cli.judge.errors import deviations_mg
 from accelcal_cli.judge.model_ladder import folds, postures
+from accelcal_cli.judge.verdict import judge
 from accelcal_cli.output import report as reports
 from accelcal_cli.output.report import ReportInput
-from accelcal_cli.pipeline.jobs import PARQUET, Job, refuse_dash, refuse_overwriting
-from accelcal_cli.pipeline.survey import Method, Procedure, StillWindows
+from accelcal_cli.output.report_kinds import PointsInput, build_points
+from accelcal_cli.pipeline.jobs import PARQUET, Job, refuse_dash, refuse_overwriting, sha256
+from accelcal_cli.pipeline.survey import Method, Procedure, StillWindows, fitting, optimizer_json
 
 if TYPE_CHECKING:
+    import pandas as pd
+
+    from accelcal_cli.collect.table import Table
     from accelcal_cli.output.windows import WindowTable
 
 CSV = ".csv"
+IN_MEMORY = Path("table")
+"""Stands for the path of a table that is in no file."""
+
+NOT_NEAR = "no point is anywhere near 1 g; x, y and z must be in g"
+NO_POINTS = "the table holds no points"
 
 
 def refuse_impossible(path: Path, jobs: list[Job]) -> None:
@@ -34,12 +48,12 @@ def refuse_impossible(path: Path, jobs: list[Job]) -> None:
 
 
 class WindowLog(StillWindows):
-    """Keeps a recording's still windows with their times."""
+    """Keeps a recording's still windows with their times, and tells what became of each."""
 
     procedure: Procedure
 
     def watch(self, method: Method, rate_hz: float) -> Method:
-        """The method whose windows are kept."""
+        """Keep the windows of a method, and return it with windows that carry their times."""
         self.procedure = method.procedure
         return method.timed(rate_hz)
 
@@ -47,18 +61,17 @@ class WindowLog(StillWindows):
         """Write the table.
 
         Args:
-            points: those that were made of the windows.
+            points: the points that were made of the windows.
 
         Raises:
             OutputError: the file cannot be written.
         """
-        # few runs write it
-        from accelcal_cli.output.windows import write_windows
+        from accelcal_cli.output.windows import write_windows  # few runs write it
 
         write_windows(self.table(data, points), path, reports.parquet_metadata(data))
 
     def table(self, data: ReportInput, points: PointSet) -> WindowTable:
-        """What became of each window."""
+        """Return the windows, and what became of each."""
         from accelcal_cli.output.windows import WindowTable
 
         windows, settings = self.result(), data.settings.method
@@ -79,3 +92,60 @@ class WindowLog(StillWindows):
             data.judgement.calibration,
             data.facts.utc_offset_s,
         )
+
+
+def fit_points(path: Path, settings: Settings) -> dict[str, Any]:
+    """Fit and judge the still-window means of a table as `calibrate` does a recording's.
+
+    Returns:
+        The report without `provenance`.
+
+    Raises:
+        UnreadableError: it is no table of points.
+    """
+    from accelcal_cli.collect.table import read_table  # no recording needs it
+
+    digest = sha256(path)
+    return _report(read_table(path), settings, path, digest, path.stat().st_size)
+
+
+def fit_frame(frame: pd.DataFrame, settings: Settings) -> dict[str, Any]:
+    """Fit and judge a data frame as `fit_points` does a table; the report has the hash of its numbers.
+
+    Raises:
+        UnreadableError: it is no table of points.
+    """
+    from accelcal_cli.collect.table import table_of
+
+    rows = frame.dropna(axis=1, how="all")
+    table = table_of(rows.set_index(np.arange(1, len(rows) + 1)), IN_MEMORY)
+    columns = [getattr(table, name) for name in table.__dataclass_fields__]
+    content = b"".join(part.tobytes() for part in columns if isinstance(part, np.ndarray))
+    return _report(table, settings, IN_MEMORY, hashlib.sha256(content).hexdigest(), len(content))
+
+
+def _report(table: Table, settings: Settings, path: Path, digest: str, size: int) -> dict[str, Any]:
+    from accelcal_cli.collect.table import given_points
+
+    found = given_points(table, settings, path)
+    fitter = fitting(settings)
+    why_none = NOT_NEAR if found.implausible else NO_POINTS
+    verdict = judge(found.points, fitter, why_none, found.label, found.saturated)
+    parameters = None if verdict.fit is None else verdict.fit.parameters
+    data = PointsInput(
+        path=path,
+        sha256=digest,
+        bytes=size,
+        rows=len(table),
+        implausible=found.implausible,
+        raw_error_mg=_error_mg(found.rows, IDENTITY),
+        after_error_mg=None if parameters is None else _error_mg(found.rows, parameters),
+        settings=EffectiveSettings(settings, True, {"format": "points"}),
+        judgement=verdict,
+        optimizer=optimizer_json(settings),
+    )
+    return build_points(data)
+
+
+def _error_mg(rows: PointSet, parameters: tuple[int, ...]) -> float | None:
+    return mean(deviations_mg(rows, parameters).tolist()) if len(rows) else None
