@@ -24,7 +24,7 @@ from accelcal_cli.core.settings import Option, setting, setting_of
 from accelcal_cli.core.vocabulary import UNIT_CHOICES
 
 HEAD_BYTES = 65_536
-GZIP_MAGIC = b"\x1f\x8b"
+GZIP_MAGIC, ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
 RATE_AGREEMENT = 0.05
 
 

@@ -25,11 +25,11 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO, Protocol, Self, cast
 
 from accelcal_cli.core.errors import OutputError, UnreadableError
+from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.input_files import TAR_MAGIC, TAR_MAGIC_AT
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.formats._bytes import ShortReads
 
-ZIP_MAGIC = b"PK\x03\x04"
 PACKED: dict[bytes, Callable[[BinaryIO], Any]] = {
     b"\x1f\x8b": lambda file: gzip.GzipFile(fileobj=file),
     b"BZh": bz2.BZ2File,

@@ -6,6 +6,7 @@ Source: PKWARE's APPNOTE.TXT 6.3, 4.3.7 (local headers) and 4.5.3 (sizes of 64 b
 
 from __future__ import annotations
 
+import re
 import struct
 import zipfile
 from collections import Counter
@@ -16,24 +17,22 @@ from pathlib import Path
 from typing import BinaryIO
 
 from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.formats import ZIP_MAGIC
 from accelcal_cli.core.parallel import prefetch
 from accelcal_cli.core.recording import Closing, Problem
 from accelcal_cli.formats._bytes import MOST_BYTES, STEP_BYTES, Inflater, ShortReads, crc32
-from accelcal_cli.formats.gt3x import (
-    ACTIVITY,
-    CALIBRATION,
-    INFO,
-    LOG,
-    MAGIC,
-    NAMED,
-    TEMPERATURE_CALIBRATION,
-    holds_samples,
+
+INFO, LOG, ACTIVITY = "info.txt", "log.bin", "activity.bin"
+CALIBRATION, TEMPERATURE_CALIBRATION = "calibration.json", "temperature_calibration.json"
+NAMED = re.compile(
+    rb"PK\x03\x04.{22}(..)..(info\.txt|log\.bin|activity\.bin|(?:temperature_)?calibration\.json)", re.DOTALL
 )
+"""Local header of one of the parts; the groups are the length of its name, and the name."""
 
 WANTED = (INFO, LOG, ACTIVITY, CALIBRATION, TEMPERATURE_CALIBRATION)
 STORED, DEFLATED = zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED
 ENCRYPTED = 99
-"""Stands for any encryption; the method that zip files name for it."""
+"""Method that stands for any encryption; zip files use it for AES."""
 
 _LOCAL = struct.Struct("<4s5HIIIHH")
 _LONGEST_MATCH = _LOCAL.size + max(map(len, WANTED))
@@ -43,7 +42,8 @@ _SCAN_BYTES = 1 << 20
 _IN_EXTRA = 0xFFFFFFFF
 _SIZES_FOLLOW = 0x08
 _LARGEST_DIRECTORY = 1 << 20
-"""Of about 20 000 parts; devices write about ten. zipfile takes ten times as much memory for them."""
+"""Most bytes of a directory, that of about 20 000 parts (devices write about ten); zipfile takes ten times
+as much memory."""
 
 _BROKEN = (
     zipfile.BadZipFile,
@@ -54,7 +54,7 @@ _BROKEN = (
     struct.error,
     OSError,
 )
-"""What zipfile raises over a damaged directory; OSError where it seeks to impossible places."""
+"""Errors that zipfile raises for a damaged directory; OSError if it seeks to impossible places."""
 
 LOST_DIRECTORY = "the zip file's directory is damaged or missing: its parts were found by their own headers"
 
@@ -67,9 +67,9 @@ class Member:
     """One part of the zip file.
 
     Attributes:
-        method: how it is compressed, as zip files number it.
+        method: its compression, as zip files number it.
         start_byte: where its (compressed) bytes begin in the file.
-        packed_bytes, unpacked_bytes, crc: None where the file does not say.
+        packed_bytes, unpacked_bytes, crc: None if the file does not say.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Member:
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """The parts that matter, by name, and what was wrong with the zip file around them.
+    """The parts that matter, by name, and what is wrong with the zip file around them.
 
     Attributes:
         ends: the end of the zip file is there: it was not cut short.
@@ -115,16 +115,21 @@ def open_archive(path: Path) -> Archive:
     return Archive(path, size, members, ends, (lost, *repeated))
 
 
+def holds_samples(names: set[str]) -> bool:
+    """Return True if one of the names is of a part with samples, of either kind."""
+    return not names.isdisjoint((LOG, ACTIVITY))
+
+
 def has_end(file: BinaryIO, size: int) -> bool:
-    """Whether the record that ends a zip file, perhaps before a comment, is there."""
+    """Return True if the record that ends a zip file, perhaps before a comment, is there."""
     file.seek(max(0, size - _LONGEST_END))
     return _END in file.read(_LONGEST_END)
 
 
 def by_directory(file: BinaryIO) -> tuple[dict[str, Member], bool, tuple[Problem, ...]]:
-    """The parts that the directory lists, whether it is sound, and which parts it lists twice.
+    """Return the parts that the directory lists, whether it is sound, and which parts it lists twice.
 
-    A sound one lists samples, and each part where its own header lies.
+    A sound one lists samples, and each part at the place of its own header.
     """
     try:
         with zipfile.ZipFile(ShortReads(file, _LARGEST_DIRECTORY)) as archive:
@@ -144,7 +149,7 @@ def _repeated(name: str, number: int, which: str) -> Problem:
 
 
 def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
-    """A part listed in the directory, and whether its own header lies where it should."""
+    """Return a part listed in the directory, and whether its own header lies where it should."""
     name = entry.filename.encode()
     file.seek(entry.header_offset)
     header = file.read(_LOCAL.size + len(name)).ljust(_LOCAL.size, b"\0")
@@ -157,11 +162,11 @@ def _placed(file: BinaryIO, entry: zipfile.ZipInfo) -> tuple[Member, bool]:
         entry.file_size,
         entry.CRC,
     )
-    return member, header.startswith(MAGIC) and header.endswith(name)
+    return member, header.startswith(ZIP_MAGIC) and header.endswith(name)
 
 
 def by_headers(file: BinaryIO) -> tuple[dict[str, Member], tuple[Problem, ...]]:
-    """The parts whose own headers are found in the file, the first of each name; which are repeated."""
+    """Return the parts whose own headers are found, the first of each name; and which are repeated."""
     members: dict[str, Member] = {}
     places: dict[str, set[int]] = {}
     base, data = 0, b""
@@ -195,7 +200,7 @@ def _by_header(file: BinaryIO, offset: int, name: str) -> Member:
 
 
 def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
-    """Sizes of 64 bits, unpacked and packed, from a header's extra field."""
+    """Return the sizes of 64 bits, unpacked and packed, from a header's extra field."""
     index = 0
     while index + 4 <= len(extra):
         kind, length = struct.unpack_from("<HH", extra, index)
@@ -207,7 +212,7 @@ def _long_sizes(extra: bytes) -> tuple[int | None, int | None]:
 
 
 class Fault(Enum):
-    """Why a part is not as it was packed."""
+    """Reason why a part is not as it was packed."""
 
     CUT_OFF = "the file is cut short"
     DAMAGED = "it is damaged within"
@@ -216,7 +221,7 @@ class Fault(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Bytes of a part.
+    """Some bytes of a part.
 
     Attributes:
         last: nothing follows.
@@ -258,7 +263,7 @@ class MemberStream(Closing):
             raise self._unreadable(error) from error
 
     def read(self, count: int) -> bytes:
-        """`count` bytes, fewer only at the end.
+        """Return `count` bytes, fewer only at the end.
 
         Raises:
             UnreadableError: the disk fails.
@@ -270,7 +275,7 @@ class MemberStream(Closing):
         return b"".join(parts)
 
     def pieces(self, count: int, threads: int) -> Generator[Piece]:
-        """All of it, `count` bytes at a time; the last piece is shorter, and may be empty.
+        """Yield the whole part, `count` bytes at a time; the last piece is shorter, and may be empty.
 
         Args:
             threads: how many may work at a time; one of its own unpacks the pieces that follow.
@@ -291,6 +296,22 @@ class MemberStream(Closing):
         """Release the file."""
         self._file.close()
 
+    def problem(self, sample: int) -> Problem | None:
+        """Return what is wrong with the part as a whole, once it has been read."""
+        name = self.member.name
+        if self.fault is None:
+            return None
+        if self.fault is Fault.WRONG_CHECKSUM:
+            text = (
+                f"the checksum of {name} in the zip file is wrong: some of its bytes are not what was written"
+            )
+            return Problem("archive_checksum", text, None, sample)
+        missing = (self.member.unpacked_bytes or 0) - self.size
+        lost_bytes = max(0, missing) if self.fault is Fault.DAMAGED else 0
+        lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
+        text = f"{name} breaks off, as {self.fault.value}: {lost}"
+        return Problem("truncated", text, self.size, sample, max(1, missing), lost_bytes)
+
     def _step(self, most: int) -> bytes:
         if self._inflater is None:
             data = self._taken(most)
@@ -304,7 +325,7 @@ class MemberStream(Closing):
         return data
 
     def _inflated(self, inflater: Inflater, most: int) -> tuple[bytes, bool]:
-        """The next bytes, at most so many, and whether they are the last."""
+        """Return the next bytes, at most `most`, and whether they are the last."""
         if inflater.needs_input:
             packed = self._taken(STEP_BYTES)
             if not packed:
@@ -321,14 +342,12 @@ class MemberStream(Closing):
         self._left -= len(packed)
         return packed
 
-    def _complete(self) -> bool:
-        return self._left == 0 if self._inflater is None else self._inflater.complete
-
     def _end(self) -> None:
         self._ended = True
-        if self._inflater is not None and self._inflater.damaged:
+        inflater = self._inflater
+        if inflater is not None and inflater.damaged:
             self.fault = Fault.DAMAGED
-        elif not self._complete():
+        elif self._left > 0 if inflater is None else not inflater.complete:
             self.fault = Fault.DAMAGED if self._ends else Fault.CUT_OFF
         elif self.member.unpacked_bytes not in (None, self.size):
             self.fault = Fault.DAMAGED
@@ -350,7 +369,7 @@ class MemberStream(Closing):
 
 
 def small_part(archive: Archive, name: str) -> bytes | None:
-    """A part that describes the recording, all of it; None if it is damaged.
+    """Return the whole of a part that describes the recording; None if it is damaged.
 
     Raises:
         KeyError: there is none.

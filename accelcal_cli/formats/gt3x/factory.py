@@ -1,4 +1,4 @@
-"""The maker's calibration beside log.bin: calibration.json and temperature_calibration.json, and its values.
+"""The maker's calibration beside log.bin: calibration.json and temperature_calibration.json, and its use.
 
 `isCalibrated` false says that the records hold counts of the bare sensor. Method 2 of calibration.json has,
 for each sampling rate, offsets in counts, sensitivities of the axes in hundredths of a count per g, and those
@@ -25,27 +25,26 @@ from numpy.typing import NDArray
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.factory import FactoryAcceleration, FactoryCalibration, FactoryTemperature
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Problem, clipped_at
-from accelcal_cli.formats.gt3x import CALIBRATION, TEMPERATURE_CALIBRATION
 from accelcal_cli.formats.gt3x import records as log
-from accelcal_cli.formats.gt3x.archive import Archive, small_part
+from accelcal_cli.formats.gt3x.archive import CALIBRATION, TEMPERATURE_CALIBRATION, Archive, small_part
 from accelcal_cli.formats.gt3x.records import Batch, Records
 
 MATRIX, LINE, IN_DEGREES = 2, 1, 0
-"""Methods that are known: of the acceleration, and of the temperature (ours for one that is in degrees)."""
+"""Known methods: of the acceleration, of the temperature, and our own for a temperature in degrees."""
 
 LEAST_COUNTS, MOST_COUNTS = 10.0, 1e6
-"""Per g, of an axis."""
+"""Smallest and largest number of counts per g of an axis."""
 
 FARTHEST_OFFSET = 32_768.0
 LARGEST_G = 127.0
-"""Calibrated values beyond it have no place on the grid; they are cut off there, and marked as clipped."""
+"""Largest calibrated value [g] on the grid; larger ones are cut off there, and marked as clipped."""
 
 COLDEST_C, WARMEST_C = -100.0, 200.0
 READING_BYTES, ACCELEROMETER = 3, 1
-"""In records of temperatures: a thermometer's number, and 16 bits. 0 is the processor's; this is within the
-accelerometer."""
+"""Length of a temperature reading (a thermometer's number, then 16 bits), and the number of the
+accelerometer's thermometer; 0 is the processor's."""
 
-AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
+READ_AS_COUNTS = "--lsb-per-g, such as 256, reads the counts as they are"
 DAMAGED = "{} in the zip file is damaged: what it says of the sensor was not applied"
 NOT_APPLIED = "the maker's calibration (calibration.json) was not applied, as --lsb-per-g is given"
 OLDER_KIND = "the maker's calibration (calibration.json) was not applied: it is not for activity.bin"
@@ -55,11 +54,11 @@ NO_TEMPERATURE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Stated:
-    """What one of the two parts says.
+class CalibrationFile:
+    """The content of one of the two parts.
 
     Attributes:
-        values: None where there is no such part, or a damaged one.
+        values: None if there is no such part, or a damaged one.
     """
 
     values: dict[str, Any] | None = None
@@ -67,42 +66,45 @@ class Stated:
 
     @property
     def is_open(self) -> bool:
-        """Whether it says that the calibration is still to be applied."""
+        """True if the calibration is still to be applied."""
         return self.values is not None and not self.values.get("isCalibrated", True)
 
 
-def stated(archive: Archive, name: str) -> Stated:
+def read_calibration_file(archive: Archive, name: str) -> CalibrationFile:
     """Read one of the two parts."""
     if name not in archive.members:
-        return Stated()
+        return CalibrationFile()
     try:
         values = json.loads(small_part(archive, name) or b"")
     except (ValueError, RecursionError):
         values = None
     if isinstance(values, dict):
-        return Stated(values)
-    return Stated(None, (Problem("damaged_header", DAMAGED.format(name), None, 0),))
+        return CalibrationFile(values)
+    return CalibrationFile(None, (Problem("damaged_header", DAMAGED.format(name), None, 0),))
 
 
 @dataclass(frozen=True, slots=True)
-class Beside:
-    """What both parts say of the main sensor."""
+class CalibrationFiles:
+    """The content of both parts."""
 
-    acceleration: Stated = Stated()
-    temperature: Stated = Stated()
+    acceleration: CalibrationFile = CalibrationFile()
+    temperature: CalibrationFile = CalibrationFile()
 
     @classmethod
-    def of(cls, archive: Archive) -> Beside:
-        """Read both."""
-        return cls(stated(archive, CALIBRATION), stated(archive, TEMPERATURE_CALIBRATION))
+    def of(cls, archive: Archive) -> CalibrationFiles:
+        """Read both parts."""
+        return cls(
+            read_calibration_file(archive, CALIBRATION),
+            read_calibration_file(archive, TEMPERATURE_CALIBRATION),
+        )
 
     @property
     def problems(self) -> tuple[Problem, ...]:
-        """What is wrong with them."""
+        """Problems of both parts."""
         return self.acceleration.problems + self.temperature.problems
 
-    def notes(self, done: Applied) -> tuple[str, ...]:
-        """What is done with them, for people."""
+    def notes(self, done: AppliedCalibration) -> tuple[str, ...]:
+        """Return notes on how the parts are used."""
         notes = () if done.factory is None else done.factory.notes()
         if self.acceleration.is_open and done.acceleration is None:
             notes += (NOT_APPLIED,)
@@ -112,12 +114,12 @@ class Beside:
 
 
 @dataclass(frozen=True, slots=True)
-class Applied:
+class AppliedCalibration:
     """What is applied to the samples of a recording.
 
     Attributes:
-        acceleration: None where counts stay as they are.
-        limit: rows that reach it, in raw counts, are marked as clipped; None if it is not known.
+        acceleration: the calibration of counts; None if they are calibrated.
+        limit: raw counts from which on a row is marked as clipped; None if unknown.
         temperature: how the thermometer's counts are read; first_mc: its first reading. None without any.
     """
 
@@ -135,25 +137,25 @@ class Applied:
         return FactoryCalibration(self.acceleration, line) if self.acceleration or line else None
 
     def thermometer(self) -> Thermometer | None:
-        """A new one, for one pass over the recording."""
+        """Return a new thermometer, for one pass over the recording."""
         if self.temperature is None or self.first_mc is None:
             return None
         return Thermometer(self.temperature, self.first_mc)
 
-    def to(self, chunk: Chunk) -> Chunk:
-        """A chunk of raw counts, with those that the calibration gives."""
+    def apply(self, chunk: Chunk) -> Chunk:
+        """Return a chunk of raw counts with calibrated ones."""
         return chunk if self.acceleration is None else calibrated(chunk, self.acceleration, self.limit)
 
 
-def acceleration_of(said: Stated, rate: int, path: Path) -> FactoryAcceleration | None:
-    """The calibration for a sampling rate; None if there is none to apply.
+def acceleration_of(calibration_file: CalibrationFile, rate: int, path: Path) -> FactoryAcceleration | None:
+    """Return the calibration for a sampling rate; None if there is none to apply.
 
     Raises:
         UnreadableError: it is of an unknown method, not for this rate, or makes no sense.
     """
-    if not said.is_open:
+    if not calibration_file.is_open:
         return None
-    values = said.values or {}
+    values = calibration_file.values or {}
     method = values.get("calibrationMethod")
     if method != MATRIX or isinstance(method, bool):
         raise _unusable(f"is of the unknown method {str(method)[:40]!r}", path)
@@ -182,11 +184,11 @@ def _sensible(
 
 def _unusable(what: str, path: Path) -> UnreadableError:
     text = f"calibration.json in it, which its counts need, {what}"
-    return UnreadableError(text, path=path, hint=AS_COUNTS)
+    return UnreadableError(text, path=path, hint=READ_AS_COUNTS)
 
 
 def _number(value: Any) -> float | None:
-    """A number, as JSON or as text; None for anything else."""
+    """Return a number, given as JSON number or text; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         return None
     try:
@@ -197,35 +199,30 @@ def _number(value: Any) -> float | None:
 
 
 def calibrated(chunk: Chunk, factory: FactoryAcceleration, limit: int | None) -> Chunk:
-    """The chunk with calibrated counts, `FLOAT_LSB_PER_G` in one g.
+    """Return the chunk with calibrated counts, `FLOAT_LSB_PER_G` in one g.
 
     Args:
-        limit: rows that reach it, in raw counts, are marked as clipped; None if it is not known.
+        limit: rows that reach it, in raw counts, are marked as clipped; None if it is unknown.
     """
     if limit is not None:
         chunk = clipped_at(chunk, -limit, limit - 1)
+    x, y, z = (chunk.counts[:, axis] - factory.offset_counts[axis] for axis in range(3))
+    rows = [[value * FLOAT_LSB_PER_G for value in row] for row in factory.g_per_count]
+    steps = [np.rint(x * row[0] + y * row[1] + z * row[2]) for row in rows]
     most = int(LARGEST_G * FLOAT_LSB_PER_G)
-    steps = [value.clip(-most, most) for value in _steps(chunk.counts, factory)]
-    counts = np.stack(steps, axis=1).astype(np.int32)
+    counts = np.stack([value.clip(-most, most) for value in steps], axis=1).astype(np.int32)
     return clipped_at(replace(chunk, counts=counts), -most, most)
 
 
-def _steps(counts: NDArray[Any], factory: FactoryAcceleration) -> list[NDArray[np.float64]]:
-    """Calibrated x, y and z in steps of the grid, (n,) each, of raw counts (n, 3)."""
-    x, y, z = (counts[:, axis] - factory.offset_counts[axis] for axis in range(3))
-    rows = [[value * FLOAT_LSB_PER_G for value in row] for row in factory.g_per_count]
-    return [np.rint(x * row[0] + y * row[1] + z * row[2]) for row in rows]
+def temperature_of(calibration_file: CalibrationFile) -> FactoryTemperature | None:
+    """Return how counts of the accelerometer's thermometer become degrees; None if nothing says it.
 
-
-def temperature_of(said: Stated) -> FactoryTemperature | None:
-    """How counts of the accelerometer's thermometer become degrees; None if nothing says it.
-
-    What is calibrated already is in degrees, as the vendor's reader takes it.
+    Calibrated values are in degrees, as the vendor's reader takes them.
     """
-    values = said.values
+    values = calibration_file.values
     if values is None or "isCalibrated" not in values:
         return None
-    if not said.is_open:
+    if not calibration_file.is_open:
         return FactoryTemperature(TEMPERATURE_CALIBRATION, IN_DEGREES, (0.0, 1.0), (0.0, 1.0))
     names = ("adxlTempLow", "adxlTempHigh", "tempLow", "tempHigh")
     low, high, cold, warm = (_number(values.get(name)) for name in names)
@@ -237,7 +234,8 @@ def temperature_of(said: Stated) -> FactoryTemperature | None:
 
 
 def temperatures(batch: Batch, factory: FactoryTemperature) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
-    """Thousandths of a degree C (k,) of the accelerometer's thermometer, and where their records begin.
+    """Return the temperatures of the accelerometer's thermometer, (k,) thousandths of a degree C, and where
+    their records begin.
 
     Readings that are no temperature are left out.
     """
@@ -253,7 +251,7 @@ def temperatures(batch: Batch, factory: FactoryTemperature) -> tuple[NDArray[np.
 
 
 def _readings(data: bytes) -> list[int]:
-    """Counts of the accelerometer's thermometer in a record's payload."""
+    """Return the counts of the accelerometer's thermometer in a record's payload."""
     return [
         int.from_bytes(data[at + 1 : at + READING_BYTES], "little", signed=True)
         for at in range(0, len(data) - READING_BYTES + 1, READING_BYTES)
@@ -271,8 +269,9 @@ class Thermometer:
     def __init__(self, factory: FactoryTemperature, first_mc: int) -> None:
         self._factory, self._last = factory, first_mc
 
-    def beside(self, batch: Batch, records: Records, rows: NDArray[np.int64]) -> NDArray[np.int32]:
-        """Temperatures of all samples of these records, which have `rows` each; batches in file order."""
+    def temperatures_of(self, batch: Batch, records: Records, rows: NDArray[np.int64]) -> NDArray[np.int32]:
+        """Return the temperatures of all samples of records, which have `rows` each; batches in file
+        order."""
         found, places = temperatures(batch, self._factory)
         known = np.concatenate((np.array([self._last], np.int32), found))
         self._last = int(known[-1])

@@ -1,39 +1,67 @@
-"""An open .gt3x file of either kind: what is known of the recording, and its rows.
+"""Opens .gt3x files of either kind: describes the recording, and streams its rows.
 
-log.bin is read here as a stream of chunks; activity.bin, of the older kind, in a file of its own.
+info.txt is written by the device's software, one "key: value" a line. Scale, range and rate of a sensor come
+from info.txt, else from the parameters in log.bin, else from the model. Source: info.txt.md of
+github.com/actigraph/GT3X-File-Format and NHANES-GT3X-File-Format. Times are .NET ticks, 100 ns since the
+year 1, on the device's clock.
 """
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from accelcal_cli.core.clock import MICROSECONDS
+import numpy as np
+
+from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H
 from accelcal_cli.core.errors import UnreadableError, UsageError
+from accelcal_cli.core.factory import FactoryAcceleration, FactoryTemperature
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Problem, Reader, Recording
+from accelcal_cli.core.recording import (
+    FLOAT_LSB_PER_G,
+    LARGEST_LSB_PER_G,
+    Chunk,
+    Device,
+    Problem,
+    Reader,
+    Recording,
+)
 from accelcal_cli.formats._problems import ProblemLog
-from accelcal_cli.formats.gt3x import ACTIVITY, LOG, header
-from accelcal_cli.formats.gt3x.archive import Archive, Member, MemberStream, open_archive
-from accelcal_cli.formats.gt3x.factory import OLDER_KIND, Applied, Beside, acceleration_of, temperature_of
-from accelcal_cli.formats.gt3x.header import COPY_AGAIN, Info
-from accelcal_cli.formats.gt3x.records import Span, batches
-from accelcal_cli.formats.gt3x.sensors import Samples, Sensor
+from accelcal_cli.formats.gt3x import records as log
+from accelcal_cli.formats.gt3x import sensors
+from accelcal_cli.formats.gt3x.archive import (
+    ACTIVITY,
+    INFO,
+    LOG,
+    Archive,
+    Member,
+    MemberStream,
+    open_archive,
+    small_part,
+)
+from accelcal_cli.formats.gt3x.factory import (
+    OLDER_KIND,
+    AppliedCalibration,
+    CalibrationFiles,
+    acceleration_of,
+    temperature_of,
+    temperatures,
+)
+from accelcal_cli.formats.gt3x.records import Batch, Key, Span, batches
+from accelcal_cli.formats.gt3x.sensors import ActivityFile, Imu, Primary, Samples, Schema, Sensor, has_samples
 from accelcal_cli.formats.gt3x.timeline import (
     ChunkPlace,
     RowSpan,
     Timeline,
     chunk_of,
     cut,
-    fault_problem,
     groups,
 )
-
-if TYPE_CHECKING:
-    from accelcal_cli.formats.gt3x.activity import ActivityFile
 
 IMU = "imu"
 SENSORS = ("accelerometer", IMU)
@@ -42,7 +70,302 @@ UNPACK = "unpack the .gz; a .gt3x is a zip file already"
 NO_START = "info.txt does not tell when the recording began: times count from its start"
 
 MOST_ROWS = 1 << 20
-NOTHING = Applied()
+NOTHING = AppliedCalibration()
+TICKS_PER_US = 10
+YEAR_1_TO_1970_US = 62_135_596_800 * 1_000_000
+LATEST_US = (1 << 32) * 1_000_000
+HIGHEST_RATE_HZ = 1000
+
+ZONE = re.compile(r"([+-])?(\d\d):([0-5]\d):\d\d")
+DAY_S = 86_400
+LONGEST_S = 366 * DAY_S
+NO_INFO = "info.txt is missing from the zip file"
+BAD_INFO = "info.txt in the zip file is damaged and was not used"
+
+LARGEST_G = 10_000.0
+LEAST_SCALE = 10.0
+"""Smallest scale that is believed: an info.txt with "Acceleration Scale: 1" belongs to counts of a scale
+given elsewhere."""
+
+PIECES_FOR_TEMPERATURE = 16
+"""Number of pieces of log.bin, hours of samples, in which a first temperature is looked for."""
+
+IMU_ZERO_C = 21.0
+WARMEST_C = 1000.0
+IMU_FULL_SCALE = 32_768
+COPY_AGAIN = "copy it again from the device"
+NO_IMU = "no second sensor (IMU) recorded in it"
+TURNED = "firmware 1.6.0 of this device exchanged two axes; this was undone (x = y, y = -x of the file)"
+HAS_IMU = "the second sensor (IMU) recorded too: --sensor imu reads it, with gyroscope and temperature"
+
+
+@dataclass(frozen=True, slots=True)
+class Info:
+    """The content of info.txt; None for what it lacks.
+
+    Attributes:
+        start_us, last_us: first and last sample, or planned start and stop, local time.
+        scale: counts in one g.
+        zone: offset of the local time from UTC, such as -05:00.
+    """
+
+    device: Device = field(default_factory=Device)
+    rate_hz: int | None = None
+    start_us: int | None = None
+    last_us: int | None = None
+    scale: float | None = None
+    range_g: float | None = None
+    zone: str | None = None
+
+
+def parse_info(data: bytes) -> Info:
+    """Parse the bytes of info.txt; unusable values count as missing."""
+    text = data.decode("utf-8-sig", "replace")
+    pairs = [line.partition(":") for line in text.splitlines()]
+    values = {key.strip(): value.strip() for key, _, value in pairs if value.strip()}
+    low, high = _number(values.get("Acceleration Min")), _number(values.get("Acceleration Max"))
+    rate = _number(values.get("Sample Rate"))
+    return Info(
+        Device(values.get("Device Type"), values.get("Serial Number"), values.get("Firmware")),
+        int(rate) if rate and rate == int(rate) and 0 < rate <= HIGHEST_RATE_HZ else None,
+        _time_us(values.get("Start Date")),
+        _time_us(values.get("Last Sample Time")) or _time_us(values.get("Stop Date")),
+        _positive(_number(values.get("Acceleration Scale")), LARGEST_LSB_PER_G),
+        None if low is None or high is None else _positive(min(-low, high), LARGEST_G),
+        _zone(values.get("TimeZone")),
+    )
+
+
+def _number(text: str | None) -> float | None:
+    """Return a number, which some countries write with a decimal comma."""
+    try:
+        value = float((text or "").replace(",", "."))
+    except ValueError:
+        return None
+    return value if isfinite(value) else None
+
+
+def _positive(value: float | None, most: float) -> float | None:
+    return value if value is not None and 0 < value <= most else None
+
+
+def _time_us(text: str | None) -> int | None:
+    """Return ticks as microseconds since 1970; None for a time that is not of our days."""
+    if text is None or not text.isascii() or not text.isdigit():
+        return None
+    time_us = int(text[:30]) // TICKS_PER_US - YEAR_1_TO_1970_US
+    return time_us if 0 < time_us < LATEST_US else None
+
+
+def _zone(text: str | None) -> str | None:
+    """Return -05:00:00 as -05:00, 02:00:00 as +02:00, 00:00:00 as UTC; None if it is no zone."""
+    match = ZONE.fullmatch(text or "")
+    if match is None or int(match[2]) > WIDEST_OFFSET_H:
+        return None
+    return f"{match[1] or '+'}{match[2]}:{match[3]}" if match[2] + match[3] != "0000" else "UTC"
+
+
+def read_info(archive: Archive) -> tuple[Info, tuple[Problem, ...]]:
+    """Return info.txt, and what is wrong with it; a damaged one is not used at all."""
+    if INFO not in archive.members:
+        return Info(), (Problem("damaged_header", NO_INFO, None, 0),)
+    if (data := small_part(archive, INFO)) is None:
+        return Info(), (Problem("damaged_header", BAD_INFO, None, 0),)
+    return parse_info(data), ()
+
+
+@dataclass(slots=True)
+class LogBeginning:
+    """The content of the first records of log.bin, up to the first samples.
+
+    Attributes:
+        rate: samples that most records of the first piece with any hold; None without any.
+        first_s: second of the first samples.
+        imu: the device's second sensor recorded too.
+        thermometer: the meaning of its readings, None if they are not wanted; first_mc: the first one.
+    """
+
+    parameters: dict[Key, int] = field(default_factory=dict)
+    utc: bool = False
+    schema: Schema | None = None
+    rate: int | None = None
+    first_s: int | None = None
+    imu: bool = False
+    thermometer: FactoryTemperature | None = None
+    first_mc: int | None = None
+
+    def take(self, batch: Batch) -> None:
+        """Take in the next records."""
+        self.parameters = log.parameters_in(batch) | self.parameters
+        self.utc |= log.in_utc(batch)
+        self.imu |= bool((batch.records.kind == log.SENSOR_DATA).any())
+        if self.schema is None:
+            schemas = [sensors.parse_schema(data) for data in log.payloads(batch, log.SENSOR_SCHEMA)]
+            usable = [schema for schema in schemas if schema and schema.axes(sensors.ACCELEROMETER)]
+            self.schema = usable[0] if usable else None
+        self._take_samples(batch)
+        if self.thermometer is not None and self.first_mc is None:
+            found, _ = temperatures(batch, self.thermometer)
+            self.first_mc = int(found[0]) if len(found) else None
+
+    def _take_samples(self, batch: Batch) -> None:
+        records = batch.records
+        holds = np.isin(records.kind, sensors.KINDS) & (records.size > sensors.DOCKED_BYTES)
+        with_samples = records.select(holds)
+        rows = sensors.samples_in(with_samples)
+        if self.rate is None and rows.any():
+            self.rate = Counter(rows[rows > 0].tolist()).most_common(1)[0][0]
+            self.first_s = int(with_samples.second[rows > 0][0])
+
+
+def look_inside(
+    archive: Archive, *, imu: bool, thermometer: FactoryTemperature | None = None
+) -> LogBeginning:
+    """Read log.bin up to the first samples, of the second sensor with its schema if that is requested.
+
+    If a temperature is wanted, a while longer is read for it.
+
+    Raises:
+        UnreadableError: the disk fails, or log.bin is packed in an unusual way.
+    """
+    beginning = LogBeginning(thermometer=thermometer)
+    with (
+        MemberStream(archive, archive.members[LOG]) as stream,
+        closing(log.batches(stream, log.ANY_TIME)) as batches,
+    ):
+        for number, batch in enumerate(batches):
+            beginning.take(batch)
+            waiting = (
+                thermometer is not None and beginning.first_mc is None and number < PIECES_FOR_TEMPERATURE
+            )
+            if (beginning.imu and beginning.schema if imu else beginning.rate) and not waiting:
+                break
+    return beginning
+
+
+def span_of(info: Info, beginning: LogBeginning) -> Span:
+    """Return the times between which records are expected."""
+    start_us = info.start_us
+    start_s = beginning.parameters.get(log.START_TIME) if start_us is None else start_us // 1_000_000
+    first_s = beginning.first_s if start_s is None else start_s
+    return log.ANY_TIME if first_s is None else Span(first_s - DAY_S, first_s + LONGEST_S)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """Counts in one g, and the range in g, None if unknown."""
+
+    lsb_per_g: float
+    range_g: float | None
+
+    @property
+    def limit(self) -> int | None:
+        """The range in counts."""
+        return None if self.range_g is None else int(self.range_g * self.lsb_per_g)
+
+
+SIX_G, EIGHT_G = Scale(341.0, 6.0), Scale(256.0, 8.0)
+"""Scales of the models (LogRecords/Activity.md; info.txt of a device of each)."""
+
+BY_SERIAL = {"NEO": SIX_G, "CLE": SIX_G, "MRA": SIX_G, "MOS": EIGHT_G, "TAS": EIGHT_G}
+
+
+@dataclass(frozen=True, slots=True)
+class SensorDescription:
+    """A sensor of the device, with what a recording states of it.
+
+    Attributes:
+        gyro_dps_per_lsb: degrees per second in one count of each axis, None without a gyroscope.
+    """
+
+    sensor: Sensor
+    scale: Scale
+    notes: tuple[str, ...] = ()
+    has_temperature: bool = False
+    gyro_dps_per_lsb: tuple[float, float, float] | None = None
+
+
+def primary_of(
+    info: Info,
+    beginning: LogBeginning,
+    uncalibrated: FactoryAcceleration | None,
+    options: ReadOptions,
+    path: Path,
+) -> SensorDescription:
+    """Return the main accelerometer.
+
+    Args:
+        uncalibrated: the calibration that its counts still need, None if they are calibrated.
+
+    Raises:
+        UnreadableError: it recorded nothing, or nothing says its scale.
+    """
+    if beginning.rate is None:
+        hint = "--sensor imu reads the second sensor" if beginning.imu else COPY_AGAIN
+        raise UnreadableError("holds no acceleration in log.bin", path=path, hint=hint)
+    parameter = log.number_of(beginning.parameters, log.ACCEL_SCALE)
+    scale = scale_of(info, parameter, uncalibrated, options, path)
+    turned = (info.device.serial or "").startswith("MOS") and info.device.firmware == "1.6.0"
+    notes = [TURNED] if turned else []
+    notes += [HAS_IMU] if beginning.imu or beginning.parameters.get(log.SENSOR_CONFIGURATION) else []
+    named = info.rate_hz or beginning.parameters.get(log.SAMPLE_RATE)
+    if named not in (None, beginning.rate):
+        notes.append(f"the header says {named} Hz, the records hold {beginning.rate} samples a second")
+    return SensorDescription(Primary(beginning.rate, turned), scale, tuple(notes))
+
+
+def scale_of(
+    info: Info,
+    parameter: float | None,
+    uncalibrated: FactoryAcceleration | None,
+    options: ReadOptions,
+    path: Path,
+) -> Scale:
+    """Return the main accelerometer's scale; for an uncalibrated sensor, about that of its counts.
+
+    Raises:
+        UnreadableError: nothing says it.
+    """
+    read_calibration_file = (_positive(value, LARGEST_LSB_PER_G) for value in (info.scale, parameter))
+    scales = [value for value in read_calibration_file if value is not None and value >= LEAST_SCALE]
+    model = BY_SERIAL.get((info.device.serial or "")[:3]) if info.scale is None else None
+    lsb_per_g = scales[0] if scales else model.lsb_per_g if model else options.lsb_per_g
+    if uncalibrated is not None:
+        return Scale(lsb_per_g or 1 / uncalibrated.g_per_count[0][0], info.range_g)
+    if lsb_per_g is None:
+        raise UnreadableError(
+            "does not say how many counts are one g", path=path, hint="give --lsb-per-g, such as 256 or 341"
+        )
+    usual = {scale.lsb_per_g: scale.range_g for scale in (SIX_G, EIGHT_G)}
+    return Scale(options.lsb_per_g or lsb_per_g, info.range_g or usual.get(lsb_per_g))
+
+
+def imu_of(beginning: LogBeginning, options: ReadOptions, path: Path) -> SensorDescription:
+    """Return the second sensor of a device that has one; its 16 bits are its range.
+
+    Raises:
+        UsageError: it recorded nothing.
+    """
+    if beginning.schema is None or not beginning.imu:
+        raise UsageError(NO_IMU, path=path, hint="omit --sensor")
+    offset_c = log.number_of(beginning.parameters, log.IMU_TEMPERATURE_OFFSET)
+    zero_c = offset_c if offset_c is not None and abs(offset_c) <= WARMEST_C else IMU_ZERO_C
+    schema = beginning.schema
+    per_g = schema.axes(sensors.ACCELEROMETER)[0].scale
+    turns = [1 / column.scale for column in schema.axes(sensors.GYROSCOPE)]
+    return SensorDescription(
+        Imu(schema, zero_c),
+        Scale(options.lsb_per_g or per_g, IMU_FULL_SCALE / per_g),
+        has_temperature=sensors.TEMPERATURE in schema.columns,
+        gyro_dps_per_lsb=(turns[0], turns[1], turns[2]) if turns else None,
+    )
+
+
+def activity_bin_scale(info: Info) -> Scale:
+    """Return the scale of the older kind; all its devices are of one model."""
+    if info.scale is None or info.scale < LEAST_SCALE:
+        return SIX_G
+    return Scale(info.scale, info.range_g)
 
 
 class Gt3xReader(Reader):
@@ -70,7 +393,7 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
     if probe_file(path, options).compressed:
         raise UnreadableError("is compressed twice", path=path, hint=UNPACK)
     archive = open_archive(path)
-    info, problems = header.read_info(archive)
+    info, problems = read_info(archive)
     if LOG in archive.members:
         return open_log(archive, info, options, archive.problems + problems)
     if ACTIVITY in archive.members:
@@ -79,32 +402,34 @@ def open_recording(path: Path, options: ReadOptions) -> Reader:
 
 
 def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]) -> Reader:
-    """Open the newer kind.
+    """Open a file of the newer kind.
 
     Raises:
         UnreadableError: it holds no samples, or nothing says their scale.
         UsageError: the rates contradict each other, or the requested sensor did not record.
     """
     imu = options.sensor == IMU
-    beside = Beside() if imu else Beside.of(archive)
-    line = temperature_of(beside.temperature)
-    beginning = header.look_inside(archive, imu=imu, thermometer=line)
-    bare = None
+    calibration_files = CalibrationFiles() if imu else CalibrationFiles.of(archive)
+    line = temperature_of(calibration_files.temperature)
+    beginning = look_inside(archive, imu=imu, thermometer=line)
+    uncalibrated = None
     if imu:
-        description = header.imu_of(beginning, options, archive.path)
+        description = imu_of(beginning, options, archive.path)
     else:
         if options.lsb_per_g is None and beginning.rate is not None:
-            bare = acceleration_of(beside.acceleration, info.rate_hz or beginning.rate, archive.path)
-        description = header.primary_of(info, beginning, bare, options, archive.path)
-    applied = Applied(bare, description.scale.limit, line, beginning.first_mc)
-    member, span = archive.members[LOG], header.span_of(info, beginning)
-    file = LogFile(archive, member, description.sensor, span, problems + beside.problems, applied)
+            uncalibrated = acceleration_of(
+                calibration_files.acceleration, info.rate_hz or beginning.rate, archive.path
+            )
+        description = primary_of(info, beginning, uncalibrated, options, archive.path)
+    applied = AppliedCalibration(uncalibrated, description.scale.limit, line, beginning.first_mc)
+    member, span = archive.members[LOG], span_of(info, beginning)
+    file = LogFile(archive, member, description.sensor, span, problems + calibration_files.problems, applied)
     start_us = first_time(file)
     recording = Recording(
         path=archive.path,
         format="gt3x",
         rate_hz=agreed_rate(options, float(description.sensor.rate), archive.path),
-        lsb_per_g=description.scale.lsb_per_g if bare is None else FLOAT_LSB_PER_G,
+        lsb_per_g=description.scale.lsb_per_g if uncalibrated is None else FLOAT_LSB_PER_G,
         total_bytes=archive.size,
         device=info.device,
         range_g=description.scale.range_g,
@@ -114,7 +439,7 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
         has_temperature=description.has_temperature or beginning.first_mc is not None,
         gyro_dps_per_lsb=description.gyro_dps_per_lsb,
         factory=applied.factory,
-        notes=description.notes + beside.notes(applied),
+        notes=description.notes + calibration_files.notes(applied),
     )
     return Gt3xReader(recording, file)
 
@@ -122,23 +447,21 @@ def open_log(archive: Archive, info: Info, options: ReadOptions, problems: tuple
 def open_activity_bin(
     archive: Archive, info: Info, options: ReadOptions, problems: tuple[Problem, ...]
 ) -> Reader:
-    """Open the older kind.
+    """Open a file of the older kind.
 
     Raises:
         UnreadableError: it holds no sample, or nothing says the rate.
         UsageError: the rates contradict each other, or the requested sensor is not in such devices.
     """
-    from accelcal_cli.formats.gt3x.activity import ActivityFile, has_samples  # few files are of this kind
-
     if options.sensor == IMU:
-        raise UsageError(header.NO_IMU, path=archive.path, hint="omit --sensor")
+        raise UsageError(NO_IMU, path=archive.path, hint="omit --sensor")
     rate = activity_bin_rate(info, options, archive.path)
     if info.start_us is None:
         problems += (Problem("no_start_time", NO_START, None, 0),)
     file = ActivityFile(archive, archive.members[ACTIVITY], rate, info.start_us or 0, problems)
     if not has_samples(file):
         raise UnreadableError("holds no acceleration in activity.bin", path=archive.path, hint=COPY_AGAIN)
-    scale = header.activity_bin_scale(info)
+    scale = activity_bin_scale(info)
     recording = Recording(
         path=archive.path,
         format="gt3x",
@@ -151,13 +474,13 @@ def open_activity_bin(
         timezone=info.zone,
         samples=file.samples,
         duration_s=None if file.samples is None else file.samples / rate,
-        notes=(OLDER_KIND,) if Beside.of(archive).acceleration.is_open else (),
+        notes=(OLDER_KIND,) if CalibrationFiles.of(archive).acceleration.is_open else (),
     )
     return Gt3xReader(recording, file)
 
 
 def activity_bin_rate(info: Info, options: ReadOptions, path: Path) -> int:
-    """Samples in a second of the older kind, which only info.txt states."""
+    """Return the rate of the older kind, which only info.txt states."""
     rate = info.rate_hz or options.rate_hz
     if rate is None or rate != int(rate):
         raise UnreadableError(
@@ -167,7 +490,7 @@ def activity_bin_rate(info: Info, options: ReadOptions, path: Path) -> int:
 
 
 def first_time(file: LogFile) -> int:
-    """Time of the first sample [us], as `chunks` gives it.
+    """Return the time of the first sample [us], as `chunks` gives it.
 
     Raises:
         UnreadableError: there is no sample.
@@ -180,7 +503,7 @@ def first_time(file: LogFile) -> int:
 
 
 def lasted_s(info: Info, start_us: int) -> float | None:
-    """Length by the time of the last sample in info.txt, None if it makes no sense."""
+    """Return the length by the time of the last sample in info.txt; None if it makes no sense."""
     if info.last_us is None or info.last_us <= start_us:
         return None
     return (info.last_us - start_us) / MICROSECONDS
@@ -191,7 +514,7 @@ class LogFile:
     """A log.bin whose settings are known.
 
     Attributes:
-        problems: what was found before any sample.
+        problems: problems found before any sample.
         applied: the maker's calibration.
     """
 
@@ -200,10 +523,10 @@ class LogFile:
     sensor: Sensor
     span: Span
     problems: tuple[Problem, ...] = ()
-    applied: Applied = NOTHING
+    applied: AppliedCalibration = NOTHING
 
     def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
-        """All chunks, of at least a second.
+        """Yield all chunks, of at least a second.
 
         Args:
             threads: how many may work at a time.
@@ -224,18 +547,18 @@ class LogFile:
                 for event in events:
                     log.add(event)
                 problems = log.take(None if batch.page.last else timeline.position)
-                if batch.page.last and (fault := fault_problem(source, timeline.rows)) is not None:
+                if batch.page.last and (fault := source.problem(timeline.rows)) is not None:
                     problems += (fault,)
                 place = ChunkPlace(rows, batch.page.end_byte, batch.records.framed_bytes())
                 for chunk in chunks_of(spans, samples, place, problems):
                     rows += len(chunk)
-                    yield from cut(self.applied.to(chunk), most)
+                    yield from cut(self.applied.apply(chunk), most)
 
 
 def chunks_of(
     spans: list[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...]
 ) -> Iterator[Chunk]:
-    """Chunks of a batch's spans; problems and bytes go with the first, which may be empty."""
+    """Yield chunks of a batch's spans; problems and bytes go with the first, which may be empty."""
     parts = list(groups(spans, MOST_ROWS)) or ([[]] if problems or place.used_bytes else [])
     rows, used = place.first_sample, place.used_bytes
     for part in parts:

@@ -1,9 +1,10 @@
-"""Records of log.bin: what one looks like, cutting log.bin into them, and going on after damage.
+"""Records of log.bin: their form, cutting log.bin into them, and going on after damage.
 
-Eight bytes of header (separator 0x1E, kind, seconds since 1970, size of the payload, little-endian),
-the payload, and one byte that makes the exclusive or over the whole record 0xFF. Source:
-github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in
-the vendor's pygt3x.
+A record has a header of eight bytes (separator 0x1E, kind, seconds since 1970, size of the payload,
+little-endian), the payload, and one byte that makes the exclusive or over the whole record 0xFF. Source:
+github.com/actigraph/GT3X-File-Format, README.md, "Log Record Format"; kinds 27 to 30 are named in the
+vendor's
+pygt3x.
 
 Records that describe the recording are read here too: LogRecords/Parameters.md (pairs of key and value,
 floats of 24 bits with an exponent of 8) and LogRecords/Metadata.md ("Files Initialized in UTC").
@@ -25,7 +26,7 @@ from accelcal_cli.formats.gt3x.archive import MemberStream
 SEPARATOR = 0x1E
 HEADER_BYTES = 8
 FRAME_BYTES = HEADER_BYTES + 1
-"""Header and checksum: the shortest record."""
+"""Length of header and checksum, the shortest record."""
 
 LONGEST_BYTES = FRAME_BYTES + 0xFFFF
 SOUND = 0xFF
@@ -45,7 +46,7 @@ _FIXED = {
     ACTIVITY2: (1, 1536),
     ACTIVITY3: (1, 1152),
 }
-"""Sizes of payloads that tell a record from other bytes: samples up to 256 Hz, and fixed ones."""
+"""Shortest and longest payload of kinds whose size tells a record from other bytes; samples up to 256 Hz."""
 
 _LOOSE = {METADATA: 4096, 17: 4096, 18: 4096, 20: 4096, PARAMETERS: 4096, 22: 4096, 23: 4096} | {
     SENSOR_SCHEMA: 4096,
@@ -57,11 +58,11 @@ LONGEST_BELIEVED = FRAME_BYTES + 4096
 
 SEPARATOR_BYTE = bytes([SEPARATOR])
 PADDING_BYTES = FRAME_BYTES - 1
-"""So many zeros between records are padding, as the format's document allows; more hide a record."""
+"""Most zeros between records that are padding, as the format's document allows; more hide a record."""
 
 FIRST_WALK, LONGEST_WALK = 64, 1 << 20
 ALIKE, TOGETHER = 16, 256
-"""After so many records of one length the next are held against it, so many at once."""
+"""Number of records of one length after which further ones are compared with it, and how many at a time."""
 
 LOOK_AHEAD = 2 * LONGEST_BELIEVED
 
@@ -77,7 +78,7 @@ SENSOR_CONFIGURATION = (1, 44)
 _PAIR = np.dtype([("space", "<u2"), ("number", "<u2"), ("value", "<u4")])
 
 PIECE_BYTES = 3 << 20
-"""log.bin is read in equal pieces, so that nothing depends on the size of the chunks."""
+"""Length of the pieces in which log.bin is read, so that nothing depends on the size of the chunks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,16 +101,16 @@ class Records:
         return len(self.start)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64]) -> Records:
-        """Some of them, by a mask or by numbers."""
+        """Return some of the records, by a mask or by numbers."""
         return Records(self.start[which], self.kind[which], self.second[which], self.size[which])
 
     def framed_bytes(self) -> int:
-        """Bytes of all of them."""
+        """Return the length of all records, with their frames."""
         return int(self.size.sum()) + FRAME_BYTES * len(self)
 
 
 def records_at(buffer: NDArray[np.uint8], start: NDArray[np.int64]) -> Records:
-    """Headers of records that begin at `start` (k,); their eight bytes must lie in the buffer."""
+    """Return the headers of records that begin at `start` (k,); their eight bytes must lie in the buffer."""
     header = buffer[start[:, None] + np.arange(HEADER_BYTES)]
     second = np.ascontiguousarray(header[:, 2:6]).view("<u4")[:, 0].astype(np.int64)
     size = np.ascontiguousarray(header[:, 6:8]).view("<u2")[:, 0].astype(np.int64)
@@ -131,7 +132,7 @@ _LOW, _HIGH, _IS_FIXED = _limits()
 
 
 def fits(records: Records) -> NDArray[np.bool_]:
-    """Whether kind and size go together, (k,)."""
+    """Return whether kind and size go together, (k,)."""
     return np.asarray((records.size >= _LOW[records.kind]) & (records.size <= _HIGH[records.kind]))
 
 
@@ -191,23 +192,24 @@ class Page:
         return records.select(inside & fits(records))
 
     def incomplete(self, index: int) -> bool:
-        """Whether what is at `index` could be a record that goes on beyond the piece."""
+        """Return True if the bytes at `index` could be a record that goes on beyond the piece."""
         left = len(self.data) - index
         return left < FRAME_BYTES or (self.data[index] == SEPARATOR and left < self.length(index))
 
     def length(self, index: int) -> int:
-        """Bytes of the record at `index`, by its header."""
+        """Return the length of the record at `index`, by its header."""
         return FRAME_BYTES + (self.data[index + 6] | self.data[index + 7] << 8)
 
     def after_padding(self, index: int) -> int:
-        """Where a record or the end of the data follows after a few zeros; `index` where that is not so."""
+        """Return where a record or the end of the data follows after a few zeros; else `index`."""
         ahead = self.data[index : index + FRAME_BYTES]
         zeros = len(ahead) - len(ahead.lstrip(b"\0"))
         ends = self.last and index + zeros == len(self.data) and zeros <= PADDING_BYTES
         return index + zeros if ends or ahead[zeros : zeros + 1] == SEPARATOR_BYTE else index
 
     def follow(self, index: int, most: int) -> tuple[list[int], int]:
-        """Sound records one after the other from `index` on, up to `most`; where the next should be."""
+        """Return sound records one after the other from `index` on, up to `most`; and where the next
+        should be."""
         starts, end = walk(self.data, index, most)
         if not starts:
             return starts, index
@@ -220,7 +222,7 @@ class Page:
 
 
 def walk(data: bytes, index: int, most: int) -> tuple[list[int], int]:
-    """Where complete records begin, by their sizes alone, and where the last of them ends."""
+    """Return where complete records begin, by their sizes alone, and where the last of them ends."""
     starts: list[int] = []
     last, length, alike = len(data) - FRAME_BYTES, 0, 0
     while index <= last and data[index] == SEPARATOR and len(starts) < most:
@@ -238,7 +240,7 @@ def walk(data: bytes, index: int, most: int) -> tuple[list[int], int]:
 
 
 def _as_long(data: bytes, index: int, length: int, most: int) -> int:
-    """How many complete records in a row, from `index` on, have this length, up to `most`."""
+    """Return how many complete records in a row, from `index` on, have this length, up to `most`."""
     number = min(most, TOGETHER, (len(data) - index) // length)
     rows = np.frombuffer(data, np.uint8, number * length, index).reshape(number, length)
     size = length - FRAME_BYTES
@@ -247,7 +249,7 @@ def _as_long(data: bytes, index: int, length: int, most: int) -> int:
 
 
 def spoiled_records(data: bytes) -> int:
-    """How many records the bytes are by their sizes, the first of which may lack its separator; or 0."""
+    """Return how many records the bytes are by their sizes, or 0; the first may lack its separator."""
     starts, reached = walk(SEPARATOR_BYTE + data[1:], 0, len(data))
     return len(starts) if reached == len(data) and any(data) else 0
 
@@ -258,9 +260,9 @@ class Damage:
 
     Attributes:
         start_byte: where they begin in log.bin.
-        size: how many.
-        records: how many records with a wrong checksum they are; 0 where they are something else.
-        before: how many sound records of the batch lie before them.
+        size: number of bytes.
+        records: number of records with a wrong checksum; 0 if the bytes are something else.
+        before: number of sound records of the batch before them.
         cut_off: they are the beginning of a record at the end of the data.
     """
 
@@ -273,11 +275,10 @@ class Damage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Sound records of a piece of log.bin, and what lies between them.
+    """Sound records of a piece of log.bin, and the damage between them.
 
     Attributes:
-        doubtful: (k,) bool, what follows the record is no record: a length that is damaged may pass
-            for sound by chance.
+        doubtful: (k,) bool, no record follows this one: with a damaged length it may be sound by chance.
     """
 
     page: Page
@@ -300,7 +301,7 @@ class _Framed:
 
 
 class Framer:
-    """Takes log.bin piece by piece, in equal pieces; the records depend on nothing else."""
+    """Cuts log.bin into records, in equal pieces; the records depend on nothing else."""
 
     def __init__(self, span: Span) -> None:
         self._span = span
@@ -310,7 +311,7 @@ class Framer:
         self._most = FIRST_WALK
 
     def feed(self, data: bytes, *, last: bool, end_byte: int = 0) -> Batch:
-        """Records of which it is clear what follows them."""
+        """Return the records for which it is clear what follows them."""
         page = Page(self._rest + data, self._base, last, self._span, end_byte)
         framed, index = _Framed(), 0
         while index < len(page.data) and (more := self._step(page, index, framed)) is not None:
@@ -320,7 +321,7 @@ class Framer:
         return framed.batch(page)
 
     def _step(self, page: Page, index: int, framed: _Framed) -> int | None:
-        """Go on from `index`; gives where to, or None if more bytes are needed."""
+        """Go on from `index`; return the next index, or None if more bytes are needed."""
         if self._lost is not None:
             return self._search(page, index, framed)
         starts, end = page.follow(index, self._most)
@@ -336,7 +337,7 @@ class Framer:
         return end if starts else None
 
     def _lose(self, page: Page, index: int, framed: _Framed) -> None:
-        """What should begin at `index` is no sound record."""
+        """Note that there is no sound record at `index`."""
         self._lost, self._most = page.base + index, FIRST_WALK
         if framed.starts and page.data[index] != SEPARATOR:
             framed.doubtful.append(len(framed.starts) - 1)
@@ -356,7 +357,7 @@ class Framer:
         return end
 
     def _damage(self, page: Page, end: int, before: int) -> Damage:
-        """What lies between the last record and `end`: records if their sizes lead there."""
+        """Return what lies between the last record and `end`: records if their sizes lead there."""
         assert self._lost is not None
         lost = self._lost - page.base
         size = end - lost
@@ -366,7 +367,7 @@ class Framer:
         return Damage(self._lost, size, spoiled_records(page.data[lost:end]), before, cut_off)
 
     def _kept(self, page: Page, index: int, framed: _Framed) -> int:
-        """From where on bytes are still needed: the last record, or while lost as many as two may take."""
+        """Return where the bytes begin that are still needed: the last record, or those of two while lost."""
         if page.last:
             return len(page.data)
         if self._lost is not None:
@@ -375,7 +376,7 @@ class Framer:
 
 
 def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[Batch]:
-    """All records of log.bin, piece by piece.
+    """Yield all records of log.bin, piece by piece.
 
     Args:
         threads: how many may work at a time; one of its own unpacks the pieces that follow.
@@ -390,18 +391,18 @@ def batches(stream: MemberStream, span: Span, threads: int = 1) -> Generator[Bat
 
 
 def payload(batch: Batch, number: int) -> bytes:
-    """Bytes of a record's payload."""
+    """Return the bytes of a record's payload."""
     start = int(batch.records.start[number]) + HEADER_BYTES
     return batch.page.data[start : start + int(batch.records.size[number])]
 
 
 def payloads(batch: Batch, kind: int) -> list[bytes]:
-    """Payloads of all records of a kind."""
+    """Return the payloads of all records of a kind."""
     return [payload(batch, number) for number in np.flatnonzero(batch.records.kind == kind).tolist()]
 
 
 def parameters_in(batch: Batch) -> dict[Key, int]:
-    """Parameters as 32-bit words; the last word of each counts."""
+    """Return parameters as 32-bit words; the last word of each counts."""
     values: dict[Key, int] = {}
     for data in payloads(batch, PARAMETERS):
         pairs = np.frombuffer(data, _PAIR, len(data) // _PAIR.itemsize).tolist()
@@ -410,13 +411,13 @@ def parameters_in(batch: Batch) -> dict[Key, int]:
 
 
 def number_of(parameters: Mapping[Key, int], key: Key) -> float | None:
-    """A parameter that is a float; None if it is missing or 0."""
+    """Return a parameter that is a float; None if it is missing or 0."""
     word = parameters.get(key)
     return float_of(word) if word else None
 
 
 def float_of(word: int) -> float:
-    """A float of the Simple Serial Protocol: fraction / 2^23 * 2^exponent, both signed."""
+    """Decode a float of the Simple Serial Protocol: fraction / 2^23 * 2^exponent, both signed."""
     fraction, exponent = word & 0xFFFFFF, word >> 24
     fraction -= (fraction & 0x800000) << 1
     exponent -= (exponent & 0x80) << 1
@@ -424,7 +425,7 @@ def float_of(word: int) -> float:
 
 
 def in_utc(batch: Batch) -> bool:
-    """Whether a metadata record says that the device's clock was set to UTC."""
+    """Return True if a metadata record says that the device's clock was set to UTC."""
     return any(_says_utc(data) for data in payloads(batch, METADATA))
 
 

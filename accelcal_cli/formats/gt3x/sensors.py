@@ -1,37 +1,45 @@
-"""The sensors of a device: which records of log.bin hold their samples, and how.
+"""The sensors of a device: which records of log.bin hold their samples, and how; and activity.bin.
 
 The main accelerometer has records of one second of samples, packed or of 16 bits. Packed samples are three
 values of twelve bits, two samples in nine bytes. Sources: github.com/actigraph/GT3X-File-Format,
-LogRecords/Activity.md and Activity2.md; fileformats/activity.bin.md of NHANES-GT3X-File-Format. Kind 27 is
-packed in the order x, y, z (the vendor's pygt3x).
+LogRecords/Activity.md and Activity2.md. Kind 27 is packed in the order x, y, z (the vendor's pygt3x).
 
 The second sensor of the GT9X (`Imu`) has accelerometer, gyroscope and temperature in one record, whose
 columns a schema record lists; a record holds 100 or 101 samples for a second. Source:
 LogRecords/SensorSchema.md and SensorData.md.
+
+The older kind of .gt3x has an activity.bin: nothing but packed samples, without times or checksums. Source:
+github.com/actigraph/NHANES-GT3X-File-Format, README.md and fileformats/activity.bin.md (GT3X+ and ActiSleep+
+with firmware up to 2.5.0).
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Generator
+from contextlib import closing
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.recording import Channels
+from accelcal_cli.core.clock import UniformClock, rate_fraction
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity
 from accelcal_cli.formats.gt3x import records as log
+from accelcal_cli.formats.gt3x.archive import Archive, Fault, Member, MemberStream
 from accelcal_cli.formats.gt3x.records import Batch, Records
 
 USUAL_RATE = 100
-"""What a schema that says 0 samples means, as in the vendor's example code."""
+"""Samples in a second if a schema says 0, as in the vendor's example code."""
 
 ID_BYTES = 2
 UNEVEN = 0.1
-"""The IMU's own clock is off by so much at most, as a part of its rate."""
+"""Largest deviation of the IMU's own clock, as a part of its rate."""
 
 LEAST_SCALE, LARGEST_SCALE = 0.1, 1e6
-"""Counts in one g, degree or degree per second that make sense."""
+"""Smallest and largest number of counts in one g, degree or degree per second that make sense."""
 
 _HEAD = struct.Struct("<HHH")
 _COLUMN = struct.Struct("<BBBI16s")
@@ -41,13 +49,17 @@ ACCELEROMETER, GYROSCOPE, TEMPERATURE = "Accelerometer", "Gyroscope", "Temperatu
 
 PAIR_BYTES = 9
 YXZ, XYZ = (1, 0, 2), (0, 1, 2)
-"""Columns of the result in which the values of a sample are, in the order of the file."""
+"""Axes of the values of a sample, in the order of the file."""
 
 KINDS = (log.ACTIVITY, log.ACTIVITY2, log.ACTIVITY3)
 SAMPLE_BYTES = 6
 KIND_BITS = 8
 DOCKED_BYTES = 1
-"""A record with so short a payload says that the device was connected to a computer."""
+"""Length of a payload that says that the device was connected to a computer."""
+
+ACTIVITY_PIECE_BYTES = PAIR_BYTES << 16
+ASLEEP = "samples that repeat the one before for a second or longer, taken for idle sleep of the device"
+CUT_SAMPLE = "bytes of an incomplete sample at the end of activity.bin, left out"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,20 +91,20 @@ class Sensor(Protocol):
 
     @property
     def fills(self) -> bool:
-        """Whether the device repeats its last sample while it sleeps."""
+        """True if the device repeats its last sample while it sleeps."""
 
     def holds(self, batch: Batch) -> NDArray[np.bool_]:
-        """Which records of a batch hold its samples, (m,)."""
+        """Return which records of a batch hold its samples, (m,)."""
 
     def decode(self, batch: Batch, records: Records) -> Samples:
-        """Samples of those records of a batch that `holds` named."""
+        """Return the samples of those records of a batch for which `holds` is True."""
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
-        """Which of these records are one second of samples and nothing else, (k,)."""
+        """Return which of these records are one second of samples and nothing else, (k,)."""
 
 
 def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) -> NDArray[np.uint8]:
-    """Payloads of records of one size that begin at `start` (k,), (k, size)."""
+    """Return the payloads of records of one size that begin at `start` (k,), (k, size)."""
     if not size:
         return np.empty((len(start), 0), np.uint8)
     every = np.lib.stride_tricks.sliding_window_view(buffer, size)
@@ -100,13 +112,13 @@ def payloads_of(buffer: NDArray[np.uint8], start: NDArray[np.int64], size: int) 
 
 
 def first_rows(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Where each record's samples begin, (k,)."""
+    """Return the number of the first sample of each record, (k,)."""
     return np.cumsum(rows) - rows
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A 16-bit value of each sample: where it lies, and how many counts are one unit."""
+    """A 16-bit value of each sample: its place, byte order, and counts in one unit."""
 
     offset: int
     order: str
@@ -115,7 +127,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Schema:
-    """What sensor records hold.
+    """The content of sensor records.
 
     Attributes:
         number: they begin with it.
@@ -130,13 +142,13 @@ class Schema:
     columns: dict[str, Column]
 
     def axes(self, label: str) -> tuple[Column, ...]:
-        """The columns of a sensor's three axes; none where one is missing."""
+        """Return the columns of a sensor's three axes; none if one is missing."""
         axes = [self.columns.get(label + axis) for axis in _AXES]
         return tuple(column for column in axes if column) if all(axes) else ()
 
 
 def parse_schema(data: bytes) -> Schema | None:
-    """A schema record's payload; None if it makes no sense."""
+    """Parse a schema record's payload; None if it makes no sense."""
     if len(data) < _HEAD.size:
         return None
     number, column_count, samples = _HEAD.unpack_from(data)
@@ -169,11 +181,11 @@ class Imu:
 
     @property
     def rate(self) -> int:
-        """Samples in a second, nominally."""
+        """Nominal samples in a second."""
         return self.schema.rate
 
     def holds(self, batch: Batch) -> NDArray[np.bool_]:
-        """Which records hold samples by this schema, (m,)."""
+        """Return which records hold samples by this schema, (m,)."""
         records = batch.records
         data = (records.kind == log.SENSOR_DATA) & (records.size >= ID_BYTES + self.schema.row_bytes)
         number = payloads_of(batch.page.buffer, records.start[data], ID_BYTES).view("<u2")[:, 0]
@@ -181,13 +193,13 @@ class Imu:
         return np.asarray(data)
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
-        """Which records hold about as many samples as the rate says, without further bytes, (k,)."""
+        """Return which records hold about as many samples as the rate says, without further bytes, (k,)."""
         rows = self._rows(records)
         exact = records.size == ID_BYTES + rows * self.schema.row_bytes
         return np.asarray(exact & (np.abs(rows - self.rate) <= UNEVEN * self.rate))
 
     def decode(self, batch: Batch, records: Records) -> Samples:
-        """Samples of records, those of one size at once."""
+        """Return the samples of records, decoding those of one size at once."""
         rows = self._rows(records)
         table = np.empty((int(rows.sum()), self.schema.row_bytes), np.uint8)
         first = first_rows(rows)
@@ -200,7 +212,7 @@ class Imu:
         return Samples(rows, vectors(table, self.schema.axes(ACCELEROMETER)), self._channels(table))
 
     def _channels(self, table: NDArray[np.uint8]) -> Channels:
-        """What else the schema's columns hold."""
+        """Return the other channels that the schema lists."""
         channels: Channels = {}
         if gyro := self.schema.axes(GYROSCOPE):
             channels["gyro_counts"] = vectors(table, gyro)
@@ -214,28 +226,28 @@ class Imu:
 
 
 def vectors(table: NDArray[np.uint8], columns: tuple[Column, ...]) -> NDArray[np.int16]:
-    """Three columns of samples (n, bytes) as (n, 3)."""
+    """Return three columns of samples (n, bytes) as (n, 3)."""
     return np.stack([value_of(table, column) for column in columns], axis=1)
 
 
 def value_of(table: NDArray[np.uint8], column: Column) -> NDArray[np.int16]:
-    """A column of samples (n, bytes), (n,)."""
+    """Return a column of samples (n, bytes), (n,)."""
     data = np.ascontiguousarray(table[:, column.offset : column.offset + 2])
     return data.view(column.order)[:, 0].astype(np.int16)
 
 
 def packed_samples(size: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many whole samples so many bytes hold, (k,)."""
+    """Return how many whole samples `size` bytes hold, (k,)."""
     return 2 * size // PAIR_BYTES
 
 
 def packed_bytes(samples: NDArray[np.int64]) -> NDArray[np.int64]:
-    """How many bytes so many samples take, the last half byte unused if their number is odd, (k,)."""
+    """Return how many bytes samples take, the last half byte unused if their number is odd, (k,)."""
     return (samples * PAIR_BYTES + 1) // 2
 
 
 def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, int]) -> NDArray[np.int16]:
-    """Samples of k payloads, (k, samples, 3).
+    """Return the samples of k payloads, (k, samples, 3).
 
     Args:
         payload: (k, bytes), rows contiguous.
@@ -253,7 +265,7 @@ def unpacked(payload: NDArray[np.uint8], samples: int, order: tuple[int, int, in
 
 
 def _in_turn(even: NDArray[np.int16], odd: NDArray[np.int16]) -> list[NDArray[np.int16]]:
-    """The six values of each pair of samples: each three bytes hold an even one and an odd one."""
+    """Return the six values of each pair of samples: each three bytes hold an even and an odd one."""
     return [column for triple in range(3) for column in (even[:, :, triple], odd[:, :, triple])]
 
 
@@ -262,8 +274,8 @@ class Primary:
     """The main accelerometer.
 
     Attributes:
-        turned: the firmware exchanged the axes of packed samples (version 1.6.0 of the wGT3X-BT:
-            the vendor's document says x = y of the file, y = -x of the file).
+        turned: the firmware exchanged the axes of packed samples (version 1.6.0 of the wGT3X-BT: the vendor's
+            document says x = y of the file, y = -x of the file).
     """
 
     rate: int
@@ -271,11 +283,11 @@ class Primary:
     fills: bool = True
 
     def holds(self, batch: Batch) -> NDArray[np.bool_]:
-        """Which records hold samples, (m,)."""
+        """Return which records hold samples, (m,)."""
         return np.isin(batch.records.kind, KINDS) & (batch.records.size > DOCKED_BYTES)
 
     def decode(self, batch: Batch, records: Records) -> Samples:
-        """Samples of records, those of one kind and size at once."""
+        """Return the samples of records, decoding those of one kind and size at once."""
         buffer = batch.page.buffer
         rows = samples_in(records)
         like = records.size << KIND_BITS | records.kind
@@ -290,13 +302,13 @@ class Primary:
         return Samples(rows, counts)
 
     def whole(self, records: Records) -> NDArray[np.bool_]:
-        """Which records hold as many samples as the rate says, without further bytes, (k,)."""
+        """Return which records hold as many samples as the rate says, without further bytes, (k,)."""
         rows = samples_in(records)
         bytes_of = np.where(records.kind == log.ACTIVITY2, SAMPLE_BYTES * rows, packed_bytes(rows))
         return np.asarray((rows == self.rate) & (records.size == bytes_of))
 
     def _group(self, buffer: NDArray[np.uint8], records: Records, size: int, kind: int) -> NDArray[np.int16]:
-        """Samples of records of one kind and size, (k, rows, 3)."""
+        """Return the samples of records of one kind and size, (k, rows, 3)."""
         data = payloads_of(buffer, records.start, size)
         if kind == log.ACTIVITY2:
             whole = data[:, : size // SAMPLE_BYTES * SAMPLE_BYTES]
@@ -308,10 +320,122 @@ class Primary:
 
 
 def samples_in(records: Records) -> NDArray[np.int64]:
-    """How many samples activity records hold, (k,)."""
+    """Return how many samples activity records hold, (k,)."""
     return np.where(records.kind == log.ACTIVITY2, records.size // SAMPLE_BYTES, packed_samples(records.size))
 
 
 def upright(values: NDArray[np.int16]) -> NDArray[np.int16]:
-    """Samples (k, rows, 3) of 12 bits with the exchange of the axes undone."""
+    """Return samples (k, rows, 3) of 12 bits with the exchange of the axes undone."""
     return np.stack((values[:, :, 1], -values[:, :, 0], values[:, :, 2]), axis=2)
+
+
+@dataclass(frozen=True, slots=True)
+class ActivityFile:
+    """An activity.bin whose settings are known.
+
+    Attributes:
+        start_us: time of the first sample.
+        problems: problems found before any sample.
+    """
+
+    archive: Archive
+    member: Member
+    rate: int
+    start_us: int
+    problems: tuple[Problem, ...] = ()
+
+    @property
+    def samples(self) -> int | None:
+        """Number of samples, None if the zip file is damaged or does not say."""
+        size = None if self.archive.problems else self.member.unpacked_bytes
+        return None if size is None else int(packed_samples(np.array(size)))
+
+    def stream(self, chunk_samples: int, threads: int = 1) -> Generator[Chunk, None, None]:
+        """Yield all chunks.
+
+        Args:
+            threads: how many may work at a time.
+
+        Raises:
+            UnreadableError: the disk fails, or the part is damaged: without checksums of their own, any of
+            the
+                values may be wrong.
+        """
+        from accelcal_cli.formats._rows import RepeatedSamples  # log.bin marks idle sleep itself
+
+        repeats, rows, problems = RepeatedSamples(self.rate), 0, self.problems
+        waiting = np.empty((0, 3), np.int16)
+        asleep: list[int] = []
+        with (
+            MemberStream(self.archive, self.member) as source,
+            closing(source.pieces(ACTIVITY_PIECE_BYTES, threads)) as pieces,
+        ):
+            for piece in pieces:
+                waiting = np.concatenate((waiting, samples_of(piece.data)))
+                filled = repeats.mark(waiting, last=piece.last)
+                counts, waiting = waiting[: len(filled)], waiting[len(filled) :]
+                asleep += [rows + int(np.argmax(filled)), int(filled.sum())] if filled.any() else []
+                if piece.last:
+                    problems += slept(asleep) + self._ending(source, rows + len(counts))
+                for start in range(0, len(counts) or bool(problems), chunk_samples):
+                    part = slice(start, start + chunk_samples)
+                    yield self._chunk(counts[part], filled[part], rows + start, piece.end_byte, problems)
+                    problems = ()
+                rows += len(counts)
+
+    def _chunk(
+        self,
+        counts: NDArray[np.int16],
+        filled: NDArray[np.bool_],
+        first: int,
+        end_byte: int,
+        problems: tuple[Problem, ...],
+    ) -> Chunk:
+        return Chunk(
+            first_sample=first,
+            counts=counts,
+            clock=UniformClock(self.start_us, first, rate_fraction(self.rate)),
+            end_byte=end_byte,
+            validity=np.where(filled, Validity.FILLED, Validity.MEASURED).astype(np.uint8)
+            if filled.any()
+            else None,
+            problems=problems,
+            used_bytes=int(np.diff(packed_bytes(np.array((first, first + len(counts)))))[0]),
+        )
+
+    def _ending(self, source: MemberStream, rows: int) -> tuple[Problem, ...]:
+        if source.fault in (Fault.DAMAGED, Fault.WRONG_CHECKSUM):
+            raise UnreadableError(
+                "activity.bin in it is damaged: some of its values are not what was recorded",
+                path=self.archive.path,
+                hint="copy it again from its source",
+            )
+        fault = source.problem(rows)
+        left = source.size - int(packed_bytes(packed_samples(np.array(source.size))))
+        cut = Problem("truncated", f"{CUT_SAMPLE}: {left}", source.size - left, rows, left, left)
+        return (*((cut,) if left else ()), *((fault,) if fault else ()))
+
+
+def slept(asleep: list[int]) -> tuple[Problem, ...]:
+    """Return a problem for all samples that the device filled, given pairs of a first sample and a number."""
+    if not asleep:
+        return ()
+    first, count = asleep[0], sum(asleep[1::2])
+    place = int(packed_bytes(np.array(first)))
+    return (Problem("idle_sleep", f"{ASLEEP}: {count}", place, first, count),)
+
+
+def samples_of(data: bytes) -> NDArray[np.int16]:
+    """Return the samples of a piece of activity.bin, (n, 3)."""
+    whole = int(packed_samples(np.array(len(data))))
+    return np.asarray(unpacked(np.frombuffer(data, np.uint8)[None], whole, YXZ)[0])
+
+
+def has_samples(file: ActivityFile) -> bool:
+    """Return True if there is a sample.
+
+    Raises:
+        UnreadableError: the disk fails, or activity.bin is packed in an unusual way.
+    """
+    with MemberStream(file.archive, file.member) as source:
+        return len(samples_of(source.read(PAIR_BYTES))) > 0

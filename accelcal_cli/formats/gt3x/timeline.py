@@ -1,4 +1,4 @@
-"""From records of log.bin to rows in the order of time: seconds that follow each other, gaps, idle sleep.
+"""Rows in the order of time from records of log.bin: consecutive seconds, gaps, idle sleep.
 
 A batch of records is decoded; a `Timeline` makes spans of rows and events for the problem log of it; spans
 become chunks.
@@ -22,24 +22,26 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS, PageClock
 from accelcal_cli.core.recording import Channels, Chunk, Problem, Validity, cut_channels
 from accelcal_cli.formats._problems import Event, Kind
-from accelcal_cli.formats.gt3x.archive import Fault, MemberStream
 from accelcal_cli.formats.gt3x.factory import Thermometer
 from accelcal_cli.formats.gt3x.records import EVENT, Batch, Damage, Records, Span, payload
 from accelcal_cli.formats.gt3x.sensors import Samples, Sensor, first_rows
 
 FELL_ASLEEP, WOKE = b"\x08", b"\x09"
 UNWRITTEN_S = 1
-"""The second in which a device falls asleep may be lost; the vendor's own export fills it as well."""
+"""Seconds that may be lost when a device falls asleep; the vendor's own export fills them as well."""
 
 LONGEST_SILENCE_S = 86_400
-"""Asleep, devices write their battery's voltage every minute: after so long a silence the clock jumped."""
+"""Longest silence of a sleeping device, which writes its battery's voltage every minute; after a longer
+one the clock jumped."""
 
 FILLED_FREELY_S, FILLED_PER_RECORD_S = 86_400, 300
-"""So much sleep is filled in a file, and so much for each record before its end, of which devices write one a
-second or, asleep, one a minute: a few bytes must not become millions of rows."""
+"""Seconds of sleep that are filled in any file, and further ones for each record before its end.
+
+Devices write a record each second or, asleep, each minute: a few bytes must not become millions of rows.
+"""
 
 JITTER_S = 2
-"""Records of other kinds may carry times a little before those of the records around them."""
+"""Seconds by which times of other records may lie before those of the records around them."""
 
 CHECKSUM: Kind = ("checksum", "records of log.bin with a wrong checksum, left out")
 NO_RECORD: Kind = ("bad_bytes", "bytes of log.bin that are no record, left out")
@@ -48,14 +50,14 @@ LENGTH: Kind = ("record_length", "activity records of more or less than one seco
 REPEATED: Kind = ("duplicate_record", "activity records that repeat the one before, left out")
 AHEAD: Kind = ("clock_gap", "jumps ahead in the times of activity records, with no sleep recorded")
 BACK: Kind = ("clock_back", "steps back in the times of activity records")
-UNHEARD: Kind = (
+UNEXPLAINED_SLEEP: Kind = (
     "idle_unheard",
     "idle sleeps far longer than the records around them explain, left as gaps",
 )
-RESTLESS: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
+UNFINISHED_SLEEP: Kind = ("idle_unfinished", "idle sleeps whose end is not recorded, left as gaps")
 
 FILL_S = 3600
-"""Filled rows come in spans of at most so many seconds."""
+"""Longest span of filled rows [s]."""
 
 FOREVER_S = 1 << 40
 
@@ -65,13 +67,13 @@ class RowSpan:
     """Consecutive rows, evenly spread from the beginning of a second on.
 
     Attributes:
-        rows: how many.
-        second: since 1970, when the first one was taken.
+        rows: number of rows.
+        second: time of the first one, seconds since 1970.
         per_second: rows in a second.
         broken: the row before does not continue.
-        first: number of the first row among the samples of the batch; without meaning where filled.
-        validity: where the rows come from.
-        sample: what the device repeats, where it filled the rows: one row of each column.
+        first: number of the first row among the samples of the batch; meaningless for filled rows.
+        validity: origin of the rows.
+        sample: for filled rows, the sample that the device repeats: one row of each column.
     """
 
     rows: int
@@ -85,7 +87,7 @@ class RowSpan:
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk lies: number of its first row, how far the file has been read, bytes of its records."""
+    """Place of a chunk: number of its first row, how far the file has been read, bytes of its records."""
 
     first_sample: int
     end_byte: int
@@ -93,7 +95,7 @@ class ChunkPlace:
 
 
 def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
-    """Spans in order, together up to about `most` rows."""
+    """Group spans in order, each group up to about `most` rows."""
     group: list[RowSpan] = []
     rows = 0
     for span in spans:
@@ -109,16 +111,17 @@ def groups(spans: Sequence[RowSpan], most: int) -> Iterator[list[RowSpan]]:
 def chunk_of(
     spans: Sequence[RowSpan], samples: Samples, place: ChunkPlace, problems: tuple[Problem, ...] = ()
 ) -> Chunk:
-    """Rows of spans in order."""
+    """Return the rows of spans in order."""
     rows = np.array([span.rows for span in spans], np.int64)
     first_row = np.cumsum(rows) - rows
     broken = np.array([span.broken for span in spans], np.bool_)
+    validity = np.array([span.validity for span in spans], np.uint8)
     return Chunk(
         first_sample=place.first_sample,
         clock=_clock(spans, first_row),
         end_byte=place.end_byte,
         breaks=first_row[broken],
-        validity=_validity(spans, rows),
+        validity=np.repeat(validity, rows) if validity.any() else None,
         problems=problems,
         used_bytes=place.used_bytes,
         **{name: _column(name, values, spans) for name, values in samples.columns.items()},
@@ -132,15 +135,12 @@ def _clock(spans: Sequence[RowSpan], first_row: NDArray[np.int64]) -> PageClock:
 
 
 def _column(name: str, values: NDArray[Any], spans: Sequence[RowSpan]) -> NDArray[Any]:
-    """The spans' rows of a column; a view where they are one stretch of it."""
-    if all(span.sample is None for span in spans) and _adjoin(spans):
+    """Return the spans' rows of a column; a view if they are one stretch of it."""
+    adjoin = all(after.first == before.first + before.rows for before, after in pairwise(spans))
+    if adjoin and all(span.sample is None for span in spans):
         begin = spans[0].first if spans else 0
         return values[begin : begin + sum(span.rows for span in spans)]
     return np.concatenate([_rows_of(name, values, span) for span in spans])
-
-
-def _adjoin(spans: Sequence[RowSpan]) -> bool:
-    return all(after.first == before.first + before.rows for before, after in pairwise(spans))
 
 
 def _rows_of(name: str, values: NDArray[Any], span: RowSpan) -> NDArray[Any]:
@@ -149,13 +149,8 @@ def _rows_of(name: str, values: NDArray[Any], span: RowSpan) -> NDArray[Any]:
     return np.broadcast_to(span.sample[name], (span.rows, *values.shape[1:]))
 
 
-def _validity(spans: Sequence[RowSpan], rows: NDArray[np.int64]) -> NDArray[np.uint8] | None:
-    known = np.array([span.validity for span in spans], np.uint8)
-    return np.repeat(known, rows) if known.any() else None
-
-
 def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
-    """A chunk in parts of at most so many rows; the problems go with the first."""
+    """Yield a chunk in parts of at most `most` rows; the problems go with the first."""
     if len(chunk) <= most:
         yield chunk
         return
@@ -164,14 +159,14 @@ def cut(chunk: Chunk, most: int) -> Iterator[Chunk]:
 
 
 @dataclass(frozen=True, slots=True)
-class Asleep:
-    """Seconds first_s..end_s - 1, asleep by the records."""
+class SleepSpan:
+    """Seconds first_s..end_s - 1, in which the device sleeps according to the records."""
 
     first_s: int
     end_s: int
 
 
-class IdleWatch:
+class SleepTracker:
     """Follows the device's sleep record by record.
 
     Args:
@@ -185,15 +180,15 @@ class IdleWatch:
 
     @property
     def asleep(self) -> bool:
-        """Whether the last thing known is that it fell asleep."""
+        """True if the device fell asleep and is not known to have woken."""
         return self._since is not None
 
     def fall_asleep(self, second: int) -> None:
-        """An event of falling asleep."""
+        """Note that the device falls asleep."""
         self._since = self._heard = second
 
     def note_times(self, seconds: NDArray[np.int64]) -> None:
-        """Times of other records, in file order; the clock must go on evenly."""
+        """Note the times of other records, in file order; the clock must go on evenly."""
         if not self.asleep or not len(seconds):
             return
         steps = np.diff(seconds, prepend=self._heard)
@@ -201,14 +196,14 @@ class IdleWatch:
             self._since = None
         self._heard = int(seconds.max())
 
-    def wake(self, second: int, next_s: int) -> Asleep | None:
-        """The device woke.
+    def wake(self, second: int, next_s: int) -> SleepSpan | None:
+        """Note that the device woke.
 
         Args:
             next_s: the second after the last one that is known.
 
         Returns:
-            what it slept through since then; None if the records do not say that.
+            the time that it slept through; None if the records do not say that.
         """
         self.note_times(np.array([second]))
         since, self._since = self._since, None
@@ -216,14 +211,14 @@ class IdleWatch:
             return None
         first = max(next_s, since - UNWRITTEN_S)
         end = min(second, self._span.last_s)
-        return Asleep(first, end) if first < end else None
+        return SleepSpan(first, end) if first < end else None
 
-    def end(self, next_s: int) -> Asleep | None:
-        """The records end: it slept at least until the last of them."""
+    def end(self, next_s: int) -> SleepSpan | None:
+        """End the records: the device slept at least until the last of them."""
         return self.wake(self._heard, next_s)
 
     def forget(self) -> None:
-        """Something is not known: damage, or samples while asleep."""
+        """Give up on the current sleep, after damage or samples while asleep."""
         self._since = None
 
 
@@ -248,10 +243,10 @@ class DecodedBatch:
     """A batch and its k records with samples.
 
     Attributes:
-        number: (k,) of each among all records of the batch.
+        number: (k,) number of each among all records of the batch.
         whole: (k,) bool, one second of samples.
         first: (k,) int64, first row of each.
-        doubtful: (k,) bool, what follows the record is no record.
+        doubtful: (k,) bool, no record follows this one.
         joined: (k,) bool, goes on evenly from the record before it in the batch.
     """
 
@@ -265,20 +260,20 @@ class DecodedBatch:
     joined: NDArray[np.bool_]
 
     def payload(self, record: int) -> bytes:
-        """A record's bytes."""
+        """Return a record's payload."""
         return payload(self.batch, int(self.number[record]))
 
     def start_byte(self, record: int) -> int:
-        """Where in log.bin a record begins."""
+        """Return where in log.bin a record begins."""
         return self.batch.page.base + int(self.records.start[record])
 
     def between(self, begin: int, end: int) -> tuple[int, int]:
-        """Which of the records with samples are among records begin..end-1 of the batch."""
+        """Return which of the records with samples are among records begin..end-1 of the batch."""
         low, high = np.searchsorted(self.number, (begin, end)).tolist()
         return low, high
 
     def runs(self, low: int, high: int) -> Iterator[tuple[int, int]]:
-        """Records low..high-1 with samples, in stretches that go on evenly."""
+        """Split records low..high-1 with samples into stretches that go on evenly."""
         starts = low + np.flatnonzero(~self.joined[low + 1 : high]) + 1
         bounds = [low, *starts.tolist(), high]
         return pairwise(bounds)
@@ -290,7 +285,7 @@ def decode_batch(batch: Batch, sensor: Sensor, thermometer: Thermometer | None =
     records = batch.records.select(holds)
     samples, whole = sensor.decode(batch, records), sensor.whole(records)
     if thermometer is not None:
-        heat = thermometer.beside(batch, records, samples.rows)
+        heat = thermometer.temperatures_of(batch, records, samples.rows)
         samples = replace(samples, channels=samples.channels | {"temperature_mc": heat})
     doubtful = batch.doubtful[holds]
     even = whole & (samples.rows == sensor.rate) & ~doubtful
@@ -302,7 +297,8 @@ def decode_batch(batch: Batch, sensor: Sensor, thermometer: Thermometer | None =
 
 
 def log_events(batch: Batch) -> list[tuple[int, LogEvent]]:
-    """Damage and events of sleep in file order, each with the number of the record that it is or precedes."""
+    """Return damage and events of sleep in file order, with the number of the record that each is or
+    precedes."""
     events: list[tuple[int, LogEvent]] = [(damage.before, damage) for damage in batch.damage]
     records = batch.records
     for number in np.flatnonzero((records.kind == EVENT) & (records.size == 1)).tolist():
@@ -313,7 +309,7 @@ def log_events(batch: Batch) -> list[tuple[int, LogEvent]]:
 
 
 def damage_event(damage: Damage, position: int, sample: int) -> Event:
-    """An event for bytes that gave no record."""
+    """Return an event for bytes that gave no record."""
     if damage.records:
         kind, count = CHECKSUM, damage.records
     else:
@@ -321,24 +317,9 @@ def damage_event(damage: Damage, position: int, sample: int) -> Event:
     return Event(position, 1, *kind, damage.start_byte, sample, count, lost_bytes=damage.size)
 
 
-def fault_problem(stream: MemberStream, sample: int) -> Problem | None:
-    """What is wrong with a part of the zip file as a whole, once it has been read."""
-    name = stream.member.name
-    if stream.fault is None:
-        return None
-    if stream.fault is Fault.WRONG_CHECKSUM:
-        text = f"the checksum of {name} in the zip file is wrong: some of its bytes are not what was written"
-        return Problem("archive_checksum", text, None, sample)
-    missing = (stream.member.unpacked_bytes or 0) - stream.size
-    lost_bytes = max(0, missing) if stream.fault is Fault.DAMAGED else 0
-    lost = f"{missing} bytes of it are missing" if missing > 0 else "how much is missing is not known"
-    text = f"{name} breaks off, as {stream.fault.value}: {lost}"
-    return Problem("truncated", text, stream.size, sample, max(1, missing), lost_bytes)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class _Last:
-    """The record of samples before: its second, bytes and last sample, one row of each column."""
+class _LastRecord:
+    """The previous record of samples: its second, bytes and last sample, one row of each column."""
 
     second: int
     data: bytes
@@ -346,27 +327,27 @@ class _Last:
 
 
 @dataclass(frozen=True, slots=True)
-class _Where:
-    """A record's number among all of the file, and where in log.bin it begins."""
+class _RecordPlace:
+    """The number of a record in the whole file, and where in log.bin it begins."""
 
     position: int
     start_byte: int
 
 
 class Timeline:
-    """Takes batches in file order and makes rows and events of them.
+    """Makes rows and events from batches in file order.
 
     Attributes:
-        position: how many records, sound or not, have been seen.
-        rows: how many rows have been given.
+        position: number of records seen so far, sound or not.
+        rows: number of rows made so far.
     """
 
     def __init__(self, sensor: Sensor, span: Span, thermometer: Thermometer | None = None) -> None:
         self.position = 0
         self._sensor, self._thermometer = sensor, thermometer
-        self._idle = IdleWatch(span)
-        self._slept: tuple[Asleep, _Where] | None = None
-        self._last: _Last | None = None
+        self._idle = SleepTracker(span)
+        self._slept: tuple[SleepSpan, _RecordPlace] | None = None
+        self._last: _LastRecord | None = None
         self._next_s = 0
         self._apart = False
         self._explained = False
@@ -376,9 +357,9 @@ class Timeline:
         self._events: list[Event] = []
 
     def feed(self, batch: Batch) -> tuple[list[RowSpan], Samples, list[Event]]:
-        """Rows of a batch, the samples that they name, and what is wrong.
+        """Return the rows of a batch, the samples that they refer to, and the events.
 
-        Sleep is given when it is known what follows it.
+        Sleep is returned once it is known what follows it.
         """
         self._spans, self._events = [], []
         decoded, begin = decode_batch(batch, self._sensor, self._thermometer), 0
@@ -392,17 +373,17 @@ class Timeline:
         return self._spans, decoded.samples, self._events
 
     def _add_records(self, decoded: DecodedBatch, begin: int, end: int) -> None:
-        """Records begin..end-1 of the batch, among which nothing is marked."""
+        """Add records begin..end-1 of the batch, among which there is no event."""
         low, high = decoded.between(begin, end)
         if low == high:
             self._idle.note_times(decoded.batch.records.second[begin:end])
         for first, stop in decoded.runs(low, high) if low < high else ():
             position = self.position - begin + int(decoded.number[first])
-            self._run(decoded, first, stop, _Where(position, decoded.start_byte(first)))
+            self._run(decoded, first, stop, _RecordPlace(position, decoded.start_byte(first)))
         self.position += end - begin
 
     def _add_log_event(self, log_event: LogEvent) -> None:
-        where = _Where(self.position, log_event.start_byte)
+        where = _RecordPlace(self.position, log_event.start_byte)
         if isinstance(log_event, Damage):
             self._forget_sleep(where)
             self._events.append(damage_event(log_event, self.position, self.rows))
@@ -411,7 +392,7 @@ class Timeline:
         else:
             self._add_sleep_event(log_event, where)
 
-    def _add_sleep_event(self, event: SleepEvent, where: _Where) -> None:
+    def _add_sleep_event(self, event: SleepEvent, where: _RecordPlace) -> None:
         if not event.wakes:
             self._sleep(FOREVER_S)
             self._idle.fall_asleep(event.second)
@@ -419,13 +400,13 @@ class Timeline:
             self._slept = slept, where
 
     def _finish(self, end_byte: int) -> None:
-        """Nothing follows; asleep, it slept at least until the last record."""
+        """End the file; asleep, the device slept at least until the last record."""
         if (slept := self._idle.end(self._next_s)) is not None:
-            self._slept = slept, _Where(self.position, end_byte)
+            self._slept = slept, _RecordPlace(self.position, end_byte)
         self._sleep(FOREVER_S)
 
-    def _run(self, decoded: DecodedBatch, first: int, stop: int, where: _Where) -> None:
-        """Records that go on evenly, or a single one."""
+    def _run(self, decoded: DecodedBatch, first: int, stop: int, where: _RecordPlace) -> None:
+        """Add records that go on evenly, or a single one."""
         self._forget_sleep(where)
         self._sleep(int(decoded.records.second[first]))
         if self._repeats(decoded, first):
@@ -440,7 +421,7 @@ class Timeline:
             return False
         return last.data == decoded.payload(record)
 
-    def _measure(self, decoded: DecodedBatch, first: int, stop: int, where: _Where) -> None:
+    def _measure(self, decoded: DecodedBatch, first: int, stop: int, where: _RecordPlace) -> None:
         whole, rows = bool(decoded.whole[first]), int(decoded.samples.rows[first])
         if not whole:
             self._note(LENGTH, where)
@@ -454,10 +435,10 @@ class Timeline:
         self._add(RowSpan(end - begin, second, per_second, broken, begin, validity))
         self._next_s, self._apart = int(decoded.records.second[stop - 1]) + 1, not whole
         sample = cut_channels(decoded.samples.columns, [end - 1])
-        self._last = _Last(self._next_s - 1, decoded.payload(stop - 1), sample)
+        self._last = _LastRecord(self._next_s - 1, decoded.payload(stop - 1), sample)
 
-    def _step_to(self, second: int, where: _Where) -> bool:
-        """Whether rows from `second` on do not continue those before; notes a jump of the clock."""
+    def _step_to(self, second: int, where: _RecordPlace) -> bool:
+        """Return True if rows from `second` on do not continue those before; note a jump of the clock."""
         ahead = second - self._next_s
         if self._last is None:
             return False
@@ -467,7 +448,7 @@ class Timeline:
         return self._apart or ahead != 0
 
     def _sleep(self, end_s: int) -> None:
-        """Rows that the device filled while asleep, as far as nothing else begins at `end_s`."""
+        """Add the rows that the device filled while asleep, up to `end_s` at most."""
         slept, self._slept = self._slept, None
         if slept is None or self._last is None:
             return
@@ -475,7 +456,7 @@ class Timeline:
         if not self._sensor.fills:
             self._explained = True
         elif self._filled_s + end - second > FILLED_FREELY_S + FILLED_PER_RECORD_S * slept[1].position:
-            self._note(UNHEARD, slept[1], end - second)
+            self._note(UNEXPLAINED_SLEEP, slept[1], end - second)
             self._explained = True
         elif second < end:
             broken = self._step_to(second, slept[1])
@@ -490,17 +471,17 @@ class Timeline:
             self._add(RowSpan(rows, start, rate, first, validity=Validity.FILLED, sample=sample))
         self._next_s, self._apart = end, False
 
-    def _forget_sleep(self, where: _Where) -> None:
-        """Asleep as far as known, but something is lost, or samples follow."""
+    def _forget_sleep(self, where: _RecordPlace) -> None:
+        """Give up on a sleep, if there is one: something is lost, or samples follow."""
         if self._idle.asleep:
-            self._note(RESTLESS, where)
+            self._note(UNFINISHED_SLEEP, where)
         self._idle.forget()
 
     def _add(self, span: RowSpan) -> None:
         self._spans.append(span)
         self.rows += span.rows
 
-    def _note(self, kind: Kind, where: _Where, seconds: int = 0) -> None:
+    def _note(self, kind: Kind, where: _RecordPlace, seconds: int = 0) -> None:
         amount_us = seconds * MICROSECONDS
         self._events.append(
             Event(where.position, 1, *kind, where.start_byte, self.rows, 1, amount_us=amount_us)

@@ -1,10 +1,10 @@
 """Writes ActiGraph recordings of the newer kind: a zip file with log.bin and info.txt.
 
-Sources: the vendor's format documents (github.com/actigraph/GT3X-File-Format): README.md for the
-records of log.bin, LogRecords/Activity.md, Activity2.md and Parameters.md, info.txt.md. A record holds
-one second: 16 bits a value as of a GT9X Link, or packed 12 bits as of a wGT3X+, by the counts per g.
-There is no temperature beside the main sensor's samples: the recording's is left out. Seconds follow
-each other: a recording with a break is refused.
+Sources: the vendor's format documents (github.com/actigraph/GT3X-File-Format): README.md for the records of
+log.bin, LogRecords/Activity.md, Activity2.md and Parameters.md, info.txt.md. A record holds one second: 16
+bits a value like a GT9X Link, or packed 12 bits like a wGT3X+, by the counts per g. The format has no
+temperature beside the main sensor's samples: the recording's is left out. Seconds follow each other: a
+recording with a break is refused.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ class Model:
     """A device and how it stores a sample.
 
     Attributes:
-        serial: what its serial numbers begin with; eight digits follow.
-        kind: of its records of samples.
-        bits: of each value.
-        payload: bytes (seconds, n) of samples (seconds, rate, 3).
+        serial: beginning of its serial numbers; eight digits follow.
+        kind: number of its records of samples.
+        bits: bits of each value.
+        payload: returns bytes (seconds, n) of samples (seconds, rate, 3).
     """
 
     name: str
@@ -57,12 +57,12 @@ class Model:
 
 
 def plain(counts: Counts) -> NDArray[np.uint8]:
-    """Samples (seconds, rate, 3) as 16-bit numbers x, y, z."""
+    """Return samples (seconds, rate, 3) as 16-bit numbers x, y, z."""
     return counts.astype("<i2").reshape(len(counts), -1).view(np.uint8)
 
 
 def packed(counts: Counts) -> NDArray[np.uint8]:
-    """Samples (seconds, rate, 3) as 12-bit numbers y, x, z, most significant bits first; `rate` is even."""
+    """Return samples (seconds, rate, 3) as 12-bit numbers y, x, z, high bits first; `rate` is even."""
     values = counts[:, :, [1, 0, 2]].astype(np.uint16).reshape(len(counts), -1, 2) & 0xFFF
     first, second = values[:, :, 0], values[:, :, 1]
     parts = np.stack((first >> 4, first << 4 | second >> 8, second), axis=2)
@@ -73,11 +73,11 @@ MODELS = {
     (256.0, 8.0): Model("Link", "TAS1D", "1.7.2", ACTIVITY2, 16, plain),
     (341.0, 6.0): Model("wGT3XPlus", "CLE2B", "3.2.1", ACTIVITY, 12, packed),
 }
-"""By counts per g and range."""
+"""Devices by counts per g and range."""
 
 
 def sampling(recording: Recording) -> Sampling:
-    """Whole seconds, of a rate and scale that an ActiGraph has.
+    """Return the sampling in whole seconds, of a rate and scale that an ActiGraph has.
 
     Raises:
         UsageError: there is no such rate or scale.
@@ -112,7 +112,7 @@ def write(path: Path, recording: Recording, chunks: Iterable[Chunk]) -> None:
 
 
 def records(path: Path, rows: Chunk, rate: int, model: Model) -> NDArray[np.void]:
-    """A record of samples for each second.
+    """Return a record of samples for each second.
 
     Raises:
         OutputError: a count does not fit, or a second of samples does not begin with a second of the clock.
@@ -130,7 +130,7 @@ def records(path: Path, rows: Chunk, rate: int, model: Model) -> NDArray[np.void
 
 
 def whole_seconds(path: Path, time_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Times of first samples as seconds since 1970."""
+    """Return the times of first samples as seconds since 1970."""
     seconds, rest_us = np.divmod(time_us, 1_000_000)
     if rest_us.any():
         raise OutputError("samples do not begin with a whole second", path=path, hint=_writing.OTHER_FORMAT)
@@ -140,7 +140,7 @@ def whole_seconds(path: Path, time_us: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 def parameters(second: int, rate: int, lsb_per_g: float) -> bytes:
-    """The record that begins log.bin: what the device was set to."""
+    """Return the record that begins log.bin: the settings of the device."""
     values = {ACCEL_SCALE: float_word(lsb_per_g), SAMPLE_RATE: rate, START_TIME: second}
     payload = b"".join(struct.pack("<HHI", *key, value) for key, value in values.items())
     record = HEADER.pack(SEPARATOR, PARAMETERS, second, len(payload)) + payload
@@ -148,13 +148,13 @@ def parameters(second: int, rate: int, lsb_per_g: float) -> bytes:
 
 
 def float_word(value: float) -> int:
-    """A positive number as a 24-bit fraction and an 8-bit exponent."""
+    """Encode a positive number as a 24-bit fraction and an 8-bit exponent."""
     fraction, exponent = np.frexp(value)
     return int(exponent) << 24 | int(fraction * (1 << FRACTION_BITS))
 
 
 def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
-    """The text of info.txt."""
+    """Return the text of info.txt."""
     range_g = recording.range_g
     values = {
         "Serial Number": f"{model.serial}{_writing.number_of(recording.device):08d}",
@@ -178,13 +178,13 @@ def info(recording: Recording, model: Model, begun_s: int, ended_s: int) -> str:
 
 
 def zone_text(timezone: str | None) -> str | None:
-    """The zone as hours, minutes and seconds east of UTC where it is a fixed offset."""
+    """Return the zone as hours, minutes and seconds east of UTC if it is a fixed offset."""
     offset = _writing.fixed_offset(timezone)
     return None if offset is None else f"{offset.removeprefix('+')}:00"
 
 
 def ticks(second: int) -> int:
-    """Seconds since 1970 in units of 100 ns since the year 1."""
+    """Return seconds since 1970 in units of 100 ns since the year 1."""
     return (second + YEAR_1_TO_1970_S) * TICKS_PER_S
 
 

@@ -5,9 +5,8 @@ Source: NumPy's documentation, "numpy.lib.format": a zip file whose members, NAM
 
 from __future__ import annotations
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import ZIP_MAGIC, Format, Probe
 
-ZIP_MAGIC = b"PK\x03\x04"
 MEMBER_SUFFIX = b".npy"
 NAME_LENGTH, NAME = slice(26, 28), 30
 

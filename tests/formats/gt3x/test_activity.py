@@ -73,7 +73,7 @@ def test_samples_that_repeat_for_a_second_were_filled(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int
 ) -> None:
     """Wherever pieces of the file end."""
-    monkeypatch.setattr("accelcal_cli.formats.gt3x.activity.PIECE_BYTES", piece)
+    monkeypatch.setattr("accelcal_cli.formats.gt3x.sensors.ACTIVITY_PIECE_BYTES", piece)
     counts, filled = asleep([1, 1, 29, 30, 1, 31, 2, 500, 1, 1, 60])
     found = whole(written_old(tmp_path / "a.gt3x", packed(counts)))
     assert (found.counts == counts).all()
