@@ -18,8 +18,8 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import UniformClock, rate_fraction
+from accelcal_cli.core.gyroscope import EQUATION
 from accelcal_cli.core.recording import Chunk, Device, Recording
-from accelcal_cli.core.rotations import EQUATION
 
 SCALE_ERROR = 0.05
 MISALIGNMENT = 0.025

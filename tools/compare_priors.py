@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import LearntPrior
 from accelcal_cli.core.results import Judgement

@@ -11,7 +11,7 @@ from accelcal_cli.cli import options
 from accelcal_cli.cli.exit_codes import say, show
 from accelcal_cli.cli.output import progress_bars
 from accelcal_cli.core.errors import OutputError, UsageError, counted
-from accelcal_cli.core.rolling import MOST
+from accelcal_cli.exports.smooth import MOST
 from accelcal_cli.output.files import exists, write_text
 from accelcal_cli.pipeline.jobs import refuse_nameless, refuse_overwriting
 

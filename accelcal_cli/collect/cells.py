@@ -13,7 +13,7 @@ All sums are integers: adding windows in batches of any size, or merging collect
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -22,12 +22,25 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cell_points import Sums, Width, numbers_of, points_of, shared_weights, width_for
-from accelcal_cli.collect.grid import BLOCK, CONSTANT, Cells, Grid, Key, Value, add_sums, group_of
-from accelcal_cli.collect.previous import PreviousPosture
-from accelcal_cli.collect.saturation import Saturation
+from accelcal_cli.collect.grid import (
+    BLOCK,
+    CONSTANT,
+    Cells,
+    CellSums,
+    Grid,
+    Key,
+    PreviousPosture,
+    Value,
+    Width,
+    add_sums,
+    group_of,
+    numbers_of,
+    points_of,
+    shared_weights,
+    width_for,
+)
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Correction
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import (
     Fates,
     PointSet,
@@ -225,7 +238,7 @@ class CellCollector:
                 add_sums(found, key[:CONSTANT], [windows, samples, *right, sums[3], *before])
         return found
 
-    def timed(self) -> list[tuple[int, Sums]]:
+    def timed(self) -> list[tuple[int, CellSums]]:
         """The number of each block of time, and the sums of each orientation in it; in order."""
         _, left_out = self._settled()
         real = self._constants_are_real()
@@ -322,14 +335,14 @@ def _step(spreads: dict[int, int]) -> int:
     return min(b - a for a, b in pairwise(ordered) if (b - a) * 64 >= ordered[1])
 
 
-def _shared(ordered: Sequence[tuple[Key, Sums]]) -> list[int]:
+def _shared(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
     """Weights of cells, by their numbers of windows."""
     return shared_weights([group_of(key) for key, _ in ordered], [sums.windows for _, sums in ordered])
 
 
-def _sums(value: Value) -> Sums:
+def _sums(value: Value) -> CellSums:
     windows, samples, x, y, z, heat, *before = value
-    return Sums(windows, samples, (x, y, z), heat, (before[0], before[1], before[2]))
+    return CellSums(windows, samples, (x, y, z), heat, (before[0], before[1], before[2]))
 
 
 def _far_off(cells: dict[Key, Value]) -> set[Key]:
@@ -352,3 +365,62 @@ def _beyond(cells: dict[Key, Value], saturated: Saturated, lsb_per_g: float) -> 
         for key, value in cells.items()
         if (limit_g - value[2 + axis] / (value[1] * lsb_per_g)) * (1 if limit_g > 0 else -1) < NEAR_G
     }
+
+
+LEAST_MOVED = 3
+"""Counts that another axis moves while this one stands."""
+
+LEAST_G = 0.5
+"""A wrist takes an axis further than this."""
+
+LEAST_WINDOWS = 12
+"""One minute in windows of 5 s."""
+
+MOST_ELSEWHERE = 10
+"""An axis that stands at other values in more than a tenth as many windows does so for another reason."""
+
+
+class Saturation:
+    """Takes the still windows of a recording, in any order."""
+
+    def __init__(self) -> None:
+        self._standing: list[Counter[int]] = [Counter() for _ in range(3)]
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+
+    def add(self, windows: Windows) -> None:
+        """Take windows in."""
+        if not len(windows):
+            return
+        means = windows.sums / windows.samples[:, np.newaxis]
+        self._low = np.minimum(self._low, means.min(axis=0))
+        self._high = np.maximum(self._high, means.max(axis=0))
+        moved = windows.spread.max(axis=1) >= LEAST_MOVED
+        for axis, standing in enumerate(self._standing):
+            which = np.flatnonzero(moved & (windows.spread[:, axis] == 0))
+            values, numbers = np.unique(
+                windows.sums[which, axis] // windows.samples[which], return_counts=True
+            )
+            standing.update(dict(zip(values.tolist(), numbers.tolist(), strict=True)))
+
+    def merge(self, other: Saturation) -> None:
+        """Take in what another one holds."""
+        self._low, self._high = np.minimum(self._low, other._low), np.maximum(self._high, other._high)
+        for standing, more in zip(self._standing, other._standing, strict=True):
+            standing.update(more)
+
+    def found(self, lsb_per_g: float) -> Saturated:
+        """The axes that saturate, and at what."""
+        return tuple(
+            (axis, value / lsb_per_g)
+            for axis, standing in enumerate(self._standing)
+            for value in _ends(standing, self._low[axis], self._high[axis])
+            if abs(value) >= LEAST_G * lsb_per_g
+        )
+
+
+def _ends(standing: Counter[int], low: float, high: float) -> list[int]:
+    """Where an axis stands at the most extreme value that it has, and hardly anywhere else."""
+    ends = {int(value): standing[int(value)] for value in (low, high) if float(value).is_integer()}
+    often = {value: number for value, number in ends.items() if number >= LEAST_WINDOWS}
+    elsewhere = standing.total() - sum(often.values())
+    return [value for value, number in often.items() if elsewhere * MOST_ELSEWHERE <= number]

@@ -14,8 +14,8 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cell_points import Sums, to_points
 from accelcal_cli.collect.cells import plausible
+from accelcal_cli.collect.grid import CellSums, to_points
 from accelcal_cli.core.points import WEIGHT_ONE, Fates, PointSet, Role, Windows
 from accelcal_cli.core.settings import Settings
 
@@ -44,7 +44,7 @@ class SubsetCollector:
         self.lsb_per_g = lsb_per_g
         self.most = most
         self.least = most if least is None else least
-        self._held: dict[tuple[int, int], list[Sums]] = {
+        self._held: dict[tuple[int, int], list[CellSums]] = {
             (axis, level): [] for axis in range(3) for level in range(3)
         }
 
@@ -52,10 +52,10 @@ class SubsetCollector:
         """Offer one window's sums of so many samples' counts; says whether it was taken."""
         subset = self.place(samples, xyz, self.most)
         if subset is not None:
-            subset.append(Sums(1, samples, xyz))
+            subset.append(CellSums(1, samples, xyz))
         return subset is not None
 
-    def place(self, samples: int, xyz: tuple[int, int, int], most: int) -> list[Sums] | None:
+    def place(self, samples: int, xyz: tuple[int, int, int], most: int) -> list[CellSums] | None:
         """The subset of fewer than `most` points that would take one window's sums, None if none does."""
         for axis, value in enumerate(xyz):
             for level, (low, high) in enumerate(_bounds(self.lsb_per_g, samples)):
@@ -142,7 +142,7 @@ class PaperCollector:
                 continue
             role, subset = self._place(mean)
             if subset is not None:
-                subset.append(Sums(1, *mean))
+                subset.append(CellSums(1, *mean))
                 self._taken.append(mean)
                 self._role[first_sample] = role
                 if self.full_after is None and not self.fit.missing():
@@ -169,7 +169,7 @@ class PaperCollector:
         role[~plausible(windows, self.lsb_per_g, self.settings)] = Role.IMPLAUSIBLE
         return Fates(role, np.full(len(windows), -1))
 
-    def _place(self, mean: Mean) -> tuple[Role, list[Sums] | None]:
+    def _place(self, mean: Mean) -> tuple[Role, list[CellSums] | None]:
         """The subset of the first set, else of the second, that would take a mean; the role of its window."""
         for most in self._limits:
             for role, held in ((Role.FIT, self.fit), (Role.CONTROL, self.control)):

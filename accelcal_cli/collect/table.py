@@ -20,18 +20,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.collect.cell_points import (
+from accelcal_cli.collect.cells import CellCollector, plausible
+from accelcal_cli.collect.grid import (
     HARMLESS_SPACE,
     MAX_POINTS,
-    Sums,
+    CellSums,
     points_of,
     shared_weights,
     to_points,
     width_for,
 )
-from accelcal_cli.collect.cells import CellCollector, plausible
+from accelcal_cli.core.arithmetic import ONE, rounded_quotient
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.fixed import ONE, rounded_quotient
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet, Saturated, Windows
 from accelcal_cli.core.recording import FLOAT_LSB_PER_G
@@ -357,27 +357,27 @@ def _keys(table: Table, lsb_per_g: float, cells_per_g: int, *, temperature: bool
     return keys
 
 
-def _cells(table: Table, shares: NDArray[np.int64], keys: NDArray[np.int64]) -> dict[Key, Sums]:
+def _cells(table: Table, shares: NDArray[np.int64], keys: NDArray[np.int64]) -> dict[Key, CellSums]:
     unique, inverse, number = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     total = np.zeros((len(unique), 5), np.int64)
     milli = np.zeros(len(table), np.int64) if table.temperature_mc is None else table.temperature_mc
     columns = np.column_stack([np.ones_like(shares), table.counts, milli])
     np.add.at(total, inverse.reshape(-1), columns * shares[:, np.newaxis])
     return {
-        tuple(key): Sums(count, samples, (x, y, z), heat)
+        tuple(key): CellSums(count, samples, (x, y, z), heat)
         for key, count, (samples, x, y, z, heat) in zip(
             unique.tolist(), number.tolist(), total.tolist(), strict=True
         )
     }
 
 
-def _own_weights(ordered: Sequence[tuple[Key, Sums]]) -> list[int]:
+def _own_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
     """As given; a point of mean weight counts as one."""
     total = sum(sums.samples for _, sums in ordered)
     return [max(1, rounded_quotient(s.samples * len(ordered) * WEIGHT_ONE, total)) for _, s in ordered]
 
 
-def _group_weights(ordered: Sequence[tuple[Key, Sums]]) -> list[int]:
+def _group_weights(ordered: Sequence[tuple[Key, CellSums]]) -> list[int]:
     """Each 2 x 2 x 2 group of cells of one posture counts as one point, as in `cells`."""
     groups = [(key[0], *(part >> 1 for part in key[1:4])) for key, _ in ordered]
     return shared_weights(groups, [sums.windows for _, sums in ordered])
@@ -389,7 +389,7 @@ def _rows(table: Table, lsb_per_g: float, points: PointSet) -> PointSet:
     samples = windows_of(table).samples.tolist()
     milli = [0] * len(table) if table.temperature_mc is None else table.temperature_mc.tolist()
     columns = zip(samples, table.counts.tolist(), milli, strict=True)
-    sums = [Sums(1, number, (x, y, z), heat) for number, (x, y, z), heat in columns]
+    sums = [CellSums(1, number, (x, y, z), heat) for number, (x, y, z), heat in columns]
     rows = to_points(sums, [WEIGHT_ONE] * len(sums), lsb_per_g, temperature=False)
     if scale is None:
         return rows

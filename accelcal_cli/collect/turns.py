@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.gyroscope import Rest, RestRates, Triple, Turn, Turns
 from accelcal_cli.core.recording import Counts
-from accelcal_cli.core.rotations import Rest, RestRates, Triple, Turn, Turns
 
 LEAST_WINDOWS = 2
 """A rest has at least so many windows: what is quiet for a moment may be a turn that is slow."""

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.fixed import ONE, rounded_quotient, to_float
+from accelcal_cli.core.arithmetic import ONE, rounded_quotient, to_float
 from accelcal_cli.core.gravity import STANDARD, Gravity
 
 PARAMETER_NAMES = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz", "sx", "sy", "sz")

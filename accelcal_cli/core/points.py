@@ -1,4 +1,9 @@
-"""What flows from the segmenter to the judge: still windows as integer sums, calibration points, fits."""
+"""What flows from the segmenter to the judge: still windows as integer sums, calibration points, fits.
+
+The cost of a fit on small processors is predicted from counted additions and multiplications alone, as in
+Farago, Maczak, Gingl 2024, Table 1: 0.70 s for 90 150 of each on an ATmega328. Loads, stores, narrowing and
+range checks come on top.
+"""
 
 from __future__ import annotations
 
@@ -10,25 +15,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import ONE, Fixed
 from accelcal_cli.core.calibration import Correction, TemperatureScale
-from accelcal_cli.core.fixed import ONE, Fixed
 from accelcal_cli.core.recording import cut_columns, joined_columns
 
-PARAMETER_NAMES = ("k_xx", "k_yy", "k_zz", "k_yx", "k_zx", "k_zy", "ox", "oy", "oz", "sx", "sy", "sz")
-"""K (lower triangular), offsets [g], temperature slopes of the offsets [g per degree C].
-
-k_RC is the entry of K in row R, column C: what multiplies C in the equation of R. F writes kxy for k_yx,
-kxz for k_zx, kyz for k_zy, and so did reports of schema version 1.
-"""
-
-FIRST_NAMES = {f"k{column}{row}": f"k_{row}{column}" for row in "xyz" for column in "xyz"}
-"""Names of the entries of K now, by F's, which reports of schema version 1 have."""
-
-UPPER_NAMES = ("k_xy", "k_xz", "k_yz")
-"""Entries of K above its diagonal: only known orientations determine them."""
-
 WEIGHT_ONE = 1 << 15
-IDENTITY: tuple[int, ...] = (ONE, ONE, ONE) + (0,) * 9
+"""Weight of one whole point."""
 
 _SCALE = (0, 1, 2)
 _MISALIGNMENT = (3, 4, 5)
@@ -65,7 +57,7 @@ class Windows:
         return len(self.first_sample)
 
     def select(self, which: NDArray[np.bool_] | NDArray[np.int64] | slice) -> Windows:
-        """The windows of a mask, of these numbers, or of a slice."""
+        """Return the windows that a mask, an array of numbers or a slice selects."""
         return Windows(**cut_columns(self, self.__dataclass_fields__, which))
 
 
@@ -74,20 +66,20 @@ NO_WINDOWS = Windows(_EMPTY, _EMPTY, _NO_ROWS, _NO_ROWS, _EMPTY, _EMPTY, _EMPTY)
 
 
 def joined_windows(parts: Sequence[Windows]) -> Windows:
-    """Windows one after another; an optional column that some of them lack is left out."""
+    """Join windows; an optional column that one of the parts lacks is left out."""
     return Windows(**joined_columns((NO_WINDOWS, *parts), NO_WINDOWS.__dataclass_fields__))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TimedMeans:
-    """n observations along a recording: the mean of the still windows of one orientation in a block of time.
+    """n observations along a recording: means of the still windows of one orientation in a block of time.
 
     Attributes:
-        block: (n,) number of the block that each is in, from 0; they ascend.
+        block: (n,) number of each one's block, from 0, ascending.
         mean_g: (n, 3) raw mean [standard g].
         celsius: (n,) mean temperature [degrees C], or None.
-        block_samples: samples in a row that make a block; block_h: the hours that they take.
-        windows: (n,) how many still windows are behind each, where that matters.
+        block_samples, block_h: length of a block in samples and in hours.
+        windows: (n,) number of still windows behind each, where that matters.
     """
 
     block: NDArray[np.int64]
@@ -98,25 +90,25 @@ class TimedMeans:
     windows: NDArray[np.int64] | None = None
 
     def blocks(self) -> int:
-        """Number of blocks, up to the last one with stillness."""
+        """Return the number of blocks, up to the last one with stillness."""
         return int(self.block.max(initial=-1)) + 1
 
     def hours(self) -> float:
-        """Length of all blocks."""
+        """Return the length of all blocks [h]."""
         return self.blocks() * self.block_h
 
     def corrected(self, correction: Correction) -> TimedMeans:
-        """Return these with a correction applied, as in the middle of each block."""
+        """Return the observations with the correction that holds in the middle of each block."""
         middle = self.block * self.block_samples + self.block_samples // 2
         return replace(self, mean_g=correction.applied(self.mean_g, middle))
 
 
 @dataclass(frozen=True, slots=True)
 class WindowCounts:
-    """How many windows there were and why some were not used; sums over chunks by +.
+    """Numbers of windows that were used, and of those that were not, by reason; chunks add up by +.
 
-    complete = moving + filled + clipped + recovered + joined + repeated + still, where a still window made of
-    several counts once as still, and its others as joined to it; repeated is one of a stretch that the
+    complete = moving + filled + clipped + recovered + joined + repeated + still. A still window that several
+    were joined to counts once as still, the others as joined; repeated windows belong to a stretch that the
     recording holds twice.
     """
 
@@ -140,7 +132,8 @@ class Quietest:
     """The window of a recording that moves least, in counts.
 
     Attributes:
-        spread: max - min on the axis where it is largest; deviation: the same of the standard deviation.
+        spread: max - min of the axis where it is largest.
+        deviation: standard deviation of the axis where it is largest.
     """
 
     spread: int
@@ -148,23 +141,32 @@ class Quietest:
 
 
 class Role(IntEnum):
-    """What became of a still window.
-
-    It is part of a point that is fitted, or that F's second set holds; no set of F's had use for it; it is
-    not near 1 g; it never changed; its temperature cannot be; an axis is near where it saturates.
-    """
+    """What became of a still window."""
 
     FIT = 0
+    """It is part of a point that is fitted."""
+
     CONTROL = 1
+    """It is part of a point of F's second set."""
+
     NOT_TAKEN = 2
+    """None of F's subsets needed it."""
+
     IMPLAUSIBLE = 3
+    """Its mean is not near 1 g."""
+
     CONSTANT = 4
+    """Its values never changed."""
+
     TEMPERATURE = 5
+    """Its temperature is impossible."""
+
     SATURATED = 6
+    """An axis is close to where it saturates."""
 
 
 Saturated = tuple[tuple[int, float], ...]
-"""Axes (0, 1, 2) that measure nothing beyond a value in raw g; its sign tells the side."""
+"""Axes (0, 1, 2) that measure nothing beyond a raw value [g], whose sign tells the side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -172,8 +174,8 @@ class Fates:
     """What became of m still windows.
 
     Attributes:
-        role: (m,) each one's `Role`.
-        point: (m,) number of the calibration point that it is part of, -1 for none.
+        role: (m,) `Role` of each.
+        point: (m,) number of the calibration point that each is part of, -1 for none.
     """
 
     role: NDArray[np.int64]
@@ -189,7 +191,7 @@ class Model:
 
     @property
     def has_temperature(self) -> bool:
-        """Whether the offsets may depend on temperature."""
+        """True if the offsets may depend on temperature."""
         return any(index >= 9 for index in self.free)
 
 
@@ -205,7 +207,7 @@ MODELS: dict[str, Model] = {
         "9T": _SCALE + _MISALIGNMENT + _OFFSET + _SLOPE,
     }.items()
 }
-"""The model ladder: identity, offset, scale + offset, full; T adds a slope per axis."""
+"""The model ladder: identity, offset, scale + offset, full; T adds a temperature slope per axis."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,12 +215,12 @@ class PointSet:
     """Means of still windows, n of them, as integers.
 
     Attributes:
-        xyz: (n, 3) fixed-point g, raw (not calibrated).
-        weights: (n,) integers, WEIGHT_ONE is one whole point.
+        xyz: (n, 3) raw means, fixed-point g.
+        weights: (n,) integers; WEIGHT_ONE is one whole point.
         windows: (n,) number of still windows behind each point.
         tau: (n,) scaled temperatures in fixed point, or None.
         temperature: how tau was scaled, None without temperatures.
-        previous: (n, 3) fixed-point g, mean of what was measured in the postures before, or None.
+        previous: (n, 3) raw means of the postures before, fixed-point g, or None.
     """
 
     xyz: Fixed
@@ -232,14 +234,14 @@ class PointSet:
         return len(self.xyz)
 
     def select(self, which: NDArray[Any]) -> PointSet:
-        """The points of a mask or an index array."""
+        """Return the points that a mask or an array of numbers selects."""
         tau, previous = (None if part is None else part[which] for part in (self.tau, self.previous))
         return PointSet(
             self.xyz[which], self.weights[which], self.windows[which], tau, self.temperature, previous
         )
 
     def xyz_g(self) -> NDArray[np.float64]:
-        """Raw positions in g, (n, 3) float64, exact."""
+        """Return the raw means [g], (n, 3) float64, exact."""
         return self.xyz / float(ONE)
 
 
@@ -253,14 +255,14 @@ class Operations:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """What an optimizer found.
+    """The result of an optimizer.
 
     Attributes:
         parameters: twelve fixed-point integers, in the order of PARAMETER_NAMES; the slopes are
             per `TemperatureScale.span_c` degrees.
         stop: why it stopped.
-        history: parameters after each iteration, where asked for; with a penalty always, and those at the
-            start before them.
+        history: parameters after each iteration, if asked for; with a penalty always, and the start before
+            them.
     """
 
     parameters: tuple[int, ...]
@@ -272,7 +274,7 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Penalty:
-    """What is added to the weighted sum of (|a|^2 - 1)^2: sum over j of strength_j (p_j - centre_j)^2.
+    """A prior as integers: the sum of strength_j (p_j - centre_j)^2, added to that of (|a|^2 - 1)^2.
 
     Attributes:
         centre: twelve fixed-point parameters.
@@ -284,11 +286,12 @@ class Penalty:
 
 
 PENALTY_BITS = 40
+"""Fraction bits of a penalty's strength."""
 
 
 @dataclass(frozen=True, slots=True)
 class PenalizedFit:
-    """The minimum of the objective with a penalty, and what lies around it.
+    """The minimum of the objective with a penalty, and the curvature there.
 
     Attributes:
         mean_square: weighted mean of (|a|^2 - 1)^2 there.
@@ -311,13 +314,13 @@ class Optimizer:
     Attributes:
         name: as in `--optimizer`.
         fit: (points, model, settings) -> Fit; `settings` are the optimizer's own numbers.
-        fit_each: the same of several sets of points at a time, all with temperatures or none, with the
-            same results as one by one; None if it would not be faster.
-        fit_penalized: (points, model, penalty, start) -> PenalizedFit; None if it fits without a prior only.
-        settings: profile name -> those numbers.
-        models: names of the models it can fit.
-        arithmetic: what its operations cost on a microcontroller depends on it.
-        needs: a package that it imports beyond those that are always installed.
+        fit_each: fits several sets of points, all with temperatures or none, with the same results as one
+            by one; None if it would not be faster.
+        fit_penalized: (points, model, penalty, start) -> PenalizedFit; None if it fits only without a prior.
+        settings: the optimizer's own numbers by profile name.
+        models: names of the models that it can fit.
+        arithmetic: determines what its operations cost on a microcontroller.
+        needs: a package that it imports and that is not always installed.
     """
 
     name: str
@@ -331,7 +334,59 @@ class Optimizer:
     fit_penalized: PenalizedFitter | None = None
 
     def fits(self, sets: Sequence[PointSet], model: Model, settings: Any) -> list[Fit]:
-        """A fit of each set; raises what `fit` raises for one of them."""
+        """Fit each set; raises what `fit` raises for any of them."""
         if self.fit_each is not None:
             return self.fit_each(sets, model, settings)
         return [self.fit(points, model, settings) for points in sets]
+
+
+@dataclass(frozen=True, slots=True)
+class Cycles:
+    """Clock cycles of one operation."""
+
+    addition: int
+    multiplication: int
+
+
+@dataclass(frozen=True, slots=True)
+class Microcontroller:
+    """A processor of F's Table 1.
+
+    Attributes:
+        name: as in the table.
+        clock_hz: the clock to which the times in section II.C refer.
+        current_ma: typical current at that clock, by the same section; the Cortex-M3, which it does not give,
+            is taken to draw as much as the M4.
+        cycles: cost by kind of number.
+    """
+
+    name: str
+    clock_hz: int
+    current_ma: float
+    cycles: dict[Arithmetic, Cycles]
+
+    def seconds(self, operations: Operations, arithmetic: Arithmetic) -> float:
+        """Return the predicted time of operations [s]."""
+        cost = self.cycles[arithmetic]
+        cycles = operations.additions * cost.addition + operations.multiplications * cost.multiplication
+        return cycles / self.clock_hz
+
+
+MICROCONTROLLERS = (
+    Microcontroller("ATmega328", 16_000_000, 9.2, {"integer": Cycles(28, 97), "float": Cycles(123, 160)}),
+    Microcontroller("ARM Cortex-M3", 80_000_000, 8.45, {"integer": Cycles(14, 14), "float": Cycles(96, 68)}),
+    Microcontroller("ARM Cortex-M4", 80_000_000, 8.45, {"integer": Cycles(7, 6), "float": Cycles(11, 11)}),
+)
+
+
+def predicted_seconds(operations: Operations, arithmetic: Arithmetic) -> dict[str, float] | None:
+    """Return predicted times by processor [s]; None if no operations were counted."""
+    if operations == Operations():
+        return None
+    return {item.name: item.seconds(operations, arithmetic) for item in MICROCONTROLLERS}
+
+
+def predicted_charge_mc(operations: Operations, arithmetic: Arithmetic) -> dict[str, float] | None:
+    """Return the charge by processor, time times current [mC = mA s]; None if no operations were counted."""
+    seconds = predicted_seconds(operations, arithmetic)
+    return seconds and {item.name: seconds[item.name] * item.current_ma for item in MICROCONTROLLERS}

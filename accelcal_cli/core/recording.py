@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Self
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 
 from accelcal_cli.core.clock import Clock, JoinedClock, StampClock
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.factory import FactoryCalibration
 
 Counts = NDArray[np.int16] | NDArray[np.int32]
 NO_BREAKS: NDArray[np.int64] = np.empty(0, np.int64)
@@ -431,3 +431,64 @@ class Reader(Closing):
 def as_json_device(device: Device) -> dict[str, Any]:
     """The report's `device` object."""
     return {"model": device.model, "serial": device.serial, "firmware": device.firmware}
+
+
+Three = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FactoryAcceleration:
+    """Acceleration [g] = g_per_count (counts - offset_counts).
+
+    Attributes:
+        source: the part of the file that holds it.
+        method: the maker's number of its kind.
+        sample_rate_hz: the rate for which it holds.
+        offset_counts: of raw x, y, z.
+        g_per_count: 3 x 3, symmetric.
+    """
+
+    source: str
+    method: int
+    sample_rate_hz: int
+    offset_counts: Three
+    g_per_count: tuple[Three, Three, Three]
+
+
+@dataclass(frozen=True, slots=True)
+class FactoryTemperature:
+    """Temperature on the line through two points, at which the thermometer gave so many counts.
+
+    Attributes:
+        source, method: as above.
+        counts, celsius: the low and the high point.
+    """
+
+    source: str
+    method: int
+    counts: tuple[float, float]
+    celsius: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FactoryCalibration:
+    """What was applied; None where there was nothing to apply."""
+
+    acceleration: FactoryAcceleration | None = None
+    temperature: FactoryTemperature | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """The report's `recording.factory_calibration`."""
+        values: dict[str, Any] = json.loads(json.dumps(asdict(self)))
+        return values
+
+    def notes(self) -> tuple[str, ...]:
+        """For people."""
+        told = []
+        if self.acceleration is not None:
+            part = self.acceleration
+            rate = f"for {part.sample_rate_hz} Hz"
+            told.append(f"the maker's calibration ({part.source}, {rate}) was applied before any other")
+        if self.temperature is not None:
+            told.append(f"the maker's calibration of the thermometer ({self.temperature.source}) was applied")
+        return tuple(told)

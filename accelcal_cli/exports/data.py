@@ -27,10 +27,9 @@ from numpy.typing import NDArray
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, output_error, printable
 from accelcal_cli.core.gravity import STANDARD_GRAVITY
-from accelcal_cli.core.rolling import width_for
 from accelcal_cli.exports.resample import LARGEST_RATIO, LEAST_RATIO, breaks, resampled
 from accelcal_cli.exports.rows import About, Rows, calibrated_rows
-from accelcal_cli.exports.smooth import smoothed
+from accelcal_cli.exports.smooth import smoothed, width_for
 from accelcal_cli.output.columns import schema_of
 from accelcal_cli.output.files import replacing, stored_schema
 from accelcal_cli.parquet import Column, Memory, ParquetSink

@@ -18,9 +18,9 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.calibration import Calibration, Correction
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Change, ChangeKind, TimeHoldout

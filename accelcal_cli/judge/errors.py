@@ -14,8 +14,8 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import calibrated
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Model, PointSet
 from accelcal_cli.core.results import Coverage, ErrorSummary
 from accelcal_cli.core.statistics import mean, quantile

@@ -1,70 +1,84 @@
-"""Whether a gyroscope can be calibrated, and by what: its bias at rest, its scale matrix from turns.
+"""The verdict on a gyroscope: its bias at rest, and its scale matrix from turns between rests.
 
 Grammenos, Mascolo, Crowcroft 2018, sections 4.3 and 4.7, with a standard quaternion update for the misprinted
 equations 12 and 13 (docs/gyroscope.md): gravity as the calibrated accelerometer measures it at one rest,
 turned by the angular rate, is compared with what it measures at the next. A bias would grow with time, so
-that each turn has that of its two rests; the one that is reported is of all rests.
+each turn is corrected by the rates of its own two rests; the bias that is reported comes from all rests.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import asin, cos, degrees, fsum, radians, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import inverse
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import counted
-from accelcal_cli.core.linear import inverse
-from accelcal_cli.core.rotations import Bias, Gyroscope, Rest, Triple, Turn, TurnHoldout, Turns
-from accelcal_cli.core.statistics import mean, quantile, student_t_975
-from accelcal_cli.judge.restrates import bias_at_rest
+from accelcal_cli.core.gyroscope import Bias, Gyroscope, Rest, RestRates, Triple, Turn, TurnHoldout, Turns
+from accelcal_cli.core.statistics import interval95, mean, quantile, student_t_975
 from accelcal_cli.judge.turning import Gravity, Turned, raw_steps
 
 LEAST_TURN_DEG = 20.0
+"""Smallest angle [degrees] between gravity before and after a turn that is used."""
+
 LEAST_PAIRS = 12
-"""Each gives two equations for nine unknowns, and a fifth of them is held out."""
+"""Fewest turns: each gives two equations for nine unknowns, and a fifth of them is held out."""
 
 FOLDS = 5
+"""Parts of the turns that are held out one after the other."""
+
 LEAST_SHARE = 0.03
-"""Of all turns, squared, about the axis with the least: a third would be as much as about any other."""
+"""Smallest share of all squared turning about the axis with the least; a third means all axes alike."""
 
 LARGEST_ERROR = 0.02
-"""Standard error of an entry of S that is still of use: devices are off by some percent."""
+"""Largest standard error of an entry of S that is still useful: devices are off by a few percent."""
 
 LARGEST_DEG = 5.0
-"""Median angle on held-out turns beyond which something else is wrong, such as the sign of an axis."""
+"""Median angle [degrees] on held-out turns above which something else is wrong, such as an axis's sign."""
 
 OTHER_UNIT = 5.0
-"""The scale of S, or its inverse, beyond which the unit of the rates is not the one that is stated: rad/s and
-deg/s differ by 57."""
+"""Scale of S, or its inverse, above which the stated unit is wrong; rad/s and deg/s differ by 57 times."""
 
 UNUSUAL = 0.2
-"""An entry of S that is so far from that of a perfect sensor is told: devices are off by some percent."""
+"""Distance of an entry of S from a perfect sensor's above which the message mentions it."""
 
 ITERATIONS, STOP = 50, 1e-7
+"""Most Gauss-Newton steps, and the largest change of an entry of S that ends them."""
+
 HUBER = 1.5
-"""Residuals beyond so many standard deviations count less, as turns do that hold a jolt (Huber 1964)."""
+"""Standard deviations above which a residual counts less (Huber 1964): turns with a jolt, rests that turn."""
 
 GRID = float(1 << 30)
 """S and b are multiples of 1 / GRID, far below any error, as the accelerometer's parameters are."""
 
+STRETCHES = 10
+"""Stretches of time, held out in turn to see if a slope with temperature reduces the error of the bias."""
+
+ROUNDS = 20
+"""Most rounds of reweighting when a line is fitted to the rates at rest."""
+
 Floats = NDArray[np.float64]
+
+Line = tuple[float, float]
+"""Rate at the reference temperature, and its slope."""
 
 
 def judge_gyroscope(found: Turns, calibration: Calibration | None, least_range_c: float | None) -> Gyroscope:
-    """The verdict on a recording's gyroscope.
+    """Return the verdict on a recording's gyroscope.
 
     Args:
-        calibration: of the accelerometer; None if that was refused.
-        least_range_c: temperatures that a slope of the bias needs; None: none is wanted.
+        calibration: the accelerometer's; None if it was refused.
+        least_range_c: range of temperatures that a slope of the bias needs; None: no slope is fitted.
     """
     bias = bias_at_rest(found.rates, found.dps_per_lsb, found.period_s, least_range_c)
     if bias is None:
         return _refused("it is never at rest for a second together with the accelerometer", 0, found, None)
-    bias = _on_grid(bias)
+    b, c = (_triple(np.rint(np.array(one) * GRID) / GRID) for one in (bias.dps, bias.slope_dps_per_c))
+    bias = replace(bias, dps=b, slope_dps_per_c=c)
     if calibration is None:
         return _refused("the accelerometer has no calibration to compare it with", 0, found, bias)
     pairs = _pairs(found, calibration)
@@ -75,7 +89,6 @@ def judge_gyroscope(found: Turns, calibration: Calibration | None, least_range_c
 
 
 def _judged(pairs: _Pairs, found: Turns, bias: Bias) -> Gyroscope:
-    """The verdict on enough pairs."""
     gravity = Gravity(pairs.turns, pairs.before, found.dps_per_lsb)
     raw = gravity.turned(np.eye(3))
     try:
@@ -116,11 +129,6 @@ def _refused(reason: str, pairs: int, found: Turns, bias: Bias | None) -> Gyrosc
     return Gyroscope("refused", reason, pairs, found.left_out, bias=bias)
 
 
-def _on_grid(bias: Bias) -> Bias:
-    b, c = (_triple(np.rint(np.array(one) * GRID) / GRID) for one in (bias.dps, bias.slope_dps_per_c))
-    return replace(bias, dps=b, slope_dps_per_c=c)
-
-
 def _triple(values: Floats) -> Triple:
     x, y, z = values.tolist()
     return x, y, z
@@ -133,7 +141,7 @@ def _rows(matrix: Floats) -> tuple[Triple, Triple, Triple]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pairs:
-    """Turns with the unit vectors of gravity, (n, 3), before and after them."""
+    """Turns, and the unit vectors of gravity (n, 3) before and after them."""
 
     turns: Sequence[Turn]
     before: Floats
@@ -141,7 +149,7 @@ class _Pairs:
 
 
 def _pairs(found: Turns, calibration: Calibration) -> _Pairs:
-    """The turns of at least LEAST_TURN_DEG."""
+    """Return the turns of at least LEAST_TURN_DEG."""
     before, after = (
         _directions([getattr(turn, side) for turn in found.turns], calibration, found.lsb_per_g)
         for side in ("before", "after")
@@ -152,7 +160,7 @@ def _pairs(found: Turns, calibration: Calibration) -> _Pairs:
 
 
 def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -> Floats:
-    """Unit vectors of the calibrated means, (n, 3)."""
+    """Return unit vectors of the calibrated means, (n, 3)."""
     if not rests:
         return np.empty((0, 3))
     scale = np.array([rest.samples for rest in rests]) * lsb_per_g
@@ -170,7 +178,7 @@ def _directions(rests: list[Rest], calibration: Calibration, lsb_per_g: float) -
 
 
 def _too_little(pairs: _Pairs, dps_per_lsb: Triple) -> str | None:
-    """Why the scale cannot be found, by the turns alone."""
+    """Return why the turns alone do not allow the scale to be found, or None."""
     if len(pairs.turns) < LEAST_PAIRS:
         number = counted(len(pairs.turns), "turn")
         return (
@@ -191,11 +199,11 @@ def _too_little(pairs: _Pairs, dps_per_lsb: Triple) -> str | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """S (3, 3) and, for each of n turns, what its normal equations are made of.
+    """S (3, 3) and the terms of each of n turns in its normal equations.
 
     Attributes:
         weights: (n,) Huber's.
-        residuals: (n,) their lengths.
+        residuals: (n,) lengths.
         curvature: (n, 9, 9) J^T J; descent: (n, 9) J^T residual.
     """
 
@@ -206,7 +214,11 @@ class _Fit:
     descent: Floats
 
     def step(self, which: NDArray[np.bool_] | slice = slice(None)) -> Floats:
-        """The Gauss-Newton step of these turns, (3, 3); raises ValueError if they do not determine it."""
+        """Return the Gauss-Newton step of some turns, (3, 3).
+
+        Raises:
+            ValueError: the turns do not determine it.
+        """
         weights = self.weights[which, np.newaxis, np.newaxis]
         inverted = np.array(inverse(_summed(weights * self.curvature[which])))
         weighted = self.weights[which, np.newaxis] * self.descent[which]
@@ -215,10 +227,10 @@ class _Fit:
         return np.array(found).reshape(3, 3)
 
     def standard_errors(self) -> Floats:
-        """Of the entries of S, (3, 3), with turns that differ in how exact they are (White 1980).
+        """Return those of the entries of S, (3, 3), for turns that differ in precision (White 1980).
 
-        What counts less pulls with the same force however far off it is: along its residual there is no
-        curvature (Huber 1964).
+        A turn whose weight is below 1 pulls with the same force however far off it is, so there is no
+        curvature along its residual (Huber 1964).
         """
         along = self.descent / np.maximum(self.residuals, 1e-12)[:, np.newaxis]
         along[self.weights == 1] = 0.0
@@ -232,19 +244,19 @@ class _Fit:
 
 
 def _summed(parts: Floats) -> list[list[float]]:
-    """The sum of (n, 9, 9), each entry rounded once."""
+    """Return the sum of matrices (n, 9, 9), each entry rounded once."""
     return [[fsum(parts[:, row, column].tolist()) for column in range(9)] for row in range(9)]
 
 
 def _fitted(gravity: Gravity, after: Floats, raw: Turned) -> _Fit:
-    """Gauss-Newton from the identity; raises ValueError if the turns do not determine S."""
+    """Fit S by Gauss-Newton from the identity; raises ValueError if the turns do not determine it."""
     scale, turned, weights = np.eye(3), raw, np.ones(len(after))
     for _ in range(ITERATIONS):
         fit = _linearised(scale, turned, after, weights)
         step = fit.step()
         scale = scale + step
         turned = gravity.turned(scale)
-        weights = _huber(_distances(turned.direction, after))
+        weights = _huber_weights(_distances(turned.direction, after))
         if np.abs(step).max() < STOP:
             break
     return _linearised(scale, turned, after, weights)
@@ -259,29 +271,28 @@ def _linearised(scale: Floats, turned: Turned, after: Floats, weights: Floats) -
 
 
 def _distances(one: Floats, other: Floats) -> Floats:
-    """(n,) lengths of differences."""
     apart = one - other
     return np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2)
 
 
-def _huber(distances: Floats) -> Floats:
-    """Weights, by the median of distances in a plane, 1.18 standard deviations of a coordinate."""
+def _huber_weights(distances: Floats) -> Floats:
+    # the median distance in a plane is 1.18 standard deviations of a coordinate
     limit = HUBER * quantile(sorted(distances.tolist()), 0.5) / 1.1774
     return np.minimum(1.0, limit / np.maximum(distances, 1e-12)) if limit else np.ones(len(distances))
 
 
 def _holdout(fit: _Fit, gravity: Gravity, after: Floats, raw: Turned) -> TurnHoldout:
-    """Errors on fifths of the turns, one after the other in time, that took no part.
+    """Return errors on fifths of the turns, in the order of time, by fits without them.
 
-    From the fit of all, one Gauss-Newton step with the others alone leads to their own: what is left out is
-    of second order, a millionth.
+    One Gauss-Newton step from the fit of all leads to the fit without a fifth: the rest is of second order,
+    a millionth.
     """
     number = len(after)
     fold = np.arange(number) * FOLDS // number
     scales = np.empty((3, 3, number))
     for one in range(FOLDS):
         scales[:, :, fold == one] = (fit.scale + fit.step(fold != one))[:, :, np.newaxis]
-    before, angles = (_degrees(turned.direction, after) for turned in (raw, gravity.turned(scales)))
+    before, angles = (_angles(turned.direction, after) for turned in (raw, gravity.turned(scales)))
     half = student_t_975(number - 1) * sqrt(number) / 2
     low, high = (max(0.0, min(1.0, (number / 2 + one) / number)) for one in (-half, half))
     ordered = sorted(angles)
@@ -300,6 +311,114 @@ def _root_mean_square(values: list[float]) -> float:
     return sqrt(mean([value * value for value in values]))
 
 
-def _degrees(one: Floats, other: Floats) -> list[float]:
-    """Angles between unit vectors."""
+def _angles(one: Floats, other: Floats) -> list[float]:
+    """Return angles between unit vectors [degrees]."""
     return [2 * degrees(asin(min(1.0, apart / 2))) for apart in _distances(one, other).tolist()]
+
+
+def bias_at_rest(
+    rates: RestRates, dps_per_lsb: Triple, period_s: float, least_range_c: float | None
+) -> Bias | None:
+    """Return the bias, with a slope if that clearly helps on held-out stretches of time; None without rest.
+
+    Args:
+        period_s: time from one sample to the next.
+        least_range_c: range of temperatures that a slope needs; None: no slope is fitted.
+    """
+    if not len(rates):
+        return None
+    dps = rates.gyro_sums / rates.samples[:, np.newaxis] * np.array(dps_per_lsb)
+    weights = rates.samples / rates.samples.max()
+    stretch = np.arange(len(rates)) * STRETCHES // len(rates)
+    constant = _held_out(dps, weights, stretch, None)
+    warmth, reference, with_slope = None, None, None
+    if rates.temperature_sums is not None and least_range_c is not None and constant is not None:
+        celsius = rates.temperature_sums / (1000 * rates.samples)
+        if float(celsius.max() - celsius.min()) >= least_range_c:
+            reference = round(float(quantile(sorted(celsius.tolist()), 0.5)), 3)
+            with_slope = _held_out(dps, weights, stretch, celsius - reference)
+            assert with_slope is not None
+            falls = [one - other for one, other in zip(constant, with_slope, strict=True)]
+            warmth = celsius - reference if interval95(falls)[0] > 0 else None
+    lines = [_line(dps[:, axis], weights, warmth) for axis in range(3)]
+    here = np.zeros(len(dps)) if warmth is None else warmth
+
+    def line_error(axis: int) -> float:
+        return _weighted_error(dps[:, axis] - _on_line(lines[axis], here), weights)
+
+    off = [_lengths(dps), constant, with_slope]
+    raw, fixed, sloped = (None if one is None else mean(one) for one in off)
+    assert raw is not None
+    return Bias(
+        dps=_of_axes(lambda axis: lines[axis][0]),
+        standard_errors=None if len(rates) < 2 else _of_axes(line_error),
+        slope_dps_per_c=_of_axes(lambda axis: lines[axis][1]),
+        reference_c=None if warmth is None else reference,
+        rest_s=float(rates.samples.sum()) * period_s,
+        raw_dps=raw,
+        constant_dps=fixed,
+        slope_dps=sloped,
+    )
+
+
+def _of_axes(value: Callable[[int], float]) -> Triple:
+    return value(0), value(1), value(2)
+
+
+def _held_out(
+    dps: Floats, weights: Floats, stretch: NDArray[np.int64], warmth: Floats | None
+) -> list[float] | None:
+    """Return the mean error [deg/s] of each stretch by lines through the others; None for too few blocks."""
+    if len(dps) < STRETCHES:
+        return None
+    found = []
+    for one in range(STRETCHES):
+        out = stretch == one
+        part = None if warmth is None else warmth[~out]
+        lines = [_line(dps[~out, axis], weights[~out], part) for axis in range(3)]
+        there = np.zeros(int(out.sum())) if warmth is None else warmth[out]
+        off = np.stack([dps[out, axis] - _on_line(lines[axis], there) for axis in range(3)], axis=1)
+        found.append(mean(_lengths(off)))
+    return found
+
+
+def _lengths(dps: Floats) -> list[float]:
+    found: list[float] = np.sqrt(dps[:, 0] ** 2 + dps[:, 1] ** 2 + dps[:, 2] ** 2).tolist()
+    return found
+
+
+def _on_line(line: Line, warmth: Floats) -> Floats:
+    return np.asarray(line[0] + line[1] * warmth)
+
+
+def _line(dps: Floats, weights: Floats, warmth: Floats | None) -> Line:
+    """Fit a line in which distant blocks count less (Huber 1964); it is level without temperatures."""
+    line, robust = (0.0, 0.0), weights
+    for _ in range(ROUNDS):
+        line = _least_squares(dps, robust, warmth)
+        off = np.abs(dps - _on_line(line, np.zeros(len(dps)) if warmth is None else warmth))
+        limit = HUBER * quantile(sorted(off.tolist()), 0.5) / 0.6745
+        if not limit:
+            break
+        robust = weights * np.minimum(1.0, limit / np.maximum(off, 1e-12))
+    return line
+
+
+def _least_squares(dps: Floats, weights: Floats, warmth: Floats | None) -> Line:
+    total = fsum(weights.tolist())
+    level = fsum((weights * dps).tolist()) / total
+    if warmth is None:
+        return level, 0.0
+    centre = fsum((weights * warmth).tolist()) / total
+    apart = warmth - centre
+    square = fsum((weights * apart * apart).tolist())
+    slope = fsum((weights * apart * dps).tolist()) / square if square else 0.0
+    return level - slope * centre, slope
+
+
+def _weighted_error(off: Floats, weights: Floats) -> float:
+    """Return the standard error of a weighted mean by the scatter of at least two blocks."""
+    total = fsum(weights.tolist())
+    square = fsum((weights * weights * off * off).tolist())
+    number = len(off)
+    return sqrt(square * number / (number - 1)) / total

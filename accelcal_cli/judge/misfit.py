@@ -14,15 +14,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, MisfitKind
 from accelcal_cli.core.statistics import interval95, mean
 from accelcal_cli.judge.errors import jacobian, residuals
 from accelcal_cli.judge.model_ladder import folds
-from accelcal_cli.judge.posterior import Bend, Posterior, noise
-from accelcal_cli.judge.sphere import largest_error_mg
+from accelcal_cli.judge.posterior import Bend, Posterior, largest_error_mg, noise
 
 LEAST_MG = 3.0
 LEAST_FALL = 0.15

@@ -13,9 +13,9 @@ from math import cos, inf, radians
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, counted
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE
 from accelcal_cli.core.points import MODELS, Fit, Model, PenalizedFitter, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.core.results import Coverage, Holdout, Trial

@@ -16,8 +16,7 @@ from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Holdout, Judgement, WithoutMisalignment
 from accelcal_cli.judge import model_ladder
 from accelcal_cli.judge.model_ladder import Fitting, Sample, blocked
-from accelcal_cli.judge.posterior import Posterior, posterior
-from accelcal_cli.judge.sphere import sphere_errors
+from accelcal_cli.judge.posterior import Posterior, posterior, sphere_errors
 
 SIMPLER = {"9": "6", "9T": "6T"}
 """Models with misalignment, and those that are left of them without it."""

@@ -18,7 +18,7 @@ from math import radians
 import numpy as np
 from numpy.typing import NDArray
 
-from accelcal_cli.core.rotations import Triple, Turn
+from accelcal_cli.core.gyroscope import Triple, Turn
 
 BLOCK = 32
 """Samples that are gone through one after the other; blocks of them are turned side by side."""

@@ -13,9 +13,9 @@ from math import fsum
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import DivergedError, counted
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, PenalizedFitter, PointSet, Saturated
 from accelcal_cli.core.prior import POPULATION, Prior
@@ -36,10 +36,9 @@ from accelcal_cli.judge.errors import Uncertainty, deviations_mg, lengths_off_mg
 from accelcal_cli.judge.errors import coverage as coverage_of
 from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import Evidence, Fitting, Sample, blocked, postures
-from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against
+from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against, sphere_errors
 from accelcal_cli.judge.rest import ONE_G, picture, why_nothing_still
 from accelcal_cli.judge.simpler import SIMPLER, calibration_of_fit, with_simpler, with_simpler_of_paper
-from accelcal_cli.judge.sphere import sphere_errors
 
 FULL_MODELS = tuple(SIMPLER)
 DIVERGES = "the fit diverges: the points do not determine the parameters"

@@ -18,8 +18,8 @@ from numpy.random import RandomState
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.subsets import SubsetCollector
+from accelcal_cli.core.arithmetic import ONE, to_fixed
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.fixed import ONE, to_fixed
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, Model, Optimizer, PointSet
 from accelcal_cli.optimize import all_optimizers, named_optimizer
 

@@ -15,9 +15,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import LIMIT, ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import LIMIT, ONE
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
 from accelcal_cli.laboratory.cases import Method, Plan, make_case
 

@@ -26,7 +26,7 @@ from accelcal_cli.cli.output import aligned, progress_bars
 from accelcal_cli.core.calibration import Calibration, in_standard_g
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.gravity import STANDARD_GRAVITY, standard_g
-from accelcal_cli.core.rotations import Rest, RestRates, Turn, Turns
+from accelcal_cli.core.gyroscope import Rest, RestRates, Turn, Turns
 from accelcal_cli.core.statistics import mean
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import directions

@@ -25,11 +25,10 @@ from numpy.typing import NDArray
 from accelcal_cli.cli import exit_codes
 from accelcal_cli.cli.options import METHOD, Listed, OneOf
 from accelcal_cli.cli.output import aligned, progress_bars
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import PARAMETER_NAMES
 from accelcal_cli.core.errors import DivergedError, UsageError
-from accelcal_cli.core.fixed import ONE
-from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_charge_mc, predicted_seconds
-from accelcal_cli.core.points import Fit, Operations
+from accelcal_cli.core.points import MICROCONTROLLERS, Fit, Operations, predicted_charge_mc, predicted_seconds
 from accelcal_cli.core.version import __version__
 from accelcal_cli.judge.errors import jacobian
 from accelcal_cli.laboratory.cases import USUAL, Case, Method, Plan, Selection, make_case, methods

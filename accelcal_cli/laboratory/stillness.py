@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from accelcal_cli.cli import exit_codes, options
 from accelcal_cli.cli.output import aligned, each_recording, refuse_both
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.recording import Reader

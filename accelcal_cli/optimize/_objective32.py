@@ -1,7 +1,7 @@
 """The objective in 32-bit fixed point: the weighted mean of (|a|^2 - 1)^2, its gradient and its range.
 
 F eq. 12 without the square root; the mean, not the printed sum, for which the published learning rates
-diverge with 18 points. Values have 29 fraction bits in 32 (core.fixed); products have 58 in 64. Sums of
+diverge with 18 points. Values have 29 fraction bits in 32 (core.arithmetic); products have 58 in 64. Sums of
 products are kept exact or are given head room for 8192 points. Every narrowing is checked, nothing wraps.
 """
 
@@ -13,43 +13,46 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, Fixed, checked, narrow, rounded_quotient
 from accelcal_cli.core.errors import FixedPointOverflowError
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE, Fixed, checked, narrow, rounded_quotient
 from accelcal_cli.core.points import WEIGHT_ONE, Operations, PointSet
 
 VALUE_LIMIT = 2 * ONE
+"""Parameters and points, shifted and calibrated, lie below this."""
+
 RESIDUAL_LIMIT = ONE
 MAX_POINTS = 8192
-_LOW_HALF = (1 << FRACTION_BITS) - 1
 WEIGHT_BITS = WEIGHT_ONE.bit_length() - 1
+_LOW_HALF = (1 << FRACTION_BITS) - 1
 _HEAD_ROOM_BITS = 10
+
 PARAMETERS = 12
 ENTRIES = 6
-"""Of K, the first parameters; three offsets and three slopes follow."""
+"""Number of entries of K, the first parameters; three offsets and three slopes follow."""
 
 ROWS = [0, 1, 2, 1, 2, 2]
 COLUMNS = [0, 1, 2, 0, 0, 1]
-"""Of the entries of K, in the order of the parameters."""
+"""Row and column of each entry of K, in the order of the parameters."""
 
 RISE_TOLERANCE_BITS = 12
-"""A rise of the cost counts from one part in 4096: below that it can be rounding."""
+"""A rise of the cost below one part in 2 to this many can be rounding."""
 
 LEAST_SCALE = ONE // 4
-"""No accelerometer is so far off: a smaller scale means that the points do not determine it."""
+"""Smallest scale of any accelerometer: below it, the points do not determine the scale."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stack:
-    """Several sets of points side by side, as many columns as the largest has points.
+    """k sets of points side by side, n columns for the largest set.
 
-    A smaller set is filled up with its first point, of no weight: it adds nothing to any sum.
+    A smaller set is filled up with its first point at weight zero, which adds nothing to any sum.
 
     Attributes:
-        xyz: (3, k, n), the points of a set one behind the other: else fits take 1.7 times as long.
+        xyz: (3, k, n), the points of a set contiguous: otherwise fits take 1.7 times as long.
         weights: (k, n).
         tau: (k, n), or None without temperatures.
-        number: (k,) points of each set.
-        weight: (k,) sum of the weights of each.
+        number: (k,) number of points of each set.
+        weight: (k,) sum of the weights of each set.
     """
 
     xyz: Fixed
@@ -59,17 +62,17 @@ class Stack:
     weight: list[int]
 
     def select(self, rows: list[int]) -> Stack:
-        """Some of the sets."""
+        """Return some of the sets."""
         tau = None if self.tau is None else self.tau[rows]
         number, weight = [self.number[row] for row in rows], [self.weight[row] for row in rows]
         return Stack(self.xyz[:, rows], self.weights[rows], tau, number, weight)
 
 
 def stacked(sets: Sequence[PointSet]) -> Stack:
-    """Sets of points, none empty, side by side; all have temperatures, or none.
+    """Put sets of points side by side, none of them empty, all with temperatures or none.
 
     Raises:
-        FixedPointOverflowError: one has more than MAX_POINTS points.
+        FixedPointOverflowError: a set has more than MAX_POINTS points.
     """
     number = [len(points) for points in sets]
     width = max(number)
@@ -88,7 +91,7 @@ def stacked(sets: Sequence[PointSet]) -> Stack:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The model at one set of parameters for each set of points: u = v + o + s tau, a = K u, r = |a|^2 - 1.
+    """The model at one vector of parameters for each set: u = v + o + s tau, a = K u, r = |a|^2 - 1.
 
     Attributes:
         shifted, calibrated: u and a, (3, k, n).
@@ -101,9 +104,9 @@ class State:
 
 
 def evaluate(stack: Stack, parameters: Fixed) -> State:
-    """Apply (k, 12) parameters to k sets of points, or to the only one (F eq. 7-9).
+    """Apply (k, 12) parameters to k sets of points, or to the only set (F eq. 7-9).
 
-    It takes 9 additions and 9 multiplications a point.
+    It takes 9 additions and 9 multiplications per point.
 
     Raises:
         FixedPointOverflowError: a parameter, a point or a residual leaves its range.
@@ -124,10 +127,10 @@ def evaluate(stack: Stack, parameters: Fixed) -> State:
 
 
 def cost(stack: Stack, state: State) -> list[int]:
-    """Exact weighted sums of squared residuals, one for each set of parameters.
+    """Return exact weighted sums of squared residuals, one for each vector of parameters.
 
     The unit is 2**-(58 + weight bits); squares are summed in two halves so that nothing is lost.
-    It takes an addition and a multiplication a point.
+    It takes one addition and one multiplication per point.
     """
     squares = state.residual**2
     high = ((squares >> FRACTION_BITS) * stack.weights).sum(axis=1)
@@ -138,14 +141,14 @@ def cost(stack: Stack, state: State) -> list[int]:
 def gradients(
     stack: Stack, state: State, parameters: list[list[int]], free: Sequence[int] = range(PARAMETERS)
 ) -> list[list[int]]:
-    """Gradient of the weighted mean of r^2 of each set, twelve fixed-point integers (29 fraction bits).
+    """Return the gradient of the weighted mean of r^2 of each set, twelve fixed-point integers.
 
     Chain rule on F eq. 7-9: d/dk_ij = 4 mean(r a_i u_j); d/do = 4 K^T mean(r a); d/ds the same
-    with r a tau. It takes 9 additions and 10 multiplications a point.
+    with r a tau. It takes 9 additions and 10 multiplications per point.
 
     Args:
-        free: indices of the parameters for which it is wanted, in order; 0 for those of K and slopes
-            that are not.
+        free: indices of the parameters for which it is needed, in order; entries of K and slopes that are
+            not among them get 0.
     """
     weighted = narrow(state.residual * stack.weights, WEIGHT_BITS)
     force = narrow(weighted * state.calibrated)
@@ -158,7 +161,7 @@ def gradients(
 
 
 def _of_entries(force: Fixed, shifted: Fixed, wanted: list[int]) -> list[list[int]]:
-    """Sums of r a_i u_j of each set, for the entries of K that are wanted; 0 for the others."""
+    """Return sums of r a_i u_j of each set for some entries of K; 0 for the others."""
     found = np.zeros((force.shape[1], ENTRIES), force.dtype)
     if wanted:
         products = np.empty((len(wanted), *force.shape[1:]), force.dtype)
@@ -175,14 +178,14 @@ def _gradient(scale: list[int], plain: list[int], heated: list[int], k: list[int
 
 
 def _sums(products: Fixed) -> list[list[int]]:
-    """Sums over the points of products in units of 2**-29, with head room for MAX_POINTS, by set."""
+    """Return sums of products over the points of each set, in units of 2**-29."""
     totals = narrow(products, _HEAD_ROOM_BITS).sum(axis=2)
     found: list[list[int]] = (totals.T >> (FRACTION_BITS - _HEAD_ROOM_BITS)).tolist()
     return found
 
 
 def _turned_back(k: list[int], force: list[int]) -> list[int]:
-    """K^T times a vector."""
+    """Return K^T times a vector."""
     x, y, z = force
     return [
         (k[0] * x + k[3] * y + k[4] * z) >> FRACTION_BITS,
@@ -192,7 +195,7 @@ def _turned_back(k: list[int], force: list[int]) -> list[int]:
 
 
 def operations_of(points: int, costs: int, gradients: int = 0, others: int = 0) -> Operations:
-    """Those of so many costs and gradients of so many points, and others that come in pairs."""
+    """Return the operations of evaluations on `points` points, and `others` of each kind besides."""
     return Operations(
         (10 * costs + 9 * gradients) * points + others, (10 * costs + 10 * gradients) * points + others
     )

@@ -1,7 +1,8 @@
-"""The objective in fixed point with a penalty, by Gauss-Newton steps.
+"""The minimum of the objective in fixed point with a penalty (a prior), by Gauss-Newton steps.
 
-Objective, gradient and parameters are integers. Floating point only says how far a step goes, by operations
-whose order never changes (core.linear), and no step is taken that raises the exact sum.
+Objective, gradient and parameters are integers. Floating point only determines how far a step goes, by
+operations in a fixed order (`core.arithmetic`), and no step is taken that raises the exact sum. Apart from
+`fixed32`, in which no number is floating.
 """
 
 from __future__ import annotations
@@ -11,9 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS, inverse, narrow, rounded_quotient
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
-from accelcal_cli.core.fixed import FRACTION_BITS, narrow, rounded_quotient
-from accelcal_cli.core.linear import inverse
 from accelcal_cli.core.points import (
     PENALTY_BITS,
     WEIGHT_ONE,
@@ -40,16 +40,18 @@ from accelcal_cli.optimize._objective32 import (
 )
 
 JACOBIAN_BITS = 14
-"""Fraction bits of the entries of J in `curvature`: sums of their products hold MAX_POINTS points."""
+"""Fraction bits of the entries of J in `curvature`, so that sums of their products hold MAX_POINTS points."""
 
 STEP_BITS = 40
+"""Fraction bits of the inverse curvature that a Gauss-Newton step is multiplied by."""
+
 MAX_NEWTON_STEPS = 100
 
 
 def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Model) -> list[list[float]]:
-    """Weighted mean of J^T J of one set of points, J = d(|a|^2 - 1)/dp of the model's free parameters.
+    """Return the weighted mean of J^T J of one set of points, J = d(|a|^2 - 1)/dp of the free parameters.
 
-    Sums of integers, so that it does not depend on the order of the points.
+    The sums are of integers, so the order of the points does not matter.
 
     Args:
         model: one with offsets, as all but "0" have.
@@ -73,10 +75,10 @@ def curvature(stack: Stack, state: State, parameters: tuple[int, ...], model: Mo
 
 
 def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple[int, ...]) -> PenalizedFit:
-    """The minimum of the objective with a penalty, by Gauss-Newton steps on integers.
+    """Find the minimum of the objective with a penalty by Gauss-Newton steps on integers.
 
     A step that raises the exact sum by more than rounding can is halved. The descent ends where the step is
-    no more than what the last bits of the gradient make of it, or where it comes back to a place.
+    within the rounding of the gradient, or where it returns to parameters that it had before.
 
     Raises:
         FixedPointOverflowError: a value leaves its range, or there are more than MAX_POINTS points.
@@ -106,7 +108,7 @@ def fit_penalized(points: PointSet, model: Model, penalty: Penalty, start: tuple
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where the descent stands.
+    """Parameters that the descent has reached.
 
     Attributes:
         total: the exact objective in units of 2**-(58 + weight bits + PENALTY_BITS).
@@ -118,7 +120,7 @@ class _Place:
 
 
 def _at(stack: Stack, parameters: tuple[int, ...], penalty: Penalty) -> _Place:
-    """The place of parameters; raises FixedPointOverflowError beyond the range."""
+    """Evaluate parameters; raises FixedPointOverflowError beyond the range."""
     state = evaluate(stack, np.array([parameters], np.int64))
     away = zip(parameters, penalty.centre, penalty.strength, strict=True)
     added = sum(strength * (value - centre) ** 2 for value, centre, strength in away)
@@ -126,25 +128,24 @@ def _at(stack: Stack, parameters: tuple[int, ...], penalty: Penalty) -> _Place:
 
 
 def _lower(stack: Stack, here: _Place, step: list[int], penalty: Penalty) -> _Place | None:
-    """Where a step leads, or the largest part of it that raises the sum by no more than rounding can, None
-    where no part does."""
+    """Take a step, halved until the sum rises by no more than rounding can; None if no part of it does."""
     while any(step):
         parameters = tuple(value - change for value, change in zip(here.parameters, step, strict=True))
         with suppress(FixedPointOverflowError):
             there = _at(stack, parameters, penalty)
             if there.total <= here.total + (here.total >> RISE_TOLERANCE_BITS):
                 return there
-        step = [_half(change) for change in step]
+        step = [change // 2 if change > 0 else -(-change // 2) for change in step]  # towards zero
     return None
 
 
 def _newton_step(
     stack: Stack, here: _Place, around: list[list[float]], model: Model, penalty: Penalty
 ) -> list[int]:
-    """What a Gauss-Newton step takes off the parameters; zeros if the gradient's last bits make as much.
+    """Return what a Gauss-Newton step takes off the parameters; zeros if it is within rounding.
 
     Args:
-        around: the curvature there.
+        around: the curvature at `here`.
     """
     parameters, weight = here.parameters, stack.weight[0]
     (slope,) = gradients(stack, here.state, [list(parameters)], model.free)
@@ -165,8 +166,3 @@ def _newton_step(
         step[index] = rounded_quotient(moved, (weight << PENALTY_BITS) << (STEP_BITS + 1))
         rounding &= abs(step[index]) <= sum(map(abs, row)) >> (STEP_BITS + 1)
     return [0] * len(parameters) if rounding else step
-
-
-def _half(change: int) -> int:
-    """Half of it, towards zero."""
-    return change // 2 if change > 0 else -(-change // 2)

@@ -1,6 +1,6 @@
 """F's gradient descent in 32-bit fixed point: integers from the points to the coefficients.
 
-From the ideal sensor down the objective of `_objective32`. Farago, Maczak, Gingl 2024, section II.C.
+From the ideal sensor down the objective of `_objective32` (Farago, Maczak, Gingl 2024, section II.C).
 """
 
 from __future__ import annotations
@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import FRACTION_BITS, ONE, rounded_quotient
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
 from accelcal_cli.optimize._objective32 import (
     LEAST_SCALE,
@@ -27,11 +27,13 @@ from accelcal_cli.optimize._objective32 import (
 from accelcal_cli.optimize._penalized32 import fit_penalized
 
 RATE_BITS = 24
+"""Fraction bits of a learning rate."""
+
 SMALL_STEP = 1
-"""Steps of at most so many least significant bits are taken without momentum."""
+"""Largest step [least significant bits] that is taken without momentum."""
 
 RATES_OF_F = {"scale": 0.3, "misalignment": 0.8, "offset": 0.2, "slope": 0.2}
-"""F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
+"""Learning rates of F section II.C; the slopes act on the offsets through scaled temperatures of order 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +41,10 @@ class Settings:
     """Numbers of the descent.
 
     Attributes:
-        max_iterations: bound on the iterations.
+        max_iterations: largest number of iterations.
         converge: stop when every step is below one least significant bit, and halve the rates
             when the cost rises; otherwise run all iterations.
-        forward_step: h of F eq. 13 in fixed point; 0: the exact gradient instead.
+        forward_step: h of F eq. 13 in fixed point; 0 for the exact gradient.
         keep_history: return the parameters after every iteration.
     """
 
@@ -69,13 +71,13 @@ def fit(points: PointSet, model: Model, settings: Settings = DEFAULT) -> Fit:
 
 
 def fit_each(sets: Sequence[PointSet], model: Model, settings: Settings = DEFAULT) -> list[Fit]:
-    """Fit each of some sets of points, all with temperatures or none; the same bits as one by one.
+    """Fit several sets of points, all with temperatures or none, with the same bits as one by one.
 
-    The sets go through the descent together: each step is a few operations on arrays, whose cost hardly
-    depends on the number of sets.
+    The sets descend together: each step is a few operations on arrays, whose cost hardly depends on the
+    number of sets.
 
     Raises:
-        FixedPointOverflowError, DivergedError: see `fit`; one set is enough.
+        FixedPointOverflowError, DivergedError: one of the sets raises it, see `fit`.
     """
     filled = [points for points in sets if model.free and len(points)]
     if not all(points.weights.any() for points in filled):
@@ -94,12 +96,12 @@ def _rates(settings: Settings) -> list[int]:
 
 
 def _forward(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
-    """F's iteration to the letter, set by set: forward differences, fixed rates, so many iterations."""
+    """Run F's iteration to the letter, set by set: forward differences, fixed rates and iterations."""
     return [_forward_of_one(stacked((points,)), model, settings) for points in sets]
 
 
 def _forward_of_one(stack: Stack, model: Model, settings: Settings) -> Fit:
-    """The fit to one set.
+    """Fit one set.
 
     The update is counted as F does, an addition and a multiplication for each group of three
     parameters with one learning rate: M (100 N + 3) in all for nine parameters.
@@ -129,17 +131,17 @@ class _Descent:
     Candes 2015) and where the cost rises; a rise after a plain step halves the rates.
 
     Attributes:
-        points: how many there are.
+        points: number of points.
         free: indices of the parameters that may change.
         rates: twelve learning rates.
         keep_history: see `Settings`.
-        here, before: where it stands, and stood a step ago.
-        best, lowest: where the cost was lowest so far, and that cost.
+        here, before: parameters now and a step ago.
+        best, lowest: parameters of the lowest cost so far, and that cost.
         age: steps since the momentum was dropped.
-        quiet: steps without momentum since the last one that had it, or found a lower cost.
-        mark: where one of these began (Brent 1980: the 1st, 2nd, 4th, 8th ...).
-        stop: why it ended.
-        costs, gradients: how many it took.
+        quiet: steps without momentum since the last one that had it or found a lower cost.
+        mark: parameters where a quiet step began, the 1st, 2nd, 4th, 8th ... of them (Brent 1980).
+        stop: why the descent ended.
+        costs, gradients: numbers of their evaluations.
     """
 
     points: int
@@ -159,17 +161,17 @@ class _Descent:
     history: list[tuple[int, ...]] = field(default_factory=list)
 
     def ahead(self) -> list[int]:
-        """Where momentum carries it: there cost and gradient are wanted."""
+        """Return the parameters to which momentum leads, where cost and gradient are evaluated next."""
         if not self.age:
             return self.here
         age, pairs = self.age, zip(self.here, self.before, strict=True)
         return [here + (here - before) * age // (age + 3) for here, before in pairs]
 
     def advance(self, ahead: list[int], cost: int, slope: list[int]) -> list[int] | None:
-        """Go a step on from `ahead`, or back to the best place; where it ends, if it does.
+        """Take a step from `ahead`, or go back to the best parameters; return the result if this ends it.
 
-        It ends where the step vanishes; or at the best place if rounding leads it round in a circle, from
-        which nothing could take it: quiet steps depend on nothing but the place.
+        It ends where the step vanishes; or at the best parameters if rounding leads it round in a circle,
+        which it would never leave: quiet steps depend on the parameters alone.
         """
         self.costs += 1
         if self.lowest is not None and cost > self.lowest + (self.lowest >> RISE_TOLERANCE_BITS):
@@ -187,11 +189,13 @@ class _Descent:
             self.stop = "step below one bit"
             return ahead
         self.before, self.here = self.here, after
-        self.age = self.age + 1 if self._strides(ahead) and self._downhill(slope) else 0
+        far = any(abs(after[index] - ahead[index]) > SMALL_STEP for index in self.free)
+        downhill = sum(slope[index] * (after[index] - self.before[index]) for index in self.free) < 0
+        self.age = self.age + 1 if far and downhill else 0
         return self._circling(ahead)
 
     def _circling(self, ahead: list[int]) -> list[int] | None:
-        """The best place, if quiet steps have come back to where one of them began."""
+        """Return the best parameters if quiet steps have come back to where one of them began."""
         if not self.quiet or self.age:
             return None
         if self.quiet & (self.quiet - 1) == 0:
@@ -207,23 +211,14 @@ class _Descent:
             after[index] -= rounded_quotient(slope[index] * self.rates[index], 1 << RATE_BITS)
         return after
 
-    def _strides(self, ahead: list[int]) -> bool:
-        """Whether the step from `ahead` is more than a small one."""
-        here = self.here
-        return any(abs(here[index] - ahead[index]) > SMALL_STEP for index in self.free)
-
-    def _downhill(self, slope: list[int]) -> bool:
-        here, before = self.here, self.before
-        return sum(slope[index] * (here[index] - before[index]) for index in self.free) < 0
-
-    def found(self, parameters: list[int], iterations: int) -> Fit:
-        """What came of it."""
+    def result(self, parameters: list[int], iterations: int) -> Fit:
+        """Return the fit with these parameters."""
         operations = operations_of(self.points, self.costs, self.gradients)
         return Fit(tuple(parameters), iterations, self.stop, operations, tuple(self.history))
 
 
 def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> list[Fit]:
-    """All sets at a time, each until its step vanishes."""
+    """Fit all sets together, each until its step vanishes."""
     if not sets:
         return []
     rates, keep, last = _rates(settings), settings.keep_history, settings.max_iterations
@@ -238,14 +233,14 @@ def _accelerated(sets: Sequence[PointSet], model: Model, settings: Settings) -> 
         places = {row: descents[row].advance(ahead, c, slope) for row, ahead, c, slope in of_each}
         ended = {row: place for row, place in places.items() if place is not None}
         for row, place in ended.items():
-            fits[row] = descents[row].found(place, iteration)
+            fits[row] = descents[row].result(place, iteration)
         if len(ended) == len(left):
             break
         if ended:
             stack = stack.select([place for place, row in enumerate(left) if row not in ended])
             left = [row for row in left if row not in ended]
     of_all = zip(fits, descents, strict=True)
-    return [fit or descent.found(descent.best, last) for fit, descent in of_all]
+    return [fit or descent.result(descent.best, last) for fit, descent in of_all]
 
 
 OPTIMIZER = Optimizer(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS, LIMIT, ONE, to_float
 from accelcal_cli.core.calibration import (
     IDENTITY,
     PARAMETER_NAMES,
@@ -21,7 +22,6 @@ from accelcal_cli.core.calibration import (
     TemperatureScale,
 )
 from accelcal_cli.core.errors import UnreadableError, printable
-from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE, to_float
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.core.prior import LearntPrior, Prior, Source

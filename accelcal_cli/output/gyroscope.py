@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from accelcal_cli.core.rotations import EQUATION, Bias, Gyroscope, TurnHoldout
+from accelcal_cli.core.gyroscope import EQUATION, Bias, Gyroscope, TurnHoldout
 from accelcal_cli.output.report import significant
 
 

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout, TimeRows
 from accelcal_cli.core.version import __version__

@@ -12,16 +12,15 @@ from math import floor, log10
 from typing import Any
 
 from accelcal_cli.core import results
+from accelcal_cli.core.arithmetic import FRACTION_BITS
 from accelcal_cli.core.calibration import PARAMETER_NAMES, UPPER_NAMES, Calibration
 from accelcal_cli.core.clock import iso_time
 from accelcal_cli.core.errors import printable
-from accelcal_cli.core.fixed import FRACTION_BITS
+from accelcal_cli.core.gyroscope import Gyroscope
 from accelcal_cli.core.local_time import ZoneChange, zone_of_times
-from accelcal_cli.core.operations import predicted_seconds
-from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet
+from accelcal_cli.core.points import PENALTY_BITS, WEIGHT_ONE, Arithmetic, Fit, PointSet, predicted_seconds
 from accelcal_cli.core.recording import Problem, Recording
 from accelcal_cli.core.results import Facts, Judgement
-from accelcal_cli.core.rotations import Gyroscope
 from accelcal_cli.core.settings import EffectiveSettings
 from accelcal_cli.core.version import __version__
 from accelcal_cli.output.coefficients import coefficients_json

@@ -13,8 +13,8 @@ from itertools import accumulate, pairwise
 from math import ceil
 from typing import Any, TypeVar
 
-from accelcal_cli.collect.cell_points import MAX_POINTS
 from accelcal_cli.collect.cells import MAX_BLOCKS
+from accelcal_cli.collect.grid import MAX_POINTS
 from accelcal_cli.output.report_view import ReportRecording, ReportView
 from accelcal_cli.output.words import number
 

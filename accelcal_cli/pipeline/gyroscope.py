@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.collect.turns import GyroWindows, TurnCollector
+from accelcal_cli.core.gyroscope import Gyroscope, Turns
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, Recording, Validity
 from accelcal_cli.core.results import Judgement
-from accelcal_cli.core.rotations import Gyroscope, Turns
 from accelcal_cli.core.settings import DEFAULT, Settings
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.survey import Observer

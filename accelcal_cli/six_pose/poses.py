@@ -19,9 +19,9 @@ from math import cos, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import LIMIT, ONE, rounded_quotient, to_fixed
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError, UsageError
-from accelcal_cli.core.fixed import LIMIT, ONE, rounded_quotient, to_fixed
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.results import ErrorSummary
 from accelcal_cli.core.settings import PoseSettings

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import DivergedError, UsageError, printable
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.six_pose.listing import Listed, Place, moment

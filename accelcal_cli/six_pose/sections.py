@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from accelcal_cli.core.arithmetic import to_float
 from accelcal_cli.core.clock import iso_time
-from accelcal_cli.core.fixed import to_float
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output.report import rounded, significant, summary_json
 from accelcal_cli.six_pose.poses import (

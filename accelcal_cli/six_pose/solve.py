@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import LIMIT, ONE, checked, to_fixed
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.errors import DivergedError, counted
-from accelcal_cli.core.fixed import LIMIT, ONE, checked, to_fixed
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import (

@@ -8,9 +8,9 @@ from math import sqrt
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.errors import counted
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Operations, PointSet
 from accelcal_cli.core.results import Coverage, FitErrors, Holdout, Judgement, Outcome, Trial
 from accelcal_cli.core.settings import PoseSettings

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 
 from accelcal_cli.collect import cells
 from accelcal_cli.collect.cells import CellCollector, CellCounts
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Correction
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Windows, joined_windows
 from accelcal_cli.core.settings import DEFAULT
 from accelcal_cli.segment import still_rule

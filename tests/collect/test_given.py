@@ -8,7 +8,7 @@ import numpy as np
 
 from accelcal_cli.collect.cells import CellCollector
 from accelcal_cli.collect.table import Table, given_points
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import WEIGHT_ONE
 from accelcal_cli.core.settings import DEFAULT
 from tests.collect.made import plain, windows

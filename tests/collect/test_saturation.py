@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from accelcal_cli.collect.saturation import Saturation
+from accelcal_cli.collect.cells import Saturation
 from accelcal_cli.core.points import Windows
 from tests.cli.run import run
 from tests.optimize.oracle import directions as even_directions

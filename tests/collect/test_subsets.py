@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.collect.subsets import PaperCollector, SubsetCollector
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Role
 from accelcal_cli.core.settings import DEFAULT, PAPER
 from tests.collect.made import windows

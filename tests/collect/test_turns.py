@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli.collect import turns
 from accelcal_cli.collect.turns import GyroWindows, TurnCollector
-from accelcal_cli.core.rotations import Turns
+from accelcal_cli.core.gyroscope import Turns
 
 LENGTH, RATE = 10, 10.0
 UP, ASIDE = (0, 0, 256), (256, 0, 0)

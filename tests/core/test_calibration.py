@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Correction
-from accelcal_cli.core.fixed import ONE
 
 FLAT = (ONE, ONE, ONE)
 HALF = (ONE // 2, ONE, 2 * ONE)

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from accelcal_cli.core.operations import MICROCONTROLLERS, predicted_charge_mc, predicted_seconds
-from accelcal_cli.core.points import Arithmetic, Operations
+from accelcal_cli.core.points import (
+    MICROCONTROLLERS,
+    Arithmetic,
+    Operations,
+    predicted_charge_mc,
+    predicted_seconds,
+)
 
 PAPER = Operations(50 * (18 * 100 + 3), 50 * (18 * 100 + 3))
 

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, PARAMETER_NAMES, Calibration, TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, PointSet, WindowCounts, Windows
 from accelcal_cli.core.results import ErrorSummary, Holdout
 from accelcal_cli.core.settings import DEFAULT, PAPER, PROFILES

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.exports.coefficients import Handed, biobank, cost, decimal, ggir, handed, omconvert
 from tests.device_recordings import donor, edit
 

@@ -13,10 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.rolling import rolling_means, width_for
 from accelcal_cli.exports.data import Wanted, export_data
 from accelcal_cli.exports.rows import Rows
-from accelcal_cli.exports.smooth import smoothed
+from accelcal_cli.exports.smooth import rolling_means, smoothed, width_for
 from tests.cli.run import run
 from tests.device_recordings import donor
 from tests.exports.test_data import changed, read, source

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import MODELS, PointSet, Role, Windows
 from accelcal_cli.core.recording import Chunk, Recording, Validity

@@ -9,8 +9,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.results import Change
 from accelcal_cli.judge.change import ChangeSearch, told

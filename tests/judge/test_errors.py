@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.judge import errors
 from tests.optimize.oracle import calibrated, points
 

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import TemperatureScale
 from accelcal_cli.core.errors import FixedPointOverflowError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Trial
 from accelcal_cli.core.settings import DEFAULT

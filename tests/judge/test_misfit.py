@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.prior import POPULATION
 from accelcal_cli.core.results import Misfit, SphereError
 from accelcal_cli.judge.misfit import MisfitSearch, told
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.posterior import Posterior, posterior
-from accelcal_cli.judge.sphere import sphere_errors
+from accelcal_cli.judge.posterior import Posterior, posterior, sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.judge.made import NINE, WARM
 from tests.optimize.oracle import directions, measured, points

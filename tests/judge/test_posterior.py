@@ -7,14 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.prior import POPULATION, Prior
 from accelcal_cli.judge.errors import uncertainty
 from accelcal_cli.judge.model_ladder import postures
-from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against
-from accelcal_cli.judge.sphere import sphere_errors
+from accelcal_cli.judge.posterior import Posterior, posterior, speaks_against, sphere_errors
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.optimize.oracle import IDEAL, directions, measured, points
 

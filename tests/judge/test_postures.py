@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.judge.model_ladder import folds, postures, temperature_blocks
 from tests.optimize.oracle import directions, points, random_directions

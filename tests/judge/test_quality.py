@@ -8,8 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, Correction
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.points import TimedMeans
 from accelcal_cli.core.results import Change

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from accelcal_cli.core.rotations import Bias, RestRates
-from accelcal_cli.judge.restrates import bias_at_rest
+from accelcal_cli.core.gyroscope import Bias, RestRates
+from accelcal_cli.judge.gyroscope import bias_at_rest
 
 DPS = (0.1, 0.1, 0.2)
 

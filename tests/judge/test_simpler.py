@@ -9,9 +9,9 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import in_standard_g
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import MODELS, Fit, Model, PointSet
 from accelcal_cli.core.results import Judgement, Outcome

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import Gravity
 from accelcal_cli.core.points import WEIGHT_ONE, PointSet
 from accelcal_cli.core.results import Holdout

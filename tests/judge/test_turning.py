@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from accelcal_cli.core.rotations import Rest, Turn
+from accelcal_cli.core.gyroscope import Rest, Turn
 from accelcal_cli.judge.turning import BATCH_BLOCKS, BLOCK, Gravity
 
 QUIET = Rest(0, 100, (0, 0, 256 * 100), (0, 0, 0), None)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, PAPER

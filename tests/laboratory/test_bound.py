@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.laboratory.cases import Plan, make_case
 from accelcal_cli.laboratory.simulation import expected_errors, fisher_information
 from tests.optimize.oracle import calibrated, measured

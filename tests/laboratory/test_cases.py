@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import UsageError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE
 from accelcal_cli.laboratory.cases import Case, Plan, Selection, make_case
 from tests.optimize.oracle import calibrated

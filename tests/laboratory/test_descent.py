@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.laboratory.cases import Plan, make_case, methods
 from accelcal_cli.laboratory.descent import Numbers, Objective, convergence, descent, trace
 from accelcal_cli.laboratory.simulation import Protocol, in_gauge

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import Fit, Model, Operations, PointSet
 from accelcal_cli.laboratory.cases import Method, Plan, make_case, methods
 from accelcal_cli.laboratory.simulation import TABLE_2, Protocol, Scores, Table, expected_errors, run

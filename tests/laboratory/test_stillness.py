@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration, TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.core.points import PointSet
 from accelcal_cli.core.settings import DEFAULT, STILLNESS

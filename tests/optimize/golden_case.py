@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, PointSet
 from accelcal_cli.optimize import fixed32
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, TemperatureScale
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Model, Operations, PointSet
 
 IDEAL = np.array([1.0, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0])

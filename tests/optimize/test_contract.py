@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import LIMIT, ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, UsageError
-from accelcal_cli.core.fixed import LIMIT, ONE
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, Optimizer, PointSet
 from accelcal_cli.core.settings import PROFILES
 from accelcal_cli.optimize import all_optimizers, named_optimizer

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from accelcal_cli.core import fixed
+from accelcal_cli.core import arithmetic
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, PointSet
 from accelcal_cli.optimize import _objective32, fixed32
 from tests.judge.made import NINE, spread
@@ -173,7 +173,7 @@ def test_no_float_takes_part_outside_the_tables_of_settings(module: ModuleType) 
 
 def test_the_helpers_of_the_arithmetic_keep_integers() -> None:
     values = np.array([3, -5], np.int64)
-    assert fixed.narrow(values, 1).dtype == np.int64
+    assert arithmetic.narrow(values, 1).dtype == np.int64
     assert type(fixed32.rounded_quotient(7, 2)) is int
 
 

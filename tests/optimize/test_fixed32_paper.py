@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import FixedPointOverflowError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, Operations, PointSet
 from accelcal_cli.optimize import fixed32
 from tests.optimize.oracle import drawn_errors, measured, paper_descent, points, random_directions

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.arithmetic import LIMIT, ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
-from accelcal_cli.core.fixed import LIMIT, ONE
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Fit, PointSet
 from accelcal_cli.optimize import fixed32
 from accelcal_cli.optimize._objective32 import MAX_POINTS, cost, evaluate, gradients, stacked

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS
 from accelcal_cli.optimize import gauss_newton
 from accelcal_cli.optimize.gauss_newton import DEFAULT

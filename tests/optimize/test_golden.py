@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.points import MODELS
 from tests.optimize.golden_case import GOLDEN, case, results
 from tests.optimize.oracle import least_squares, paper_descent

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares as solve
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, PENALTY_BITS, WEIGHT_ONE, Penalty, PointSet
 from accelcal_cli.optimize.fixed32 import OPTIMIZER
 from tests.optimize.oracle import IDEAL, directions, drawn_errors, measured, points, random_directions

@@ -21,9 +21,9 @@ from hypothesis import strategies as st
 
 from accelcal_cli.core.clock import Clock, StampClock
 from accelcal_cli.core.errors import OutputError
+from accelcal_cli.core.gyroscope import Bias, Gyroscope
 from accelcal_cli.core.recording import Chunk, Recording
 from accelcal_cli.core.results import Facts, SampleCounts
-from accelcal_cli.core.rotations import Bias, Gyroscope
 from accelcal_cli.output.columns import NO_RATE, NO_TEMPERATURE_MC, columns_of, schema_of
 from accelcal_cli.output.files import refuse_foreign, written_by_us
 from accelcal_cli.parquet import Column, Memory, Numbers, ParquetSink, sink, thrift

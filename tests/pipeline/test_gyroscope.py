@@ -16,7 +16,7 @@ import pytest
 
 from accelcal_cli.core.calibration import IDENTITY, Calibration
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.rotations import Turns
+from accelcal_cli.core.gyroscope import Turns
 from accelcal_cli.judge.gyroscope import judge_gyroscope
 from accelcal_cli.pipeline.gyroscope import turning
 from accelcal_cli.pipeline.survey import open_marked

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from accelcal_cli.core.fixed import ONE
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.six_pose.poses import FACES, Pose, Session, State
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE, to_fixed
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE, to_fixed
 from accelcal_cli.core.points import Windows
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.poses import FACES, Session, find_faces

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError, UsageError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.settings import PoseSettings
 from accelcal_cli.six_pose.listing import read_list
 from accelcal_cli.six_pose.poses import Session, find_listed

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import Calibration
 from accelcal_cli.core.clock import UniformClock
 from accelcal_cli.core.errors import DivergedError, UsageError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.recording import Chunk, Validity
 from accelcal_cli.six_pose.roll import Rolled, Sums, rolled, rolls_of, span_of_roll, sums_of, told

@@ -7,8 +7,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.six_pose.solve import calibrated, check_range, condition_number, solve, uncertainty
 from tests.six_pose.known import poses_of, stacked

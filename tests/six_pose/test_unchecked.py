@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.gravity import STANDARD
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import PoseSettings

@@ -23,8 +23,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.factory import FactoryAcceleration, FactoryCalibration, FactoryTemperature
-from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Chunk, Problem, clipped_at
+from accelcal_cli.core.recording import (
+    FLOAT_LSB_PER_G,
+    Chunk,
+    FactoryAcceleration,
+    FactoryCalibration,
+    FactoryTemperature,
+    Problem,
+    clipped_at,
+)
 from accelcal_cli.formats.gt3x import records as log
 from accelcal_cli.formats.gt3x.archive import CALIBRATION, TEMPERATURE_CALIBRATION, Archive, small_part
 from accelcal_cli.formats.gt3x.records import Batch, Records

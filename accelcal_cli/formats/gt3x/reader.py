@@ -20,13 +20,14 @@ import numpy as np
 
 from accelcal_cli.core.clock import MICROSECONDS, WIDEST_OFFSET_H
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.core.factory import FactoryAcceleration, FactoryTemperature
 from accelcal_cli.core.formats import ReadOptions, agreed_rate, probe_file
 from accelcal_cli.core.recording import (
     FLOAT_LSB_PER_G,
     LARGEST_LSB_PER_G,
     Chunk,
     Device,
+    FactoryAcceleration,
+    FactoryTemperature,
     Problem,
     Reader,
     Recording,

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from accelcal_cli.core.arithmetic import FRACTION_BITS
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, FixedPointOverflowError
-from accelcal_cli.core.fixed import FRACTION_BITS
 from accelcal_cli.core.points import WEIGHT_ONE, Fit, Model, Operations, Optimizer, PointSet
 
 BITS = 13

@@ -15,7 +15,7 @@ import numpy as np
 
 from accelcal_cli.core.errors import DivergedError, UsageError
 from accelcal_cli.core.points import Fit, Model, Operations, Optimizer, PointSet
-from accelcal_cli.optimize._float import (
+from accelcal_cli.optimize.gauss_newton import (
     ENTRIES,
     FloatPoints,
     Real,

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import FixedPointOverflowError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, WEIGHT_ONE, Operations
 from accelcal_cli.laboratory.optimizers import fixed16
 from tests.optimize.oracle import directions, measured, points

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY
 from accelcal_cli.core.errors import DivergedError, UsageError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, Operations, PointSet
 from accelcal_cli.laboratory.optimizers.minimizers import (
     BFGS_DEFAULT,
@@ -24,7 +24,7 @@ from accelcal_cli.laboratory.optimizers.minimizers import (
     gradient,
 )
 from accelcal_cli.laboratory.optimizers.minimizers import cost as cost_of
-from accelcal_cli.optimize import _float, all_optimizers, fixed32, named_optimizer
+from accelcal_cli.optimize import all_optimizers, fixed32, gauss_newton, named_optimizer
 from tests.optimize.oracle import (
     IDEAL,
     directions,
@@ -100,7 +100,7 @@ def test_the_gradient_is_the_slope_of_the_cost() -> None:
     tau, weights = random.uniform(-1.5, 1.5, 30), random.uniform(0.1, 1, 30)
     held = points(directions(30), weights=weights, tau=tau)
     p = IDEAL + 0.02 * random.standard_normal(12)
-    real = _float.as_floats(held)
+    real = gauss_newton.as_floats(held)
     state = evaluate(real, p)
     w = held.weights / held.weights.sum()
 
@@ -115,7 +115,7 @@ def test_the_gradient_is_the_slope_of_the_cost() -> None:
 @pytest.mark.parametrize("broken", [[np.nan], [np.inf], [4.0], [-1.0], [0.0]])
 def test_parameters_that_mean_nothing_are_refused(broken: list[float]) -> None:
     with pytest.raises(DivergedError):
-        _float.as_integers(np.array(broken + [1.0, 1.0] + [0.0] * 9))
+        gauss_newton.as_integers(np.array(broken + [1.0, 1.0] + [0.0] * 9))
 
 
 @pytest.mark.parametrize("model", ["6", "9", "9T"])
@@ -134,8 +134,8 @@ def test_single_precision_of_profile_paper_agrees_with_double_precision_to_four_
 
 
 def test_everything_of_it_stays_in_single_precision() -> None:
-    held = _float.as_floats(made(1, 20, warm=True, weighted=True), np.float32)
-    p = _float.ideal(np.float32)
+    held = gauss_newton.as_floats(made(1, 20, warm=True, weighted=True), np.float32)
+    p = gauss_newton.ideal(np.float32)
     state = evaluate(held, p)
     results = [held.v, held.tau, held.weights, state.shifted, state.calibrated, state.residual]
     results += [cost_of(held, state), gradient(held, state, p)]

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.errors import DivergedError
-from accelcal_cli.core.fixed import ONE
 from accelcal_cli.core.points import MODELS, PointSet
 from accelcal_cli.laboratory.optimizers.minimizers import FLOAT64
 from accelcal_cli.laboratory.optimizers.regressions import (

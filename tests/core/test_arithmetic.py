@@ -1,4 +1,4 @@
-"""Fixed point against Fractions."""
+"""Fixed-point integers, and small symmetric systems against numpy."""
 
 from __future__ import annotations
 
@@ -10,8 +10,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from accelcal_cli.core.arithmetic import (
+    FRACTION_BITS,
+    LIMIT,
+    ONE,
+    checked,
+    cholesky,
+    inverse,
+    narrow,
+    to_fixed,
+    to_float,
+)
 from accelcal_cli.core.errors import FixedPointOverflowError
-from accelcal_cli.core.fixed import FRACTION_BITS, LIMIT, ONE, checked, narrow, to_fixed, to_float
 
 
 def test_the_format_is_32_bits_with_29_of_fraction() -> None:
@@ -63,3 +73,29 @@ def test_a_narrower_limit_can_be_asked_for(value: int) -> None:
 
 def test_nothing_is_within_every_range() -> None:
     assert checked(np.empty(0, np.int64), "nothing").size == 0
+
+
+def positive(size: int, seed: int) -> np.ndarray:
+    half = np.random.default_rng(seed).standard_normal((size + 2, size))
+    return np.asarray(half.T @ half)
+
+
+@given(st.integers(1, 12), st.integers(0, 1000))
+def test_they_are_what_numpy_finds(size: int, seed: int) -> None:
+    matrix = positive(size, seed)
+    scale = np.linalg.cond(matrix) * 1e-13
+    assert np.abs(np.array(cholesky(matrix.tolist())) - np.linalg.cholesky(matrix)).max() < scale
+    back = np.array(inverse(matrix.tolist()))
+    assert np.abs(back - np.linalg.inv(matrix)).max() < scale * np.abs(back).max()
+    assert (back == back.T).all()
+
+
+def test_by_hand() -> None:
+    assert cholesky([[4.0, 2.0], [2.0, 10.0]]) == [[2.0, 0.0], [1.0, 3.0]]
+    assert inverse([[4.0, 0.0], [0.0, 0.0625]]) == [[0.25, 0.0], [0.0, 16.0]]
+
+
+@pytest.mark.parametrize("matrix", [[[0.0]], [[1.0, 1.0], [1.0, 1.0]], [[-1.0]], [[1.0, 2.0], [2.0, 1.0]]])
+def test_what_is_not_positive_definite_is_refused(matrix: list[list[float]]) -> None:
+    with pytest.raises(ValueError, match="positive definite"):
+        inverse(matrix)
