@@ -28,6 +28,11 @@ GZIP_MAGIC, ZIP_MAGIC = b"\x1f\x8b", b"PK\x03\x04"
 RATE_AGREEMENT = 0.05
 
 
+def is_text(head: bytes) -> bool:
+    """Return True if all bytes are such as text has."""
+    return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
+
+
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
     """What the user states about a recording; None: to be found out from the file.

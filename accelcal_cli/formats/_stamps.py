@@ -18,6 +18,12 @@ NO_TIME, IMPOSSIBLE, LOST = -(1 << 62), -(1 << 62) + 1, -(1 << 62) + 2
 year 1), and for one in a lost part of the file; far enough from every real one to subtract without
 overflow."""
 
+EPOCH_DAYS = (25_569.0, 719_529.0)
+"""1970-01-01 as spreadsheets (from 1899-12-30) and as MATLAB (from the year 0) number days."""
+
+PLAUSIBLE_HZ = (5.0, 800.0)
+"""Wide enough for every actigraph; narrow enough that only one unit of time fits."""
+
 GAP_PERIODS = 3
 """A step of more sample periods is a gap."""
 

@@ -19,7 +19,7 @@ from accelcal_cli.core.errors import AccelcalError, NoRecordingError, OutputErro
 from accelcal_cli.core.formats import Format, ReadOptions, probe_file, without
 from accelcal_cli.core.input_files import ANY, files_of, is_no_part, pattern_of_siblings
 from accelcal_cli.formats import all_formats, holds_parts, named_format
-from accelcal_cli.formats.csv import channels_beside
+from accelcal_cli.formats.csv import bids_channels_path
 from accelcal_cli.formats.raw import folder_layout, named_layout
 from accelcal_cli.formats.unisens import belongs_to_another
 from accelcal_cli.output.files import stored_schema
@@ -268,7 +268,7 @@ def _plain(path: Path) -> bool:
 
 
 def _item(where: Where, path: Path, name: str) -> Item:
-    channels = channels_beside(path)
+    channels = bids_channels_path(path)
     beside = (named_layout(path), folder_layout(path), *(() if channels is None else (channels,)))
     stamps = tuple(map(jobs.file_stamp, (path, *beside)))
     return Item(name, _job(path, (where.out / name).parent / jobs.stem(path)), stamps)

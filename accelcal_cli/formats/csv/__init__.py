@@ -4,27 +4,29 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from accelcal_cli.core.formats import Format, Probe
+from accelcal_cli.core.formats import Format, Probe, is_text
 
 SUFFIXES = (".csv", ".txt", ".tsv", ".log")
 VENDORS_SCORE = 90
+"""Certainty that an export of a known vendor is one."""
+
 OTHER_TEXT = (b"Device Identity", b"<?xml", b"\xef\xbb\xbf<?xml", b"<unisens")
-MOTION, CHANNELS = "_motion.tsv", "_channels.tsv"
+"""Beginnings of text files of other formats."""
+
+BIDS_MOTION, BIDS_CHANNELS = "_motion.tsv", "_channels.tsv"
+"""Ends of the names of a recording of Motion-BIDS and of the table of its columns."""
 
 
-def is_text(head: bytes) -> bool:
-    """Whether all bytes are such as text has."""
-    return not head.translate(None, b"\t\n\r\f\x1b" + bytes(range(32, 127)) + bytes(range(128, 256)))
-
-
-def channels_beside(path: Path) -> Path | None:
-    """Where the table lies that describes the columns of a file of Motion-BIDS; None for other files."""
+def bids_channels_path(path: Path) -> Path | None:
+    """Return the path of the table that describes a file of Motion-BIDS; None for other files."""
     name = path.name[:-3] if path.name.lower().endswith(".gz") else path.name
-    return path.with_name(name.removesuffix(MOTION) + CHANNELS) if name.endswith(MOTION) else None
+    return (
+        path.with_name(name.removesuffix(BIDS_MOTION) + BIDS_CHANNELS) if name.endswith(BIDS_MOTION) else None
+    )
 
 
 def sniff(probe: Probe) -> int:
-    """30 to 60 for text with three or more columns of numbers; more where name and header fit."""
+    """Return 40 to 60 for text with three or more columns of numbers, more for a known vendor's export."""
     if probe.head.startswith(OTHER_TEXT) or not is_text(probe.head):
         return 0
     # Only text is worth the import of what understands it.

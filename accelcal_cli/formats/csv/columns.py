@@ -1,6 +1,8 @@
-"""Which column of a text file is what: by the options, by the names of the columns, or by their places.
+"""The roles of a text file's columns, by the options, by their names, or by their places.
 
-`CHANNELS` says how the columns beside the time and the acceleration become channels.
+`CHANNELS` says how columns besides the
+time and the acceleration become channels. Rotation rates whose unit nothing states are not read: no length
+of gravity tells it.
 """
 
 from __future__ import annotations
@@ -9,6 +11,7 @@ import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +29,8 @@ from accelcal_cli.core.vocabulary import (
     In,
     names_in,
 )
+from accelcal_cli.formats._tables.channels import NOT_READ, turn_scale
+from accelcal_cli.formats._tables.units import Scale as TurnScale
 from accelcal_cli.formats.csv.cells import (
     DATE_ALONE,
     MISSING,
@@ -37,22 +42,38 @@ from accelcal_cli.formats.csv.cells import (
     number_of,
 )
 from accelcal_cli.formats.csv.dialect import Dialect
+from accelcal_cli.formats.csv.vendors import ExportDescription
 
 ACCEL_NAMES = names_in(ACCELEROMETER, In.CSV)
-NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
 GYRO_NAMES = names_in(GYROSCOPE, In.CSV)
-SHORT = frozenset({"g", "w"})
-"""What `gx` and `wx` begin with: rates of turn, beside `ax`."""
-
-OTHER_SENSORS = frozenset({*GYRO_NAMES, *NOT_RAW, "mag", "magnetometer", "user"})
 TIME_NAMES = names_in(TIMES, In.CSV)
 BARE_TIME_NAMES = frozenset({"t", "s", "ms", "us", "seconds", "millis", "milliseconds", "elapsed"})
+"""Names of a column of times that consist of this word alone."""
+
+SHORT_GYRO_NAMES = frozenset({"g", "w"})
+"""First letters of `gx` and `wx`, which are rotation rates beside `ax`."""
+
+GYRO_WORDS = (("angular", "velocity"), ("angular", "rate"), ("rotation", "rate"))
+"""Pairs of words that name a gyroscope."""
+
+NOT_MEASURED_TURNS = frozenset({"bias", "drift", "unbiased", "mag", "magnetometer", "temp", "temperature"})
+"""Words in names of a gyroscope's columns that do not hold what it measures."""
+
+OTHER_SENSORS = frozenset({*GYRO_NAMES, *NOT_RAW, "mag", "magnetometer", "user"})
+NEUTRAL = frozenset({"axis", "raw", "value", "cal", "calibrated", "uncalibrated", "uncal"})
+"""Words that say nothing about the sensor."""
+
 G_FORCE = re.compile(r"^gF([xyz])$")
-"""As Physics Toolbox names the acceleration in g."""
+"""Name of an acceleration in g in files of Physics Toolbox."""
 
 AXES = ("x", "y", "z")
 UNKNOWN = np.iinfo(np.int32).min
 """Stands for a value of a channel that only earlier rows can give."""
+
+LEAST_GYRO_SHARE = 0.99
+"""Share of the first rows with an acceleration that must have a rotation rate: rows without are left out."""
+
+NO_GYRO_UNIT = "its unit is not known, give --gyro-unit deg/s or rad/s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +93,7 @@ class ChannelRule:
     limit: float
 
     def channel(self, values: NDArray[np.float64]) -> NDArray[np.int32]:
-        """Values (n,) of all rows: where one is missing, the last one before it, `UNKNOWN` before any."""
+        """Return values (n,) of all rows; where one is missing, the last before it, `UNKNOWN` before any."""
         usable = np.abs(values) < self.limit
         if not usable.all():
             last = np.maximum.accumulate(np.where(usable, np.arange(len(usable)), -1))
@@ -86,7 +107,7 @@ CHANNELS = {
         names_in(THERMOMETER, In.CSV), frozenset({"", "deg", *TEMPERATURE.names(In.CSV)}), 1000, 1000.0
     )
 }
-"""Channels that a text file may have, by their name in Chunk. This is all that there is to know of one."""
+"""Channels that a text file may have, by their name in Chunk; nothing else is particular to one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,14 +151,14 @@ class Title:
         stated = unit or hint or ""
         for last in (3, 2, 1) if not stated else ():
             end = "".join(words[-last:])
-            if len(words) > last and (_is_rate(end) if last > 1 else _is_unit(end)):
+            if len(words) > last and (_is_turn_unit(end) if last > 1 else _is_unit(end)):
                 words, stated = words[:-last], end
                 break
         return cls(number, words, stated.strip().strip("[]()"))
 
     @property
     def axis(self) -> str | None:
-        """The axis that its first or last word names."""
+        """The one axis among its words, None if there is none or several."""
         ends = [word for word in self.words if word in AXES]
         return ends[0] if len(ends) == 1 else None
 
@@ -146,10 +167,32 @@ class Title:
         """Its words without the axis."""
         return tuple(word for word in self.words if word not in AXES and word not in NEUTRAL)
 
+    @property
+    def is_time(self) -> bool:
+        """True if it names a column of times."""
+        bare = len(self.words) == 1 and self.words[0] in BARE_TIME_NAMES
+        return bare or bool(TIME_NAMES & set(self.words))
+
+    @property
+    def is_gyroscope(self) -> bool:
+        """True if it names what a gyroscope measures."""
+        stem = set(self.stem)
+        if NOT_MEASURED_TURNS & stem:
+            return False
+        short = len(self.stem) == 1 and self.stem[0] in SHORT_GYRO_NAMES
+        return bool(GYRO_NAMES & stem) or short or any(pair in GYRO_WORDS for pair in pairwise(self.stem))
+
+    @property
+    def place(self) -> tuple[str, ...]:
+        """Its words without axis and sensor, such as a side of the body."""
+        words = (word for pair in GYRO_WORDS for word in pair)
+        sensor = {*ACCEL_NAMES, *GYRO_NAMES, *SHORT_GYRO_NAMES, *words}
+        return tuple(word for word in self.stem if word not in sensor)
+
 
 def _axis_apart(word: str) -> tuple[str, ...]:
-    """`accx` and `xacc` as two words, and so `gyrox` and `gx`."""
-    if word[:-1] in ACCEL_NAMES | GYRO_NAMES | SHORT and word[-1] in AXES:
+    """Return `accx`, `xacc`, `gyrox` or `gx` as two words."""
+    if word[:-1] in ACCEL_NAMES | GYRO_NAMES | SHORT_GYRO_NAMES and word[-1] in AXES:
         return word[:-1], word[-1]
     if word[1:] in ACCEL_NAMES | GYRO_NAMES and word[:1] in AXES:
         return word[1:], word[0]
@@ -158,12 +201,21 @@ def _axis_apart(word: str) -> tuple[str, ...]:
 
 def _is_unit(word: str) -> bool:
     known = acceleration_unit(word) is not None or microseconds_in(word) is not None
-    return known or _is_rate(word) or any(word in rule.units for rule in CHANNELS.values())
+    return known or _is_turn_unit(word) or any(word in rule.units for rule in CHANNELS.values())
 
 
-def _is_rate(word: str) -> bool:
-    """Whether it is a unit of rates of turn: `dps`, or `rads` of `gyro_x_rad_s`."""
+def _is_turn_unit(word: str) -> bool:
+    """Return True for a unit of rotation rates: `dps`, or `rads` of `gyro_x_rad_s`."""
     return ROTATION.find_in_table(word) is not None
+
+
+def titles_of(dialect: Dialect) -> list[Title]:
+    """Return the names of the columns, taken apart."""
+    if dialect.names is None:
+        return []
+    units = dialect.units or ("",) * dialect.columns
+    pairs = zip(dialect.names, units, strict=True)
+    return [Title.of(number, name, unit) for number, (name, unit) in enumerate(pairs)]
 
 
 def find_roles(
@@ -173,7 +225,7 @@ def find_roles(
     known_xyz: tuple[int, int, int] | None = None,
     known_time: int | None = None,
 ) -> Roles:
-    """What each column is; x, y, z and the time may be known, unless the options say otherwise.
+    """Find out what each column is; x, y, z and the time may be known, unless the options say otherwise.
 
     Raises:
         UnreadableError: it is not clear, or a column that is needed holds no numbers.
@@ -185,42 +237,45 @@ def find_roles(
     for column in xyz:
         if dialect.kinds[column] is not Kind.NUMBER:
             raise UnreadableError(
-                f"{column_name(dialect, column)} does not hold numbers",
+                f"{dialect.column_name(column)} does not hold numbers",
                 path=path,
                 line=dialect.skipped + 1,
                 hint="name the columns of x, y and z with --columns",
             )
     known = (known_time, None) if known_time is not None and options.time_column is None else None
     time, date = known or _time_columns(dialect, titles, options, xyz, path)
-    hints = frozenset(
-        unit for title in titles if title.number in xyz and (unit := acceleration_unit(title.hint))
-    )
-    unit_us = next((microseconds_in(_time_unit(title)) for title in titles if title.number == time), None)
+    units = {acceleration_unit(title.hint) for title in titles if title.number in xyz}
     free = [title for title in titles if title.number not in (*xyz, time, date)]
-    return Roles(xyz, time, _channels(dialect, free), hints, unit_us, date)
+    hints = frozenset(unit for unit in units if unit is not None)
+    return Roles(xyz, time, _channels(dialect, free), hints, _time_unit_us(titles, time), date)
 
 
-def column_name(dialect: Dialect, column: int) -> str:
-    """A column as people find it."""
-    name = dialect.names[column] if dialect.names else ""
-    return f"column {column} ({name!r})" if name else f"column {column}"
+def _time_unit_us(titles: list[Title], time: int | None) -> float | None:
+    """Return the microseconds in the unit that the name of the time column mentions, or is."""
+    for title in titles:
+        if title.number == time:
+            return microseconds_in(title.hint or (title.words[0] if len(title.words) == 1 else ""))
+    return None
 
 
-def titles_of(dialect: Dialect) -> list[Title]:
-    """The names of the columns, taken apart."""
-    if dialect.names is None:
-        return []
-    units = dialect.units or ("",) * dialect.columns
-    pairs = zip(dialect.names, units, strict=True)
-    return [Title.of(number, name, unit) for number, (name, unit) in enumerate(pairs)]
+def chosen_axes(
+    dialect: Dialect, names: tuple[str, str, str] | None, path: Path, option: str = "--columns"
+) -> tuple[int, int, int] | None:
+    """Return the columns that an option names; None if it is not given.
+
+    Raises:
+        UsageError: it names no column of the file, or one twice.
+    """
+    if names is None:
+        return None
+    x, y, z = (_chosen_column(dialect, wanted, option, path) for wanted in names)
+    if len({x, y, z}) < 3:
+        raise UsageError(f"{option} names one column twice", path=path, hint="give x, y and z")
+    return x, y, z
 
 
-def _time_unit(title: Title) -> str:
-    return title.hint or (title.words[0] if len(title.words) == 1 else "")
-
-
-def _pick(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
-    """The number of the column that the user named or numbered."""
+def _chosen_column(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
+    """Return the number of the column that the user named or numbered."""
     names = [name.lower() for name in dialect.names or ()]
     plain = [name_and_hint(name)[0] for name in names]
     for listed in (names, plain):
@@ -236,24 +291,8 @@ def _pick(dialect: Dialect, wanted: str, option: str, path: Path) -> int:
     )
 
 
-def chosen_axes(
-    dialect: Dialect, names: tuple[str, str, str] | None, path: Path, option: str = "--columns"
-) -> tuple[int, int, int] | None:
-    """The columns that an option names; None if it is not given.
-
-    Raises:
-        UsageError: it names no column of the file, or one twice.
-    """
-    if names is None:
-        return None
-    x, y, z = (_pick(dialect, wanted, option, path) for wanted in names)
-    if len({x, y, z}) < 3:
-        raise UsageError(f"{option} names one column twice", path=path, hint="give x, y and z")
-    return x, y, z
-
-
 def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
-    """Columns whose names end in x, y and z and otherwise say accelerometer, or nothing."""
+    """Return the columns whose names have x, y and z and otherwise say accelerometer, or nothing."""
     groups: dict[tuple[str, ...], dict[str, int]] = {}
     for title in titles:
         if title.axis and not OTHER_SENSORS & set(title.stem):
@@ -271,7 +310,7 @@ def _named_axes(titles: list[Title], path: Path) -> tuple[int, int, int] | None:
 
 
 def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
-    """The only numbers there are: x,y,z or time,x,y,z."""
+    """Return the only numbers there are in columns without names: x,y,z or time,x,y,z."""
     numeric = [kind is Kind.NUMBER for kind in dialect.kinds]
     if dialect.names is None and dialect.columns == 3:
         return 0, 1, 2
@@ -286,12 +325,12 @@ def _placed_axes(dialect: Dialect, path: Path) -> tuple[int, int, int]:
         f"which columns are x, y and z cannot be told from {what}",
         path=path,
         line=dialect.names_line,
-        hint=f"give --columns X,Y,Z as names, or as numbers from 0{_if_commas(dialect)}",
+        hint=f"give --columns X,Y,Z as names, or as numbers from 0{_advice_on_commas(dialect)}",
     )
 
 
-def _if_commas(dialect: Dialect) -> str:
-    """Advice for `0,012,0,996,-0,101`, which no option can settle."""
+def _advice_on_commas(dialect: Dialect) -> str:
+    """Return advice for `0,012,0,996,-0,101`, which no option can settle."""
     cells = [cell for row in dialect.sample for cell in row[-6:]]
     doubtful = dialect.normaliser.delimiter == "," and dialect.columns in (6, 7, 8)
     if not doubtful or not all(re.fullmatch(r"-?\d+", cell.strip()) for cell in cells):
@@ -300,7 +339,7 @@ def _if_commas(dialect: Dialect) -> str:
 
 
 def _may_be_time(dialect: Dialect, column: int) -> bool:
-    """Whether a column without a name can be the time: dates, or numbers that only rise."""
+    """Return True if a column without a name can be the time: dates, or numbers that only rise."""
     if dialect.kinds[column] is not Kind.NUMBER:
         return dialect.kinds[column] is Kind.TIME
     values = [value for cell in dialect.cells(column) if (value := number_of(cell)) is not None]
@@ -311,23 +350,39 @@ def _may_be_time(dialect: Dialect, column: int) -> bool:
 def _time_columns(
     dialect: Dialect, titles: list[Title], options: ReadOptions, xyz: tuple[int, int, int], path: Path
 ) -> tuple[int | None, int | None]:
-    """The column of the times, None without any, and that of the dates if it is another."""
+    """Return the column of the times, None without any, and that of the dates if it is another."""
     dated = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
-    name = options.time_column
-    if name == "none":
+    if options.time_column == "none":
         return None, None
-    if name is not None:
-        chosen = _pick(dialect, name, "--time-column", path)
-        others = [column for column in dated if column != chosen]
-        pairs = [pair for column in others if (pair := _date_and_time(dialect, [chosen, column]))]
-        return pairs[0] if len(pairs) == 1 else (chosen, None)
-    named = [title.number for title in titles if title.number in dated and _is_time_name(title)]
-    pair = _date_and_time(dialect, named) or _date_and_time(dialect, dated)
-    return pair or (_time_column(dialect, titles, xyz, path), None)
+    if options.time_column is not None:
+        return _chosen_time(dialect, options.time_column, dated, path)
+    named = [title.number for title in titles if title.number not in xyz and title.is_time]
+    both = [number for number in named if number in dated]
+    if pair := _date_and_time(dialect, both) or _date_and_time(dialect, dated):
+        return pair
+    for found in (both, named, dated):
+        if len(found) == 1:
+            return found[0], None
+        if found:
+            which = ", ".join(map(dialect.column_name, found))
+            raise UnreadableError(
+                f"several columns may be the time ({which})",
+                path=path,
+                hint="name one with --time-column, or give --time-column none and --rate",
+            )
+    return 0 if not titles and min(xyz) > 0 and _may_be_time(dialect, 0) else None, None
+
+
+def _chosen_time(dialect: Dialect, name: str, dated: list[int], path: Path) -> tuple[int, int | None]:
+    """Return the column that --time-column names, and that of the dates if it is the only one that fits."""
+    chosen = _chosen_column(dialect, name, "--time-column", path)
+    others = [column for column in dated if column != chosen]
+    pairs = [pair for column in others if (pair := _date_and_time(dialect, [chosen, column]))]
+    return pairs[0] if len(pairs) == 1 else (chosen, None)
 
 
 def _date_and_time(dialect: Dialect, columns: list[int]) -> tuple[int, int] | None:
-    """Of two columns, the one with times of day and the one with dates; None if they are anything else."""
+    """Return which of two columns has times of day and which has dates; None if they hold anything else."""
     if len(columns) != 2:
         return None
     for time, date in (columns, columns[::-1]):
@@ -341,40 +396,99 @@ def _date_and_time(dialect: Dialect, columns: list[int]) -> tuple[int, int] | No
     return None
 
 
-def _time_column(dialect: Dialect, titles: list[Title], xyz: tuple[int, int, int], path: Path) -> int | None:
-    named = [title for title in titles if title.number not in xyz and _is_time_name(title)]
-    date_columns = [number for number, kind in enumerate(dialect.kinds) if kind is Kind.TIME]
-    for found in (
-        [title.number for title in named if title.number in date_columns],
-        [t.number for t in named],
-        date_columns,
-    ):
-        if len(found) == 1:
-            return found[0]
-        if found:
-            which = ", ".join(column_name(dialect, item) for item in found)
-            raise UnreadableError(
-                f"several columns may be the time ({which})",
-                path=path,
-                hint="name one with --time-column, or give --time-column none and --rate",
-            )
-    return 0 if not titles and min(xyz) > 0 and _may_be_time(dialect, 0) else None
-
-
-def _is_time_name(title: Title) -> bool:
-    bare = len(title.words) == 1 and title.words[0] in BARE_TIME_NAMES
-    return bare or bool(TIME_NAMES & set(title.words))
-
-
 def _channels(dialect: Dialect, titles: list[Title]) -> dict[str, int]:
-    """Of each channel, the one column of numbers that is named like it."""
+    """Return the column of each channel for which exactly one column of numbers has a fitting name."""
     columns: dict[str, int] = {}
     for name, rule in CHANNELS.items():
         found = [
             title.number
             for title in titles
-            if {*title.words} <= rule.names and len({*title.words}) == 1 and title.hint.lower() in rule.units
+            if len(words := {*title.words}) == 1 and words <= rule.names and title.hint.lower() in rule.units
         ]
         if len(found) == 1 and dialect.kinds[found[0]] is Kind.NUMBER:
             columns[name] = found[0]
     return columns
+
+
+class GyroColumns(NamedTuple):
+    """The columns of x, y and z, and how their numbers become counts."""
+
+    xyz: tuple[int, int, int]
+    scale: TurnScale
+
+
+def find_gyroscope(
+    dialect: Dialect, roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
+) -> tuple[GyroColumns | None, tuple[str, ...]]:
+    """Return the gyroscope of a file, and notes: that there is one, or why it is not read.
+
+    Raises:
+        UnreadableError: a column of --gyro-columns does not hold numbers.
+        UsageError: --gyro-columns names no column of the file.
+    """
+    chosen = chosen_axes(dialect, options.gyro_columns, path, "--gyro-columns")
+    used = {*roles.xyz, roles.time, roles.date, *roles.channels.values()}
+    titles = [title for title in titles_of(dialect) if title.number not in used]
+    known = chosen or export.gyro
+    groups = [known] if known else _named_gyroscopes(titles, dialect, roles)
+    if not groups:
+        return None, ()
+    if options.gyro_unit == "none":
+        return None, (NOT_READ,)
+    if len(groups) > 1:
+        return None, (
+            "no gyroscope is read: several groups of columns are named like one; --gyro-columns chooses",
+        )
+    xyz = groups[0]
+    names = ", ".join(map(dialect.column_name, xyz))
+    if any(dialect.kinds[column] is not Kind.NUMBER for column in xyz):
+        if chosen:
+            raise UnreadableError(
+                f"{names}: not all of them hold numbers", path=path, line=dialect.names_line
+            )
+        return None, (f"the gyroscope ({names}) is not read: not all of its columns hold numbers",)
+    scale = _gyro_scale(titles, xyz, export, options)
+    if scale is None:
+        return None, (f"the gyroscope ({names}) is not read: {NO_GYRO_UNIT}",)
+    return GyroColumns(xyz, scale), (f"gyroscope: {names}",)
+
+
+def _named_gyroscopes(titles: list[Title], dialect: Dialect, roles: Roles) -> list[tuple[int, int, int]]:
+    """Return groups of three columns named like a gyroscope's, if possible of the accelerometer's place.
+
+    A group with two columns for one axis counts as two.
+    """
+    groups: dict[tuple[str, ...], dict[str, list[int]]] = {}
+    for title in titles:
+        if title.axis and title.is_gyroscope:
+            groups.setdefault(title.stem, {}).setdefault(title.axis, []).append(title.number)
+    places = {title.place for title in titles_of(dialect) if title.number in roles.xyz}
+    found = {
+        stem: list(zip(axes["x"], axes["y"], axes["z"], strict=False))
+        for stem, axes in groups.items()
+        if len(axes) == 3
+    }
+    place_of = {title.stem: title.place for title in titles}
+    near = [group for stem, same in found.items() if place_of[stem] in places for group in same]
+    return near or [group for same in found.values() for group in same]
+
+
+def _gyro_scale(
+    titles: list[Title], xyz: tuple[int, int, int], export: ExportDescription, options: ReadOptions
+) -> TurnScale | None:
+    """Return the scale by the user, the names of the columns, or the vendor; None if none states it."""
+    if options.lsb_per_dps is not None:
+        return TurnScale(options.lsb_per_dps)
+    hints = {title.hint for title in titles if title.number in xyz and microseconds_in(title.hint) is None}
+    named = next(iter(hints)) if len(hints) == 1 else ""
+    unit = options.gyro_unit or named or export.gyro_unit
+    return None if unit is None else turn_scale(unit)
+
+
+def why_not_read(values: NDArray[np.float64], rates: NDArray[np.float64]) -> str | None:
+    """Return the reason not to read a gyroscope whose rates (n, 3) are missing in many rows, or None."""
+    rows = ~np.isnan(values).any(axis=1)
+    missing = int((rows & np.isnan(rates).any(axis=1)).sum())
+    if missing <= (1 - LEAST_GYRO_SHARE) * rows.sum():
+        return None
+    return f"the gyroscope is not read: {missing} of the first {rows.sum()} rows have no value of it"

@@ -1,38 +1,83 @@
-"""What a text file is, found out from its first megabyte, the options, and the header of a known vendor.
+"""Finds out what a text file is: from its first megabyte, the options, a vendor's header, or sidecars.
 
 `detect` takes the steps in order; the time of the last row is looked up without reading what lies before it.
+
+A file of Motion-BIDS, `*_motion.tsv`, has no head. `*_channels.tsv` says what each column is (type ACCEL,
+component, tracked point, units), `*_motion.json` the rate and the device (Motion-BIDS,
+bids-specification.readthedocs.io); the start is in `*_scans.tsv`, in the folder above or the same.
 """
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.errors import UnreadableError, UsageError, printable
 from accelcal_cli.core.formats import GZIP_MAGIC, ReadOptions, agreed_rate
+from accelcal_cli.core.input_files import read_text
+from accelcal_cli.core.recording import FLOAT_LSB_PER_G, Device
+from accelcal_cli.core.vocabulary import COUNTS, UNIT_CHOICES
 from accelcal_cli.formats._gravity import guess_unit
-from accelcal_cli.formats._stamps import IMPOSSIBLE, Pace
-from accelcal_cli.formats._tables.units import Scale as TurnScale
-from accelcal_cli.formats.csv import times
-from accelcal_cli.formats.csv.bids import bids_description
-from accelcal_cli.formats.csv.cells import Scale, check_unit, scale_for, stated_unit
-from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles, column_name, find_roles
-from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
-from accelcal_cli.formats.csv.gyroscope import find_gyroscope, often_missing
-from accelcal_cli.formats.csv.table import (
-    Block,
-    LineFile,
-    ParsedTable,
-    RepeatedHeads,
-    TableParser,
-    lone_block,
+from accelcal_cli.formats._stamps import (
+    GAP_PERIODS,
+    IMPOSSIBLE,
+    Pace,
+    jittered_step,
+    nice_rate,
+    only_stamp_period,
+    shared_pace,
+    shares_stamps,
 )
-from accelcal_cli.formats.csv.vendors import ExportDescription, export_description
+from accelcal_cli.formats._tables.units import Scale as TurnScale
+from accelcal_cli.formats.csv import BIDS_CHANNELS, BIDS_MOTION, bids_channels_path
+from accelcal_cli.formats.csv.cells import (
+    ORDERS,
+    AccelScale,
+    DateColumn,
+    acceleration_unit,
+    find_order,
+    find_time_format,
+    is_year_first,
+    read_date,
+    year_first,
+)
+from accelcal_cli.formats.csv.columns import (
+    CHANNELS,
+    UNKNOWN,
+    Roles,
+    find_gyroscope,
+    find_roles,
+    why_not_read,
+)
+from accelcal_cli.formats.csv.dialect import Dialect, cells_of, find_dialect
+from accelcal_cli.formats.csv.lines import Block, LineFile, RepeatedHeads, lone_block
+from accelcal_cli.formats.csv.rows import ParsedTable, TableParser
+from accelcal_cli.formats.csv.vendors import ExportDescription, Start, export_description
 
 HEAD_BYTES = 1 << 20
+"""What is read to understand a file."""
+
 TAIL_BYTES = 1 << 16
+"""What is read to find the last row."""
+
+ABOUT = "_motion.json"
+LARGEST_SIDECAR = 1 << 20
+ACCEL, GYRO, AXES = "ACCEL", "GYRO", ("x", "y", "z")
+CELSIUS = ("oC", "\u00b0C", "degC")
+FASTEST_HZ = 100_000.0
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+Sidecar = list[dict[str, str]]
+"""Rows of a table of Motion-BIDS, by the names of its columns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,15 +86,15 @@ class Detected:
 
     Attributes:
         start_us: time of the first row where rows carry none; None if it is not known.
-        first_values: of each channel, its first value; a column that the head leaves empty is none.
-        gyro: how rates of turn become counts, None without a gyroscope; gyro_notes: how it was understood.
+        first_values: the first value of each channel; a column that the head leaves empty is none.
+        gyro: how rotation rates become counts, None without a gyroscope; gyro_notes: how it was understood.
         head: the file up to its first row.
     """
 
     export: ExportDescription
     start_us: int | None
     parser: TableParser
-    scale: Scale
+    scale: AccelScale
     pace: Pace
     first_values: dict[str, int]
     line_bytes: float
@@ -60,25 +105,25 @@ class Detected:
 
     @property
     def has_dates(self) -> bool:
-        """Whether its times count from 1970 rather than from its first row."""
+        """True if its times count from 1970 rather than from its first row."""
         return self.start_us is not None if self.parser.time is None else self.parser.time.since_1970
 
     @property
     def timezone(self) -> str | None:
-        """Zone of its clock, as the file says it."""
+        """The zone of its clock, as the file says it."""
         written = self.parser.time
         return "UTC" if written is not None and written.is_utc else self.export.timezone
 
     def notes(self) -> tuple[str, ...]:
-        """How the file was understood, for people."""
+        """Return how the file was understood, for people."""
         dialect, roles = self.parser.dialect, self.parser.roles
-        axes = ", ".join(column_name(dialect, column) for column in roles.xyz)
+        axes = ", ".join(map(dialect.column_name, roles.xyz))
         how = " (judged by the length of gravity)" if self.guessed_unit else ""
         notes = [f"an export of {self.export.title}"] * bool(self.export.title)
         notes += [f"x, y, z: {axes}", f"unit: {self.scale.unit}{how}"]
         if roles.time is not None:
-            dates = "" if roles.date is None else f"{column_name(dialect, roles.date)} and "
-            notes.append(f"time: {dates}{column_name(dialect, roles.time)}")
+            dates = "" if roles.date is None else f"{dialect.column_name(roles.date)} and "
+            notes.append(f"time: {dates}{dialect.column_name(roles.time)}")
         notes += [*self.gyro_notes, *self.pace.notes]
         headings = (dialect.names is not self.export.names) + (dialect.units is not None)
         above = dialect.skipped - self.export.preamble - headings
@@ -98,56 +143,39 @@ def detect(path: Path, options: ReadOptions) -> Detected:
     _refuse_not_positive(options)
     head = _head(path, False)
     export = bids_description(path) or export_description(head, path.name) or ExportDescription()
-    _refuse_doubtful(export, options, path)
+    if export.doubt is not None and options.unit is None:
+        raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
     dialect = find_dialect(head, export.preamble)
     if dialect is None:
-        raise _no_rows(path, head)
+        utf_16 = head.startswith((b"\xff\xfe", b"\xfe\xff"))
+        hint = (
+            "it is written in UTF-16; save it again as UTF-8" if utf_16 else "name its format with --format"
+        )
+        raise UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
     if dialect.bare_returns:
         head = _head(path, True)
-    dialect = _named(dialect, export, path)
-    block = RepeatedHeads(head[: dialect.offset]).without(_head_block(head, dialect))
+    dialect = _with_names(dialect, export, path)
+    above = head[: dialect.offset]
+    block = RepeatedHeads(above).without(_head_block(head, dialect))
     roles = find_roles(dialect, options, path, export.xyz, export.time)
     parser = _table_parser(block, dialect, roles, export, options, path)
     gyro, gyro_notes = find_gyroscope(dialect, roles, export, options, path)
     if gyro is not None:
         parser = replace(parser, roles=replace(roles, gyro=gyro.xyz))
-    cells = parser.cells(block)
-    if cells.rates is not None and (fault := often_missing(cells.values, cells.rates)):
+    table = parser.parse(block)
+    if table.rates is not None and (fault := why_not_read(table.values, table.rates)):
         gyro, gyro_notes, parser = None, (fault,), replace(parser, roles=roles)
-    scale, guessed = _scale(cells, roles, export, options, path)
-    pace = _pace(cells, export, options, path)
+    scale, guessed = _find_scale(table.values, roles, export, options, path)
+    pace = _pace(table, export, options, path)
     start_us = None
     if parser.time is None and export.start is not None:
         start_us = export.start.us(options.date_format or export.date_order, path)
-    line_bytes = len(block.data) / max(len(cells.line), 1) or 1.0
-    above = head[: dialect.offset]
-    turning = None if gyro is None else gyro.scale
-    found = Detected(export, start_us, parser, scale, pace, _first_values(cells), line_bytes, guessed, above)
-    return replace(found, gyro=turning, gyro_notes=gyro_notes)
-
-
-def _named(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:
-    """The layout with the names that the export gives to columns without.
-
-    Raises:
-        UnreadableError: a file beside it describes another number of columns.
-    """
-    names = export.names or ()
-    if export.companion is not None and len(names) != dialect.columns:
-        raise UnreadableError(
-            f"has {dialect.columns} columns, and {printable(export.companion.name)} describes {len(names)}",
-            path=path,
-            line=dialect.names_line,
-            hint="correct that file, or take it away",
-        )
-    unnamed = dialect.names is None and len(names) == dialect.columns
-    return replace(dialect, names=export.names) if unnamed else dialect
-
-
-def _refuse_doubtful(export: ExportDescription, options: ReadOptions, path: Path) -> None:
-    """What is no raw acceleration is read only by who insists on its unit."""
-    if export.doubt is not None and options.unit is None:
-        raise UnreadableError(export.doubt.message, path=path, line=1, hint=export.doubt.hint)
+    line_bytes = len(block.data) / max(len(table.line), 1) or 1.0
+    turns = None if gyro is None else gyro.scale
+    first = _first_values(table)
+    return Detected(
+        export, start_us, parser, scale, pace, first, line_bytes, guessed, above, turns, gyro_notes
+    )
 
 
 def _refuse_not_positive(options: ReadOptions) -> None:
@@ -163,18 +191,29 @@ def _head(path: Path, bare_returns: bool) -> bytes:
         return file.read(HEAD_BYTES).rstrip(b"\0")
 
 
+def _with_names(dialect: Dialect, export: ExportDescription, path: Path) -> Dialect:
+    """Return the layout with the names that the export gives to columns without.
+
+    Raises:
+        UnreadableError: a sidecar describes another number of columns.
+    """
+    names = export.names or ()
+    if export.companion is not None and len(names) != dialect.columns:
+        raise UnreadableError(
+            f"has {dialect.columns} columns, and {printable(export.companion.name)} describes {len(names)}",
+            path=path,
+            line=dialect.names_line,
+            hint="correct that file, or take it away",
+        )
+    unnamed = dialect.names is None and len(names) == dialect.columns
+    return replace(dialect, names=export.names) if unnamed else dialect
+
+
 def _head_block(head: bytes, dialect: Dialect) -> Block:
-    """The whole lines of the head; in a file of one unfinished line, that one."""
+    """Return the whole lines of the head; in a file of one unfinished line, that one."""
     end = head.rfind(b"\n") + 1
     end = end if end > dialect.offset else len(head)
     return lone_block(head[dialect.offset : end], dialect.skipped + 1, dialect.offset)
-
-
-def _no_rows(path: Path, head: bytes) -> UnreadableError:
-    hint = "name its format with --format"
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        hint = "it is written in UTF-16; save it again as UTF-8"
-    return UnreadableError("holds no rows of three or more numbers", path=path, line=1, hint=hint)
 
 
 def _table_parser(
@@ -185,14 +224,14 @@ def _table_parser(
     rate_hz = options.rate_hz or export.rate_hz
     if roles.date is not None:
         order = _date_order(block, dialect, roles.date, export, options, path)
-        date = times.DateColumn(roles.date, order)
+        date = DateColumn(roles.date, order)
         pairs = zip(dialect.cells(roles.date), dialect.cells(roles.time), strict=True)
         moments = [date.moment(*pair) if all(map(str.strip, pair)) else "" for pair in pairs]
         cells = [*zip(moments, dialect.lines, strict=True)]
-        return TableParser(path, dialect, roles, times.find_time_format(cells, None, rate_hz, path), date)
+        return TableParser(path, dialect, roles, find_time_format(cells, None, rate_hz, path), date)
     dialect = _with_date_order(block, dialect, roles.time, export, options, path)
     cells = [*zip(dialect.cells(roles.time), dialect.lines, strict=True)]
-    time = times.find_time_format(cells, roles.time_unit_us, rate_hz, path)
+    time = find_time_format(cells, roles.time_unit_us, rate_hz, path)
     if export.companion is not None and export.start is not None:
         time = time.counted_from(export.start.us(None, path))
     return TableParser(path, dialect, roles, time)
@@ -201,61 +240,80 @@ def _table_parser(
 def _date_order(
     block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
 ) -> str | None:
-    """The order of the dates in a column; None if all begin with the year."""
+    """Return the order of the dates in a column; None if all begin with the year."""
     cells = [f"{cell.strip()} 00:00" for cell in cells_of(block.data, dialect, column)]
-    days = [cell for cell in cells if not times.is_year_first(cell)]
+    days = [cell for cell in cells if not is_year_first(cell)]
     if not days:
         return None
-    stated = [order for order in (_order_of_start(days, export), export.date_order) if order]
-    return times.find_order(days, options.date_format, stated, path, dialect.skipped + 1)
+    return find_order(days, options.date_format, _stated_orders(days, export), path, dialect.skipped + 1)
 
 
 def _with_date_order(
     block: Block, dialect: Dialect, column: int, export: ExportDescription, options: ReadOptions, path: Path
 ) -> Dialect:
-    """The layout with times that begin with the year, whatever those of the head's rows begin with."""
-    if all(map(times.is_year_first, dialect.cells(column))):
+    """Return the layout with times that begin with the year, whatever those of the head's rows begin with."""
+    if all(map(is_year_first, dialect.cells(column))):
         return dialect
     cells = cells_of(block.data, dialect, column)
-    stated = [order for order in (_order_of_start(cells, export), export.date_order) if order]
-    order = times.find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
-    if order is None:
-        return dialect
+    stated = _stated_orders(cells, export)
+    order = find_order(cells, options.date_format, stated, path, dialect.skipped + 1)
     sample = tuple(
-        (*row[:column], times.year_first_cell(row[column], order), *row[column + 1 :])
+        (*row[:column], year_first(row[column].encode(), order, True).decode(), *row[column + 1 :])
         for row in dialect.sample
     )
     return replace(dialect, normaliser=replace(dialect.normaliser, date_order=order), sample=sample)
 
 
-def _order_of_start(cells: list[str], export: ExportDescription) -> str | None:
-    """The one order in which the first row lies on the day on which the header says it began."""
-    if export.start is None or not cells:
-        return None
-    days = export.start.days(export.date_order)
-    fitting = [order for order in times.ORDERS if times.read_date(cells[0], order) in days]
-    return fitting[0] if len(fitting) == 1 else None
+def _stated_orders(cells: list[str], export: ExportDescription) -> list[str]:
+    """Return the orders of dates that a header suggests, best first.
+
+    The best one is the only one in which the first row lies on the day on which the header says it began.
+    """
+    days = export.start.days(export.date_order) if export.start is not None and cells else ()
+    fitting = [order for order in ORDERS if days and read_date(cells[0], order) in days]
+    return [order for order in (fitting[0] if len(fitting) == 1 else None, export.date_order) if order]
 
 
-def _scale(
-    cells: ParsedTable, roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
-) -> tuple[Scale, bool]:
-    """The scale, and whether gravity alone decided the unit."""
-    stated = stated_unit(options, set(roles.hints))
+def _find_scale(
+    values: NDArray[np.float64], roles: Roles, export: ExportDescription, options: ReadOptions, path: Path
+) -> tuple[AccelScale, bool]:
+    """Return the scale of accelerations (n, 3), and whether gravity alone decided the unit."""
+    stated = _stated_unit(options, roles.hints)
     if stated is None and export.unit is not None:
-        scale = scale_for(export.unit, export.lsb_per_g, export.zero)
-        check_unit(cells.values, scale, path)
+        scale = _scale_of(export.unit, export.lsb_per_g, export.zero)
+        scale.check(values, path)
         return scale, False
-    unit = stated or guess_unit(cells.values, path)
-    return scale_for(unit, options.lsb_per_g, export.zero), stated is None
+    unit = stated or guess_unit(values, path)
+    return _scale_of(unit, options.lsb_per_g, export.zero), stated is None
 
 
-def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
-    if cells.time_us is not None:
-        stamps = cells.time_us[cells.time_us > IMPOSSIBLE]
+def _stated_unit(options: ReadOptions, hints: frozenset[str]) -> str | None:
+    """Return the unit that the user or the column names give, None if neither does."""
+    if options.unit is not None:
+        unit = acceleration_unit(options.unit)
+        if unit is None:
+            one_of = f"--unit is one of {', '.join(UNIT_CHOICES)}"
+            raise UsageError(f"unknown unit {options.unit!r}", hint=one_of)
+        return unit
+    if len(hints) == 1:
+        return next(iter(hints))
+    return COUNTS if options.lsb_per_g is not None else None
+
+
+def _scale_of(unit: str, lsb_per_g: float | None, zero: int) -> AccelScale:
+    if unit != COUNTS:
+        return AccelScale(unit, FLOAT_LSB_PER_G)
+    if lsb_per_g is None:
+        raise UsageError("counts need their scale", hint="give --lsb-per-g, the counts in one g")
+    return AccelScale(unit, float(lsb_per_g), zero)
+
+
+def _pace(table: ParsedTable, export: ExportDescription, options: ReadOptions, path: Path) -> Pace:
+    if table.time_us is not None:
+        stamps = table.time_us[table.time_us > IMPOSSIBLE]
         if options.rate_hz is None and export.rate_hz is not None:
-            return times.agreeing_pace(stamps, export.rate_hz, path)
-        return times.find_pace(stamps, options.rate_hz, path)
+            return _agreeing_pace(stamps, export.rate_hz, path)
+        return _find_pace(stamps, options.rate_hz, path)
     if export.rate_hz is not None:
         return Pace(agreed_rate(options, export.rate_hz, path))
     if options.rate_hz is None:
@@ -268,15 +326,72 @@ def _pace(cells: ParsedTable, export: ExportDescription, options: ReadOptions, p
     return Pace(options.rate_hz)
 
 
-def _first_values(cells: ParsedTable) -> dict[str, int]:
-    """The first value in the head of each channel that has one there."""
-    channels = {name: CHANNELS[name].channel(values) for name, values in cells.channels.items()}
+def _find_pace(stamps: NDArray[np.int64], user_hz: float | None, path: Path) -> Pace:
+    """Return the pace of the first rows, whose times are `stamps` (n,) [us].
+
+    Raises:
+        UnreadableError: too few rows or times that do not move, without a rate from the user;
+            or a rate from the user that contradicts the times.
+    """
+    pace = shared_pace(stamps) if shares_stamps(stamps) else _pace_of_single_stamps(stamps)
+    if pace is None and user_hz is None:
+        raise UnreadableError(
+            "the sampling rate cannot be found from the times of its rows",
+            path=path,
+            hint="give it with --rate",
+        )
+    if pace is None or user_hz is None:
+        return pace or Pace(float(user_hz or 0), only_stamp_period(stamps))
+    if not pace.agrees(user_hz):
+        raise UnreadableError(
+            f"its times say {pace.rate_hz:g} Hz, not {user_hz:g} Hz",
+            path=path,
+            hint="omit --rate, or ignore the times with --time-column none",
+        )
+    return Pace(user_hz, pace.stamp_period_us)
+
+
+def _agreeing_pace(stamps: NDArray[np.int64], header_hz: float, path: Path) -> Pace:
+    """Return the pace of the first rows of a file whose header states its rate.
+
+    Raises:
+        UnreadableError: the rows are not made at that rate.
+    """
+    try:
+        pace = _find_pace(stamps, None, path)
+    except UnreadableError:
+        return _find_pace(stamps, header_hz, path)
+    if not pace.agrees(header_hz):
+        raise UnreadableError(
+            f"its header says {header_hz:g} Hz, the times of its rows say {pace.rate_hz:g} Hz",
+            path=path,
+            hint=f"export the raw data; or give --rate {pace.rate_hz:g} if the rows are right",
+        )
+    return Pace(header_hz, pace.stamp_period_us)
+
+
+def _pace_of_single_stamps(stamps: NDArray[np.int64]) -> Pace | None:
+    """Return the pace of rows that have a stamp each: the mean step without gaps, unless stamps jitter."""
+    jittered = jittered_step(stamps)
+    if jittered is not None:
+        return Pace(nice_rate(MICROSECONDS / jittered))
+    steps = np.diff(stamps)
+    steps = steps[steps >= 0]
+    usual = steps[steps <= GAP_PERIODS * max(float(np.median(steps)), 1.0)] if len(steps) else steps
+    if len(usual) == 0 or usual.sum() == 0:
+        return None
+    return Pace(nice_rate(len(usual) * MICROSECONDS / float(usual.sum())))
+
+
+def _first_values(table: ParsedTable) -> dict[str, int]:
+    """Return the first value in the head of each channel that has one there."""
+    channels = {name: CHANNELS[name].channel(values) for name, values in table.channels.items()}
     known = {name: values[values != UNKNOWN] for name, values in channels.items()}
     return {name: int(values[0]) for name, values in known.items() if len(values)}
 
 
 def last_timestamp(parser: TableParser) -> int | None:
-    """Time of the last row [us]; None if the file is compressed or has no times."""
+    """Return the time of the last row [us]; None if the file is compressed or has no times."""
     with parser.path.open("rb") as file:
         if parser.time is None or file.read(2) == GZIP_MAGIC or parser.dialect.bare_returns:
             return None
@@ -285,8 +400,107 @@ def last_timestamp(parser: TableParser) -> int | None:
         lines = file.read().splitlines(keepends=True)[-3:]
     whole = [line for line in lines if line.endswith((b"\n", b"\r")) and line.strip()][-1:]
     try:
-        stamps = parser.cells(lone_block(b"".join(whole), 1, 0)).time_us
+        stamps = parser.parse(lone_block(b"".join(whole), 1, 0)).time_us
     except UnreadableError:
         return None
     usable = stamps is not None and len(stamps) and stamps[-1] > IMPOSSIBLE
     return int(stamps[-1]) if stamps is not None and usable else None
+
+
+def bids_description(path: Path) -> ExportDescription | None:
+    """Return what the sidecars of a file of Motion-BIDS say; None if it has no `*_channels.tsv`.
+
+    Raises:
+        UnreadableError: a sidecar is damaged, or its channels have no accelerometer, or several.
+        UsageError: a sidecar cannot be read.
+    """
+    table = bids_channels_path(path)
+    if table is None or not table.is_file():
+        return None
+    stem = table.name.removesuffix(BIDS_CHANNELS)
+    channels, about = _sidecar_rows(table), _sidecar_object(table.with_name(stem + ABOUT))
+    written = _acquisition_time(path.parent, stem)
+    accel, gyro = _axes_by_point(channels, ACCEL), _axes_by_point(channels, GYRO)
+    if not accel:
+        hint = "name three columns with --columns if one of other types is acceleration"
+        raise UnreadableError("lists no channels of type ACCEL for x, y and z", path=table, hint=hint)
+    point = next(iter(accel)) if len(accel) == 1 else None
+    rates = [one.get("sampling_frequency", "") for one in channels if one.get("type") == ACCEL]
+    rates.append(str(about.get("SamplingFrequency")))
+    model, serial = (about.get(key) for key in ("ManufacturersModelName", "DeviceSerialNumber"))
+    return ExportDescription(
+        title="Motion-BIDS",
+        device=Device(model if isinstance(model, str) else None, serial if isinstance(serial, str) else None),
+        names=tuple(_title(channel) for channel in channels),
+        xyz=None if point is None else accel[point],
+        gyro=None if point is None else gyro.get(point),
+        time=next((at for at, one in enumerate(channels) if one.get("type") == "LATENCY"), None),
+        rate_hz=next((rate for rate in map(_positive, rates) if rate is not None), None),
+        start=_start(written),
+        timezone="UTC" if written.endswith("Z") else None,
+        companion=table,
+    )
+
+
+def _sidecar_rows(path: Path) -> Sidecar:
+    """Return the rows of a table with tabs, by the names in its first line."""
+    text = read_text(path, "the sidecar", LARGEST_SIDECAR, "utf-8-sig")
+    try:
+        rows = list(csv.DictReader(io.StringIO(text), delimiter="\t"))
+    except csv.Error as error:
+        raise UnreadableError(f"is damaged ({error})", path=path, hint="correct it") from error
+    return [{str(key): value for key, value in row.items() if isinstance(value, str)} for row in rows]
+
+
+def _sidecar_object(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        found = json.loads(read_text(path, "the sidecar", LARGEST_SIDECAR, "utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise UnreadableError(f"is not valid JSON ({error})", path=path, hint="correct it") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _positive(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if 0 < value <= FASTEST_HZ else None
+
+
+def _title(channel: dict[str, str]) -> str:
+    """Return a column's name with its unit."""
+    name, unit = channel.get("name", ""), channel.get("units", "n/a")
+    unit = "C" if unit in CELSIUS else unit
+    return name if unit in ("", "n/a") else f"{name} [{unit}]"
+
+
+def _axes_by_point(channels: Sidecar, kind: str) -> dict[str, tuple[int, int, int]]:
+    """Return the columns of x, y and z of a type by their tracked point, where all three are there."""
+    points: dict[str, dict[str, int]] = {}
+    for number, channel in enumerate(channels):
+        axis = channel.get("component", "").lower()
+        if channel.get("type") == kind and axis in AXES:
+            points.setdefault(channel.get("tracked_point", ""), {})[axis] = number
+    whole = {point: axes for point, axes in points.items() if len(axes) == len(AXES)}
+    return {point: (axes["x"], axes["y"], axes["z"]) for point, axes in whole.items()}
+
+
+def _acquisition_time(folder: Path, stem: str) -> str:
+    """Return the time in the list of scans of a subject or session: local, or in UTC with Z; "" if none."""
+    whose = "_".join(part for part in stem.split("_") if part.startswith(("sub-", "ses-")))
+    lists = (place / f"{whose}_scans.tsv" for place in (folder.parent, folder))
+    rows = next((_sidecar_rows(path) for path in lists if path.is_file()), [])
+    file = stem + BIDS_MOTION
+    times = (row.get("acq_time", "") for row in rows if Path(row.get("filename", "")).name == file)
+    return next(times, "")
+
+
+def _start(written: str) -> Start | None:
+    try:
+        moment = datetime.fromisoformat(written.removesuffix("Z"))
+    except ValueError:
+        return None
+    return Start((moment.replace(tzinfo=UTC) - EPOCH) // timedelta(microseconds=1))

@@ -1,12 +1,10 @@
-"""How a text file of numbers is laid out: delimiter, decimals, where its rows begin, the names of its
-columns.
+"""The layout of a text file of numbers: delimiter, decimals, the first row, the names of the columns.
 
 `Normaliser` rewrites blocks of lines so that pyarrow's parser understands them. Lines stay lines.
 """
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -15,20 +13,21 @@ from itertools import islice
 
 import numpy as np
 
-from accelcal_cli.core.formats import HEAD_BYTES
-from accelcal_cli.formats.csv import is_text
+from accelcal_cli.core.formats import HEAD_BYTES, is_text
 from accelcal_cli.formats.csv.cells import (
+    BYTE_ORDER_MARK,
     COMMA_NUMBER,
     POINT_NUMBER,
     Kind,
     cell_kind,
     column_kind,
+    decode,
     is_unit_cell,
+    split_line,
+    year_first,
 )
-from accelcal_cli.formats.csv.times import year_first
 
 DELIMITERS = (",", ";", "\t", "|", " ")
-BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 COMMENT = re.compile(r"^\s*(#+|%+|//)\s*")
 SPLIT_DATE = re.compile(rb"(\d{4}[-/]\d\d[-/]\d\d) (?=\d\d:\d\d)")
 SLASH_DATE = re.compile(rb"(?:^|[^\d/])\d{4}/\d\d/\d\d[ T]")
@@ -37,35 +36,39 @@ TWELVE_HOURS = re.compile(
     rb"(?<![\d:.])(\d{1,2})(:\d\d(?::\d\d(?:[.,:]\d+)?)?)"
     rb"(?: |\xc2\xa0|\xe2\x80\xaf)?([AaPp])\.? ?[Mm](?![A-Za-z])\.?"
 )
-"""A time of day with AM or PM behind it, after a blank of any kind or none."""
+"""A time of day followed by AM or PM, with a blank of any kind between them or none."""
 
 HALF_OF_THE_DAY = re.compile(rb"[AaPp](?<=[\d \xa0\xaf].)\.? ?[Mm]")
-"""What TWELVE_HOURS ends with, which is sooner found to be nowhere."""
+"""The end of TWELVE_HOURS, whose absence is found sooner."""
 
 SHORT_HOUR = re.compile(rb"(?m)(?:^|(?<=[,;\t|\"]))(?=\d:\d\d)")
-"""Before an hour of one digit at the beginning of a cell."""
+"""The place before an hour of one digit at the beginning of a cell."""
 
 AFTER_SHORT_HOUR = re.compile(rb":(?:(?<=[\n,;\t|\"]\d:)|(?<=\A\d:))\d\d")
-"""The same by its colon, which is sooner found to be nowhere."""
+"""The same place by the colon behind it, whose absence is found sooner."""
 
 LONG_FRACTION = re.compile(rb"(:\d\d[.,]\d{9})\d+")
 COLON, POINT = b":."
 TAB_TO_BLANK = bytes.maketrans(b"\t", b" ")
 NO_HOUR = 99
+"""Stands for an hour that does not exist."""
+
 TAIL_LINES = 40
+"""Last lines of the head by which the delimiter is judged."""
+
 SURE_LINES = 6
-"""With fewer lines to judge by, most columns must be numbers, and half of all lines agree."""
+"""With fewer lines to judge by, most columns must be numbers, and half of all lines must agree."""
 
 SAMPLE_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Normaliser:
-    """What has to be changed in a block of lines before it is parsed.
+    """Makes the changes that a block of lines needs before it is parsed.
 
     Attributes:
         delimiter: between the columns; a blank stands for any run of blanks and tabs.
-        padded: blanks around the delimiter are to go.
+        padded: blanks stand around the delimiter.
         split_date: date and time of day are separated by the delimiter itself.
         decimal_comma: decimals are written with a comma.
         slash_dates: dates are written 2024/03/04.
@@ -90,16 +93,19 @@ class Normaliser:
     thorough: bool = False
 
     def __call__(self, block: bytes) -> bytes:
-        """The block in pyarrow's terms, with the same lines in the same order."""
+        """Return the block in pyarrow's terms, with the same lines in the same order."""
         if self.delimiter == " ":
             block = trimmed(collapsed(block.translate(TAB_TO_BLANK)), b"\n")
         elif self.padded or self.thorough:
             block = trimmed(trimmed(collapsed(block), self.delimiter.encode()), b"\n")
         block = self._with_times(block)
-        return block.translate(self._table()) if self.decimal_comma or self.slash_dates else block
+        pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
+        if not pairs:
+            return block
+        return block.translate(bytes.maketrans(*(b"".join(letters) for letters in zip(*pairs, strict=True))))
 
     def _with_times(self, block: bytes) -> bytes:
-        """The block with dates, hours and fractions of seconds as ISO 8601 has them."""
+        """Return the block with dates, hours and fractions of seconds as in ISO 8601."""
         if self.twelve_hours:
             block = TWELVE_HOURS.sub(in_24_hours, block)
         if self.short_hours or self.thorough:
@@ -114,20 +120,16 @@ class Normaliser:
             block = LONG_FRACTION.sub(rb"\1", block)
         return block
 
-    def _table(self) -> bytes:
-        pairs = [(b",", b".")] * self.decimal_comma + [(b"/", b"-")] * self.slash_dates
-        return bytes.maketrans(b"".join(old for old, _ in pairs), b"".join(new for _, new in pairs))
-
 
 def collapsed(block: bytes) -> bytes:
-    """Runs of blanks as one blank."""
+    """Replace runs of blanks by one blank."""
     while b"  " in block:
         block = block.replace(b"  ", b" ")
     return block
 
 
 def in_24_hours(found: re.Match[bytes]) -> bytes:
-    """`1:05:30 PM` as `13:05:30`; a morning after 12 becomes a time that does not exist."""
+    """Return `1:05:30 PM` as `13:05:30`; a morning after 12 becomes a time that does not exist."""
     hour, afternoon = int(found[1]), found[3] in b"pP"
     if hour <= 12:
         hour = hour % 12 + 12 * afternoon
@@ -137,7 +139,7 @@ def in_24_hours(found: re.Match[bytes]) -> bytes:
 
 
 def with_points(block: bytes) -> bytes:
-    """`12:34:56:789` as `12:34:56.789`."""
+    """Rewrite `12:34:56:789` as `12:34:56.789`."""
     text = np.frombuffer(block, np.uint8).copy()
     colon = text == COLON
     text[6:][colon[6:] & colon[3:-3] & colon[:-6]] = POINT
@@ -145,7 +147,7 @@ def with_points(block: bytes) -> bytes:
 
 
 def trimmed(block: bytes, mark: bytes) -> bytes:
-    """No single blank before or after the mark, or at either end."""
+    """Remove single blanks before and after the mark, and at either end."""
     block = block.replace(b" \r\n", b"\n") if mark == b"\n" else block
     return block.replace(b" " + mark, mark).replace(mark + b" ", mark).strip(b" ")
 
@@ -155,7 +157,7 @@ class Dialect:
     """The layout of a text file, as its first 64 KiB show it.
 
     Attributes:
-        cleaner: makes blocks of it readable for pyarrow.
+        normaliser: makes blocks of it readable for pyarrow.
         kinds: of each column.
         names: of the columns, None if no line names them.
         units: from a line of units below the names, None if there is none.
@@ -180,16 +182,21 @@ class Dialect:
 
     @property
     def columns(self) -> int:
-        """How many columns every row has."""
+        """The number of columns in every row."""
         return len(self.kinds)
 
+    def column_name(self, column: int) -> str:
+        """Return a column's number and name, for people."""
+        name = self.names[column] if self.names else ""
+        return f"column {column} ({name!r})" if name else f"column {column}"
+
     def cells(self, column: int) -> list[str]:
-        """The sample's cells of one column."""
+        """Return the sample's cells of one column."""
         return [row[column] for row in self.sample]
 
 
 def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
-    """The layout of the file with this beginning, None if it shows no rows of 3 or more numbers.
+    """Return the layout of the file with this beginning, None if it shows no rows of 3 or more numbers.
 
     A last line without its end is used only where nothing else is there.
 
@@ -208,7 +215,7 @@ def find_dialect(head: bytes, preamble: int = 0) -> Dialect | None:
 
 
 def cells_of(data: bytes, dialect: Dialect, column: int) -> list[str]:
-    """One column's cells in some lines."""
+    """Return one column's cells in some lines."""
     rows = _rows(data.splitlines(keepends=True), dialect.normaliser)
     return [row[column] for row in rows if column < len(row)]
 
@@ -230,28 +237,12 @@ def _dialect_of(head: bytes, preamble: int) -> Dialect | None:
 
 
 def _tail_sizes(lines: int) -> Iterator[int]:
-    """How many last lines to judge by: fewer and fewer in a short file, whose beginning may be text."""
+    """Yield how many last lines to judge by: fewer and fewer in a short file, whose beginning may be text."""
     size = min(TAIL_LINES, lines // 2 or lines)
     yield size
     while lines < 2 * TAIL_LINES and size > 1:
         size //= 2
         yield size
-
-
-def split_line(line: str, delimiter: str) -> list[str]:
-    """The cells of one line, quotes taken off."""
-    try:
-        return next(csv.reader([line], delimiter=delimiter), [])
-    except csv.Error:
-        return []
-
-
-def decode(line: bytes) -> str:
-    """A line as text: UTF-8, or Latin-1 where it is not."""
-    try:
-        return line.decode()
-    except UnicodeDecodeError:
-        return line.decode("latin-1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +256,9 @@ class _Layout:
     @classmethod
     def of(cls, raw_lines: list[bytes], normaliser: Normaliser, tail: int) -> _Layout:
         delimiter = normaliser.delimiter
-        last = _last(raw_lines, tail)
-        rows = _rows(last, normaliser) if any(_parts(line, delimiter) for line in last) else []
+        marks = (b" ", b"\t") if delimiter == " " else (delimiter.encode(),)
+        last = [*islice((line for line in reversed(raw_lines) if line.strip()), tail)][::-1]
+        rows = _rows(last, normaliser) if any(mark in line for line in last for mark in marks) else []
         width, count = Counter(map(len, rows)).most_common(1)[0] if rows else (0, 0)
         if width < 3 or count < 0.9 * len(rows):
             return cls(raw_lines, normaliser, ())
@@ -285,7 +277,7 @@ class _Layout:
         return sum(kind in (Kind.NUMBER, Kind.TIME) for kind in self.kinds) / len(self.kinds)
 
     def dialect(self, offset: int) -> Dialect | None:
-        """The full layout of lines from this byte on, None if no run of rows begins anywhere."""
+        """Return the full layout of lines from this byte on, None if no run of rows begins anywhere."""
         first = self._first_row()
         if first is None:
             return None
@@ -298,7 +290,7 @@ class _Layout:
         return Dialect(*layout, rows, lines, first, offset, False)
 
     def _first_row(self) -> int | None:
-        """The first of three rows that follow each other, or of the last ones."""
+        """Return the first of three rows that follow each other, or of the last ones."""
         run: list[int] = []
         for number, line in enumerate(self.raw_lines):
             for row in _rows([line], self.normaliser):
@@ -317,7 +309,7 @@ class _Layout:
         return filled and all(other in (kind, Kind.MISSING) for kind, other in found if kind is Kind.NUMBER)
 
     def _names(self, first: int) -> tuple[tuple[str, ...] | None, tuple[str, ...] | None, int]:
-        """The names; the units, where a second line below them gives these; and the line of the names."""
+        """Return the names, the units if a second line below them gives these, and the line of the names."""
         above = [number for number in range(first) if self.raw_lines[number].strip()][-2:]
         rows = [self._heading(number) for number in above]
         if rows and rows[-1] and all(map(is_unit_cell, rows[-1])) and len(rows) == 2 and rows[0]:
@@ -326,7 +318,7 @@ class _Layout:
         return names, None, (above[-1] if names else first) + 1
 
     def _heading(self, number: int) -> tuple[str, ...] | None:
-        """A line's cells where they can be names: as many as there are columns, none a number."""
+        """Return a line's cells if they can be names: as many as there are columns, none a number."""
         text = decode(self.raw_lines[number])
         text = COMMENT.sub("", text).strip("\r\n")
         if self.normaliser.delimiter == " ":
@@ -340,12 +332,12 @@ class _Layout:
 
 
 def _rows(raw_lines: list[bytes], normaliser: Normaliser) -> list[list[str]]:
-    """The cells of all lines that are not blank, as they are written."""
+    """Return the cells of all lines that are not blank, as they are written."""
     return [row for _, row in _numbered(raw_lines, normaliser, 1)]
 
 
 def _numbered(raw_lines: list[bytes], normaliser: Normaliser, first: int) -> list[tuple[int, list[str]]]:
-    """These cells, each row with its line; `first` is that of the first."""
+    """Return these cells, each row with its line number; `first` is that of the first."""
     plain = replace(normaliser, decimal_comma=False, slash_dates=False)
     rows = [split_line(decode(plain(line)).rstrip("\r\n"), normaliser.delimiter) for line in raw_lines]
     return [(line, row) for line, row in enumerate(rows, first) if row]
@@ -355,18 +347,8 @@ def _column_kinds(rows: list[list[str]], delimiter: str, share: float) -> tuple[
     return tuple(column_kind(cells, delimiter != ",", share) for cells in zip(*rows, strict=True))
 
 
-def _last(raw_lines: list[bytes], number: int) -> list[bytes]:
-    """The last lines that are not blank."""
-    return [*islice((line for line in reversed(raw_lines) if line.strip()), number)][::-1]
-
-
-def _parts(line: bytes, delimiter: str) -> bool:
-    """Whether a line may have several cells."""
-    return delimiter.encode() in line or (delimiter == " " and b"\t" in line)
-
-
 def _normalisers(head: bytes) -> list[Normaliser]:
-    """What each delimiter would need; the times are looked for once."""
+    """Return what each delimiter would need; the times are looked for once."""
     split_date = b" " in head and SPLIT_DATE.search(head) is not None
     any_delimiter = Normaliser(
         "",
@@ -380,19 +362,16 @@ def _normalisers(head: bytes) -> list[Normaliser]:
         replace(
             any_delimiter,
             delimiter=delimiter,
-            padded=delimiter != " " and _padded(head, delimiter.encode()),
+            padded=delimiter != " "
+            and (b" " + delimiter.encode() in head or delimiter.encode() + b" " in head),
             split_date=delimiter == " " and split_date,
         )
         for delimiter in DELIMITERS
     ]
 
 
-def _padded(head: bytes, mark: bytes) -> bool:
-    return mark in head and b" " in head and (b" " + mark in head or mark + b" " in head)
-
-
 def _with_decimals(normaliser: Normaliser, rows: list[list[str]]) -> Normaliser:
-    """Decimals have a comma where these rows say so, or where they are whole numbers throughout.
+    """Take a comma for decimals where these rows say so, or where they are whole numbers throughout.
 
     A recording may begin with hours of zeros; only commas can then follow that are not understood.
     """

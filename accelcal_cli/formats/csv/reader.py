@@ -1,11 +1,14 @@
-"""An open text file of numbers: what is known of the recording, and its rows as chunks.
+"""Reads an open text file of numbers as chunks; bad rows are left out, and what is wrong becomes problems.
 
-Bad rows are left out; breaks, jumps of the clock and what else is wrong become problems.
+Rows pass several steps. `FollowedChanges` makes the times run on where they follow daylight saving.
+`SpreadRows` gives every row a time where several rows share a stamp, such as whole seconds. `IdleFill` marks
+what a device wrote while it slept. Rows of small blocks are then joined, since every stretch of rows costs
+the same afterwards, however short. The assembler makes chunks of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,38 +21,121 @@ from accelcal_cli.core import recording
 from accelcal_cli.core.clock import MICROSECONDS, Clock, StampClock, UniformClock, rate_fraction
 from accelcal_cli.core.errors import UnreadableError, counted
 from accelcal_cli.core.formats import ReadOptions
-from accelcal_cli.core.local_time import FOLLOWED
+from accelcal_cli.core.local_time import FOLLOWED, LocalStamps
 from accelcal_cli.core.recording import Channels, Chunk, Intake, Problem, Reader, Recording, Validity
 from accelcal_cli.formats._problems import Event, Kind, ProblemLog, Run
-from accelcal_cli.formats._stamps import GAP_PERIODS
+from accelcal_cli.formats._rows import RepeatedSamples
+from accelcal_cli.formats._stamps import GAP_PERIODS, IMPOSSIBLE, Pace, SharedStamps
 from accelcal_cli.formats.csv.detect import HEAD_BYTES, Detected, detect, last_timestamp
-from accelcal_cli.formats.csv.rows import (
-    Fault,
-    FollowedChanges,
-    IdleFill,
-    RowParser,
-    Rows,
-    SpreadRows,
-    block_bytes,
-    joined,
-)
-from accelcal_cli.formats.csv.table import Block, LineCutter, LineFile, RepeatedHeads
+from accelcal_cli.formats.csv.lines import Block, LineCutter, LineFile, RepeatedHeads
+from accelcal_cli.formats.csv.rows import CsvRows, Fault, RowParser, joined_rows
+
+BLOCK_BYTES = 1 << 21
+"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
+
+MOST_JOINED = 1 << 18
+"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
 
 SINGLE = 50
-"""Problems of a kind that are given one by one."""
+"""Problems of one kind that are given one by one; more are summed up."""
 
 MISSING = ("missing_value", "{rows} from line {line} on left out: a value is missing")
 OUT_OF_RANGE = ("out_of_range", "{rows} from line {line} on left out: a value is beyond any sensor's range")
-IMPOSSIBLE = ("impossible_time", "{rows} from line {line} on left out: an impossible time")
+IMPOSSIBLE_TIME = ("impossible_time", "{rows} from line {line} on left out: an impossible time")
 ASLEEP = ("idle_sleep", "{rows} from line {line} on not measured: the device slept, and repeated a value")
 AHEAD = ("clock_gap", "the time jumps ahead{jump} before line {line}{repeated}")
 BACK = ("clock_back", "the time goes back{jump} before line {line}{repeated}")
 WITH_ITS_ZONE = (FOLLOWED, "the times follow a change of the clocks in {zone} before line {{line}}")
 BROKEN_OFF = "the compressed data ends early or is damaged; the rows before that were read"
-CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)]
-"""The order of those problems that only the end of the file completes."""
+CODES = [code for code, _ in (MISSING, OUT_OF_RANGE, IMPOSSIBLE_TIME, ASLEEP, AHEAD, BACK, WITH_ITS_ZONE)]
+"""The order of problems that only the end of the file completes."""
 
 NO_DATE = "the file has no date; times count from 1970-01-01"
+
+
+class FollowedChanges:
+    """Makes times run on where they follow a change of their zone's offset.
+
+    Attributes:
+        rows: numbers, from 0, of the rows before which they follow one.
+    """
+
+    def __init__(self, zone: str | None) -> None:
+        self._stamps = None if zone is None else LocalStamps(zone)
+        self.rows: list[int] = []
+
+    def add(self, rows: CsvRows, _last: bool) -> CsvRows:
+        """Return the next rows with the times of a clock that runs on."""
+        if rows.time_us is None or self._stamps is None:
+            return rows
+        timed = np.flatnonzero(rows.time_us > IMPOSSIBLE)
+        running, followed = self._stamps.running_on(rows.time_us[timed])
+        self.rows += (rows.first_row + timed[followed]).tolist()
+        times = rows.time_us.copy()
+        times[timed] = running
+        return replace(rows, time_us=times)
+
+
+class SpreadRows:
+    """Gives rows that share a stamp times of their own (see `SharedStamps`)."""
+
+    def __init__(self, pace: Pace) -> None:
+        self._stamps = SharedStamps(pace)
+        self._waiting: CsvRows | None = None
+
+    def add(self, rows: CsvRows, last: bool) -> CsvRows:
+        """Take the next rows; return those whose times are settled (all, where these are the last)."""
+        assert rows.time_us is not None
+        times = self._stamps.add(rows.time_us, last)
+        rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
+        self._waiting = None if last else rows.part(len(times), len(rows))
+        return replace(rows.part(0, len(times)), time_us=times)
+
+
+class IdleFill:
+    """Marks rows of zeros, and rows that repeat the one before for long (see `RepeatedSamples`).
+
+    Args:
+        least: length of a run of equal rows from which on all but the first are marked.
+    """
+
+    def __init__(self, least: int) -> None:
+        self._repeats = RepeatedSamples(least)
+        self._waiting: CsvRows | None = None
+
+    def add(self, rows: CsvRows, last: bool) -> CsvRows:
+        """Take the next rows; return those that are settled (all, where these are the last)."""
+        rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
+        usable = rows.fault == Fault.NONE
+        filled = self._repeats.mark(rows.counts, usable, last=last)
+        settled = len(filled)
+        x, y, z = rows.counts[:settled].T
+        filled |= usable[:settled] & ((x | y | z) == 0)
+        self._waiting = rows.part(settled, len(rows)) if settled < len(rows) else None
+        return replace(rows.part(0, settled), filled=filled)
+
+
+def joined(parts: Iterable[tuple[CsvRows, Block]], samples: int) -> Iterator[tuple[CsvRows, Block]]:
+    """Yield rows of blocks, joined up to `samples` rows, each with its last block."""
+    samples = min(samples, MOST_JOINED)
+    stretches: list[CsvRows] = []
+    number, last_block = 0, None
+    for rows, block in parts:
+        if last_block is not None and number + len(rows) > samples:
+            yield _emptied(stretches), last_block
+            number = 0
+        if len(rows) or not stretches:
+            stretches.append(rows)
+        number, last_block = number + len(rows), block
+    if last_block is not None:
+        yield _emptied(stretches), last_block
+
+
+def _emptied(stretches: list[CsvRows]) -> CsvRows:
+    """Join stretches of rows, and empty the list so that it does not keep their memory."""
+    rows = joined_rows(stretches)
+    stretches.clear()
+    return rows
 
 
 def open_recording(path: Path, options: ReadOptions) -> CsvReader:
@@ -78,7 +164,7 @@ class CsvReader(Reader):
             UnreadableError: a line is no row of the file, or most rows cannot be used.
         """
         changes = self._changes()
-        assembler = Assembler(self._detected, changes.rows, self.recording.timezone)
+        assembler = CsvAssembler(self._detected, changes.rows, self.recording.timezone)
         heads = RepeatedHeads(self._detected.head)
         for rows, block in joined(self._settled(chunk_samples, heads, [changes]), chunk_samples):
             for chunk in assembler.chunks(rows, block, chunk_samples):
@@ -96,23 +182,23 @@ class CsvReader(Reader):
 
     def _settled(
         self, chunk_samples: int, heads: RepeatedHeads, changes: Sequence[FollowedChanges] = ()
-    ) -> Iterator[tuple[Rows, Block]]:
-        """Rows with their final times, and the block they came with; once a block."""
+    ) -> Iterator[tuple[CsvRows, Block]]:
+        """Yield rows with their final times, and the block they came with; once a block."""
         detected, dialect = self._detected, self._detected.parser.dialect
         row_parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
-        stages = [*changes, *_stages(detected)]
-        size = block_bytes(chunk_samples, detected.line_bytes)
+        steps = [*changes, *_steps(detected)]
+        size = max(1, min(BLOCK_BYTES, int(0.95 * chunk_samples * detected.line_bytes)))
         with LineFile(self._path, dialect.bare_returns, self.threads) as file:
             blocks = file.blocks(dialect.offset, dialect.skipped + 1, size)
             for parsed, block in row_parser.rows(map(heads.without, blocks), self.threads):
                 rows = parsed
-                for stage in stages:
-                    rows = stage.add(rows, block.last)
+                for step in steps:
+                    rows = step.add(rows, block.last)
                 yield rows, block
 
     def _first_time(self) -> int | None:
-        """Time of the first usable row [us], None without dates."""
-        assembler = Assembler(self._detected)
+        """Return the time of the first usable row [us], None without dates."""
+        assembler = CsvAssembler(self._detected)
         samples = int(HEAD_BYTES / self._detected.line_bytes)
         for rows, block in self._settled(samples, RepeatedHeads(self._detected.head)):
             for chunk in assembler.chunks(rows, block, max(samples, 1)):
@@ -129,18 +215,18 @@ def _unusable(detected: Detected, what: str) -> UnreadableError:
     return UnreadableError(what, path=parser.path, line=line, hint="check --columns and --unit")
 
 
-def _stages(detected: Detected) -> list[SpreadRows | IdleFill]:
-    """What is done to rows after they are parsed and their zone's changes are undone."""
-    stages: list[SpreadRows | IdleFill] = []
+def _steps(detected: Detected) -> list[SpreadRows | IdleFill]:
+    """Return the steps that rows pass after they are parsed and their zone's changes are undone."""
+    steps: list[SpreadRows | IdleFill] = []
     if detected.pace.stamp_period_us:
-        stages.append(SpreadRows(detected.pace))
+        steps.append(SpreadRows(detected.pace))
     if detected.export.repeats_idle:
-        stages.append(IdleFill(round(detected.pace.rate_hz)))
-    return stages
+        steps.append(IdleFill(round(detected.pace.rate_hz)))
+    return steps
 
 
-def _ended(assembler: Assembler, heads: RepeatedHeads, block: Block, detected: Detected) -> Chunk:
-    """What the end of a file completes; raises UnreadableError if most rows cannot be used."""
+def _ended(assembler: CsvAssembler, heads: RepeatedHeads, block: Block, detected: Detected) -> Chunk:
+    """Return what the end of a file completes; raise UnreadableError if most rows cannot be used."""
     if 2 * assembler.samples < assembler.rows or not assembler.samples:
         raise _unusable(detected, f"only {assembler.samples} of {assembler.rows} rows hold usable values")
     return assembler.end(block, _joined_files(heads.lines, assembler.samples))
@@ -150,14 +236,12 @@ class CsvIntake(Intake):
     """Takes a text file as it grows, whole lines at a time."""
 
     def __init__(self, detected: Detected, changes: FollowedChanges, zone: str | None) -> None:
-        dialect = replace(detected.parser.dialect, sample=(), lines=())
-        detected = replace(detected, parser=replace(detected.parser, dialect=dialect))
         self._detected = detected
-        self._lines = LineCutter(dialect, detected.parser.path)
+        self._lines = LineCutter(detected.parser.dialect, detected.parser.path)
         self._heads = RepeatedHeads(detected.head)
         self._parser = RowParser(detected.parser, detected.scale, detected.first_values, detected.gyro)
-        self._stages = [changes, *_stages(detected)]
-        self._assembler = Assembler(detected, changes.rows, zone)
+        self._steps = [changes, *_steps(detected)]
+        self._assembler = CsvAssembler(detected, changes.rows, zone)
 
     def take(self, data: bytes, *, last: bool) -> Iterator[Chunk]:
         """See `Intake`."""
@@ -166,8 +250,8 @@ class CsvIntake(Intake):
             return
         for parsed, passed in self._parser.rows([self._heads.without(block)], 1):
             rows = parsed
-            for stage in self._stages:
-                rows = stage.add(rows, last)
+            for step in self._steps:
+                rows = step.add(rows, last)
             yield from self._assembler.chunks(rows, passed, max(1, len(rows)))
         if last:
             yield _ended(self._assembler, self._heads, block, self._detected)
@@ -197,7 +281,7 @@ def _recording(path: Path, detected: Detected, first_us: int | None, last_us: in
 
 
 @dataclass(frozen=True, slots=True)
-class _Kept:
+class _GoodRows:
     """The good rows of a stretch: their numbers, lines and times (times None for a uniform clock)."""
 
     keep: NDArray[np.bool_] | None
@@ -206,16 +290,16 @@ class _Kept:
     time_us: NDArray[np.int64] | None
 
     def of(self, values: Any) -> Any:
-        """The entries of these rows in a column of the stretch."""
+        """Return the entries of these rows in a column of the stretch."""
         return values if self.keep is None else values[self.keep]
 
 
-class Assembler:
+class CsvAssembler:
     """Makes chunks of all rows of a file, in order.
 
     Args:
-        followed: numbers of the rows before which the times follow a change of their zone; known as soon as
-            the rows are.
+        followed: numbers of the rows before which the times follow a change of their zone; it grows with
+            the rows.
     """
 
     def __init__(self, detected: Detected, followed: Sequence[int] = (), zone: str | None = None) -> None:
@@ -236,11 +320,14 @@ class Assembler:
         self.samples = 0
         self.rows = 0
 
-    def chunks(self, rows: Rows, block: Block, chunk_samples: int) -> Iterator[Chunk]:
-        """The good ones of the next rows, which end with a block, at most `chunk_samples` to a chunk."""
+    def chunks(self, rows: CsvRows, block: Block, chunk_samples: int) -> Iterator[Chunk]:
+        """Yield the good rows of the next ones, which end with a block, at most `chunk_samples` a chunk."""
         kept = self._kept(rows)
         counts = kept.of(rows.counts)
-        channels = {name: kept.of(values) for name, values in (rows.channels | _validity(rows)).items()}
+        channels = {name: kept.of(values) for name, values in rows.channels.items()}
+        if rows.filled is not None and rows.filled.any():
+            validity = np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))
+            channels["validity"] = kept.of(validity)
         events = list(self._row_events(rows))
         breaks, clock_jumps = self._breaks(kept, events, rows.first_row + len(rows))
         for event in events:
@@ -265,7 +352,7 @@ class Assembler:
             self.samples += stop - start
 
     def end(self, block: Block, more: tuple[Problem, ...] = ()) -> Chunk:
-        """An empty chunk with what the end of the file completes: runs that reach it, the rest of many."""
+        """Return an empty chunk with what the end of the file completes: runs that reach it, sums of many."""
         left = sorted(self._log.take(None), key=lambda problem: CODES.index(problem.code))
         return Chunk(
             self.samples,
@@ -277,14 +364,14 @@ class Assembler:
             **self._no_channels,
         )
 
-    def _row_events(self, rows: Rows) -> Iterator[Event]:
-        """Rows that are left out, and such as the device did not measure."""
+    def _row_events(self, rows: CsvRows) -> Iterator[Event]:
+        """Yield what concerns single rows: those left out, those not measured, changes of the clocks."""
         good = rows.fault == Fault.NONE
         flags: list[tuple[Kind, NDArray[np.bool_], int]] = []
         if not good.all():
             flags.append((MISSING, rows.fault == Fault.MISSING, self._row_bytes))
             flags.append((OUT_OF_RANGE, rows.fault == Fault.OUT_OF_RANGE, self._row_bytes))
-            flags.append((IMPOSSIBLE, rows.fault == Fault.TIME, self._row_bytes))
+            flags.append((IMPOSSIBLE_TIME, rows.fault == Fault.TIME, self._row_bytes))
         if rows.filled is not None and rows.filled.any():
             flags.append((ASLEEP, rows.filled, 0))
         here = [row - rows.first_row for row in self._followed if 0 <= row - rows.first_row < len(rows)]
@@ -299,29 +386,28 @@ class Assembler:
                 amounts = (self.samples + sample, count, 0, count * row_bytes)
                 yield Event(row, count, *kind, None, *amounts, line, scattered)
 
-    def _kept(self, rows: Rows) -> _Kept:
+    def _kept(self, rows: CsvRows) -> _GoodRows:
         if not rows.fault.any():
-            return _Kept(None, rows.row, rows.line, rows.time_us)
+            return _GoodRows(None, rows.row, rows.line, rows.time_us)
         keep = rows.fault == Fault.NONE
         stamps = rows.time_us
         if stamps is None:
             stamps = UniformClock(self._start_us, rows.first_row, self._rate).times(0, len(rows))
-        return _Kept(keep, rows.row[keep], rows.line[keep], stamps[keep])
+        return _GoodRows(keep, rows.row[keep], rows.line[keep], stamps[keep])
 
-    def _clock(self, kept: _Kept, start: int, stop: int) -> Clock:
+    def _clock(self, kept: _GoodRows, start: int, stop: int) -> Clock:
         if kept.time_us is not None:
             return StampClock(kept.time_us[start:stop])
         first = int(kept.row[start]) if len(kept.row) else 0
         return UniformClock(self._start_us, first, self._rate)
 
     def _breaks(
-        self, kept: _Kept, events: list[Event], stop: int
+        self, kept: _GoodRows, events: list[Event], stop: int
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Rows before which the recording is not continuous, and those of them where only the clock jumps.
+        """Return rows before which the recording is not continuous, and those where only the clock jumps.
 
-        Jumps of the clock are added to the events.
-
-        A jump reaches up to the next good row, or to `stop`, the row after the stretch, until more is known.
+        Jumps of the clock are added to the events. A jump reaches up to the next good row, or to `stop`, the
+        row after the stretch, until more is known.
         """
         if self._last_jump is not None:
             length = (int(kept.row[0]) if len(kept.row) else stop) - self.rows
@@ -345,17 +431,17 @@ class Assembler:
         jumps = ahead | back
         return np.flatnonzero(broken | jumps), np.flatnonzero(jumps & ~broken)
 
-    def _strides(self, kept: _Kept) -> NDArray[np.int64]:
-        """How many rows of the file each is after the good one before: (n,), or (1,) where all are alike."""
+    def _strides(self, kept: _GoodRows) -> NDArray[np.int64]:
+        """Return distances [rows] from the good row before: (n,), or (1,) where all are alike."""
         before = int(kept.row[0]) - 1 if self._last_row < 0 else self._last_row
         if kept.keep is None and kept.row[0] == before + 1:
             return np.ones(1, np.int64)
         return np.diff(kept.row, prepend=before)
 
     def _jumps(
-        self, kind: Kind, places: NDArray[np.int64], kept: _Kept, steps: NDArray[np.int64], stop: int
+        self, kind: Kind, places: NDArray[np.int64], kept: _GoodRows, steps: NDArray[np.int64], stop: int
     ) -> Iterator[Event]:
-        """Jumps before the good rows `places`; `steps` are the times since the good row before [us]."""
+        """Yield jumps before the good rows `places`; `steps` are the times since the good row before [us]."""
         ends = np.append(kept.row[1:], stop)
         for index, count, scattered in self._log.runs(kind, places):
             place = int(places[index])
@@ -366,7 +452,7 @@ class Assembler:
 
 
 def _message(run: Run) -> str:
-    """What is wrong with the rows of a run, and where."""
+    """Return the message on what is wrong with the rows of a run, and where."""
     size, count, line = run.event.amount_us, run.count, run.event.line
     text = run.event.text.format(
         rows="1 row" if count == 1 else f"{count} rows",
@@ -378,7 +464,7 @@ def _message(run: Run) -> str:
 
 
 def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
-    """That the names of the columns stand in these lines again."""
+    """Return the problem that the names of the columns stand in these lines again."""
     if not lines:
         return ()
     more = f" and {counted(len(lines) - 1, 'more line')}" if len(lines) > 1 else ""
@@ -387,7 +473,7 @@ def _joined_files(lines: Sequence[int], samples: int) -> tuple[Problem, ...]:
 
 
 def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
-    """What the last block leaves behind."""
+    """Return the problem with what the last block leaves behind."""
     text = BROKEN_OFF
     if not block.broken:
         if not block.tail.strip() and not block.zeros:
@@ -397,10 +483,3 @@ def _cut_short(block: Block, samples: int) -> tuple[Problem, ...]:
         if not block.tail.strip(b"\0"):
             text = f"the file ends in {block.zeros + len(block.tail)} bytes of zeros, which hold no rows"
     return (Problem("truncated", text, block.end, samples, lost_bytes=len(block.tail) + block.zeros),)
-
-
-def _validity(rows: Rows) -> Channels:
-    """Of every row, as a channel; none if all were measured."""
-    if rows.filled is None or not rows.filled.any():
-        return {}
-    return {"validity": np.where(rows.filled, np.uint8(Validity.FILLED), np.uint8(Validity.MEASURED))}

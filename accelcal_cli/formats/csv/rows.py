@@ -1,9 +1,6 @@
-"""Rows of a text file as counts, times and faults, block after block.
+"""Turns blocks of lines into columns of numbers and times, and these into counts and faults.
 
-`RowParser` makes rows of the parsed columns. `FollowedChanges` makes the times run on where they follow
-daylight saving. `SpreadRows` gives every row a time where several rows share a
-stamp, such as whole seconds; `IdleFill` marks what a device wrote while it slept. Rows of small blocks are
-then joined, since every stretch of rows costs the same afterwards, however short.
+Single lines are looked at only where a block cannot be parsed, to name the first bad one.
 """
 
 from __future__ import annotations
@@ -11,31 +8,246 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import cached_property
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.core.local_time import LocalStamps
 from accelcal_cli.core.parallel import parallel_map
 from accelcal_cli.core.recording import Channels, cut_channels, cut_columns, joined_channels, joined_columns
-from accelcal_cli.core.vocabulary import PHYSICAL_UNITS
-from accelcal_cli.formats._rows import RepeatedSamples
-from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME, Pace, SharedStamps
+from accelcal_cli.core.system import process_is_ours
+from accelcal_cli.core.vocabulary import COUNTS, PHYSICAL_UNITS
+from accelcal_cli.formats._stamps import IMPOSSIBLE, NO_TIME
 from accelcal_cli.formats._tables.units import Scale as TurnScale
-from accelcal_cli.formats.csv.cells import Scale
-from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN
-from accelcal_cli.formats.csv.table import Block, ParsedTable, TableParser, lone_block
+from accelcal_cli.formats.csv.cells import (
+    MISSING,
+    AccelScale,
+    DateColumn,
+    Kind,
+    TimeFormat,
+    cell_kind,
+    decode,
+    floats,
+    split_line,
+)
+from accelcal_cli.formats.csv.columns import CHANNELS, UNKNOWN, Roles
+from accelcal_cli.formats.csv.dialect import Dialect
+from accelcal_cli.formats.csv.lines import Block, lone_block
 
-BLOCK_BYTES = 1 << 21
-"""Text that is parsed at a time, however many samples are wanted: its table takes as much again."""
+PARSER_BYTES = 1 << 20
+"""Text that pyarrow parses at a time."""
 
-MOST_JOINED = 1 << 18
-"""Rows that are joined however many are wanted: more of them are made no faster, and take memory."""
+if process_is_ours():  # else Arrow starts a thread for signals, and ends the process where it is given none
+    pa.enable_signal_handlers(False)
+
+DATES = pa.dictionary(pa.int32(), pa.string())
+PADDING = frozenset(b" \t\r\n")
+SHOWN = 40
+"""Letters of a line that a message shows."""
+
+
+@dataclass(frozen=True, slots=True)
+class LineCheck:
+    """Finds what is wrong with a line: the number of its columns, or a cell that is no number or time."""
+
+    dialect: Dialect
+    used: tuple[int, ...]
+    time: int | None
+    format: TimeFormat | None
+    date: DateColumn | None = None
+
+    def bad_line(self, raw: bytes, line: int, path: Path) -> UnreadableError:
+        """Return the error for a normalised line that cannot be parsed."""
+        text = decode(raw)
+        fault = self._fault(text) or f"the line cannot be read ({shortened(text)!r})"
+        return UnreadableError(fault, path=path, line=line, hint="correct or remove that line")
+
+    def _fault(self, text: str) -> str | None:
+        cells = split_line(text, self.dialect.normaliser.delimiter)
+        if len(cells) != self.dialect.columns:
+            columns = "1 column" if len(cells) == 1 else f"{len(cells)} columns"
+            return f"the line has {columns}, not {self.dialect.columns} ({shortened(text)!r})"
+        if self.date is not None and self.time is not None:
+            cells[self.time] = self.date.moment(cells[self.date.column], cells[self.time])
+        for column in sorted(self.used):
+            if not self._fits(cells[column], column):
+                what = "time" if column == self.time else "number"
+                return f"column {column} holds {shortened(cells[column])!r}, which is not a {what}"
+        return None
+
+    def _fits(self, cell: str, column: int) -> bool:
+        kind = cell_kind(cell, False)
+        if column == self.time and self.format is not None and self.format.unit_us is None:
+            return kind is Kind.MISSING or self.format.is_written_right(cell)
+        return kind in (Kind.NUMBER, Kind.MISSING)
+
+
+def shortened(text: str) -> str:
+    """Return a text short enough for a message."""
+    return text if len(text) <= SHOWN else text[:SHOWN] + "..."
+
+
+def _three(table: Any, columns: tuple[int, int, int]) -> NDArray[np.float64]:
+    """Return three columns of a parsed table, (n, 3)."""
+    values = np.empty((table.num_rows, 3))
+    for axis, column in enumerate(columns):
+        values[:, axis] = floats(table[str(column)])
+    return values
+
+
+@dataclass(frozen=True, slots=True)
+class ParsedTable:
+    """The columns of a block that are used, one entry a row.
+
+    Attributes:
+        line: (n,) number in the file.
+        values: (n, 3) accelerations in the file's unit, NaN where empty.
+        time_us: (n,), or None without a time column.
+        channels: (n,) each, as `values`.
+        rates: (n, 3) rotation rates, as `values`, or None.
+    """
+
+    line: NDArray[np.int64]
+    values: NDArray[np.float64]
+    time_us: NDArray[np.int64] | None
+    channels: Channels
+    rates: NDArray[np.float64] | None = None
+
+
+@dataclass(frozen=True)
+class TableParser:
+    """Turns blocks of lines into columns."""
+
+    path: Path
+    dialect: Dialect
+    roles: Roles
+    time: TimeFormat | None
+    date: DateColumn | None = None
+
+    @property
+    def used(self) -> list[int]:
+        """The numbers of the columns that are read, without that of dates alone."""
+        time = () if self.roles.time is None else (self.roles.time,)
+        return [*self.roles.xyz, *time, *self.roles.channels.values(), *(self.roles.gyro or ())]
+
+    @cached_property
+    def _converting(self) -> Any:
+        return self._converting_times(None if self.time is None else self.time.arrow_type)
+
+    def _converting_times(self, kind: Any) -> Any:
+        """Return how pyarrow makes values of cells, with this type for times."""
+        types = {str(column): pa.float64() for column in self.used}
+        if kind is not None:
+            types[str(self.roles.time)] = kind
+        if self.date is not None:
+            types |= {str(self.roles.time): pa.string(), str(self.date.column): DATES}
+        return pa_csv.ConvertOptions(
+            column_types=types,
+            include_columns=list(types),
+            null_values=list(MISSING),
+            strings_can_be_null=True,
+            quoted_strings_can_be_null=True,
+        )
+
+    def parse(self, block: Block) -> ParsedTable:
+        """Return the rows of a block's whole lines.
+
+        Raises:
+            UnreadableError: a line has a wrong number of columns, or a text where a number belongs.
+        """
+        data = self.dialect.normaliser(block.data)
+        table, data, impossible = self._table(data, block)
+        line = block.line + np.arange(table.num_rows, dtype=np.int64)
+        if block.lines != table.num_rows:
+            rows = [number for number, text in enumerate(data.splitlines()) if text]
+            line = block.line + np.array(rows, np.int64)
+        values = _three(table, self.roles.xyz)
+        stamps = None if self.time is None else self.time.microseconds(table[str(self.roles.time)])
+        if stamps is not None and impossible is not None:
+            stamps[impossible] = IMPOSSIBLE
+        channels = {name: floats(table[str(column)]) for name, column in self.roles.channels.items()}
+        rates = None if self.roles.gyro is None else _three(table, self.roles.gyro)
+        return ParsedTable(line, values, stamps, channels, rates)
+
+    def _table(self, data: bytes, block: Block) -> tuple[Any, bytes, NDArray[np.bool_] | None]:
+        """Return the parsed columns, the text of the same lines behind them, and impossible times."""
+        try:
+            return self._parsed(data), data, None
+        except pa.ArrowException:
+            thorough = replace(self.dialect.normaliser, thorough=True)(block.data)
+        try:
+            return self._parsed(thorough), thorough, None
+        except pa.ArrowException as error:
+            if found := self._with_impossible_times(thorough):
+                return found[0], thorough, found[1]
+            raise self._bad_line(thorough, block.line) from error
+
+    def _with_impossible_times(self, data: bytes) -> tuple[Any, NDArray[np.bool_]] | None:
+        """Return the columns with impossible times empty, and flags of these; None if more is wrong."""
+        if self.time is None or self.time.unit_us is not None:
+            return None
+        try:
+            table = self._parsed(data, times_as=pa.string())
+        except pa.ArrowException:
+            return None
+        name = str(self.roles.time)
+        cells = pa.concat_arrays(table[name].chunks)
+        times, impossible = self.time.possible(cells)
+        if not all(self.time.is_written_right(cells[row].as_py()) for row in np.flatnonzero(impossible)):
+            return None
+        place = table.schema.get_field_index(name)
+        return table.set_column(place, name, pa.chunked_array([times])), impossible
+
+    def _bad_line(self, data: bytes, first_line: int) -> UnreadableError:
+        """Return the error that names the first line of text that cannot be parsed."""
+        lines = data.splitlines(keepends=True)
+        good, bad = 0, len(lines)
+        while bad - good > 1:
+            middle = (good + bad) // 2
+            good, bad = (middle, bad) if self._is_sound(b"".join(lines[:middle])) else (good, middle)
+        check = LineCheck(self.dialect, tuple(self.used), self.roles.time, self.time, self.date)
+        return check.bad_line(lines[good].rstrip(b"\r\n"), first_line + good, self.path)
+
+    def _is_sound(self, data: bytes) -> bool:
+        try:
+            self._parsed(data)
+        except pa.ArrowException:
+            return self._with_impossible_times(data) is not None
+        return True
+
+    def _parsed(self, data: bytes, times_as: Any = None) -> Any:
+        """Return a table in the C library's memory: Arrow's own keeps an eighth more of what was freed.
+
+        Args:
+            times_as: another type for the column of times.
+        """
+        converting = self._converting if times_as is None else self._converting_times(times_as)
+        if PADDING.issuperset(data):
+            types = converting.column_types
+            return pa.table({name: pa.array([], kind) for name, kind in types.items()})
+        names = [str(column) for column in range(self.dialect.columns)]
+        reading = pa_csv.ReadOptions(column_names=names, block_size=PARSER_BYTES, use_threads=False)
+        parsing = pa_csv.ParseOptions(delimiter=self.dialect.normaliser.delimiter, newlines_in_values=False)
+        pool = pa.system_memory_pool()
+        table = pa_csv.read_csv(pa.BufferReader(data), reading, parsing, converting, memory_pool=pool)
+        return table if self.date is None else self._with_moments(table, times_as)
+
+    def _with_moments(self, table: Any, times_as: Any) -> Any:
+        """Return a table with dates and times of day joined in the column of the latter."""
+        assert self.date is not None and self.time is not None
+        name = str(self.roles.time)
+        moments = self.date.moments(table[str(self.date.column)], table[name])
+        column = moments.cast(times_as or self.time.arrow_type)
+        return table.set_column(table.schema.get_field_index(name), name, column)
 
 
 class Fault(IntEnum):
-    """Why a row cannot be used."""
+    """The reason why a row cannot be used."""
 
     NONE = 0
     MISSING = 1
@@ -44,12 +256,17 @@ class Fault(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Rows:
+class CsvRows:
     """Consecutive rows of a file, good and bad ones.
 
-    first_row: number of the first, from 0. line: (n,) number in the text. counts: (n, 3) int32.
-    fault: (n,) uint8 of `Fault`. time_us: (n,) or None. channels: (n,) or (n, 3) int32 each.
-    filled: (n,) rows that the device did not measure, or None if none are known.
+    Attributes:
+        first_row: number of the first, from 0.
+        line: (n,) number in the text.
+        counts: (n, 3).
+        fault: (n,) of `Fault`.
+        time_us: (n,) or None.
+        channels: (n,) or (n, 3) int32 each.
+        filled: (n,) rows that the device did not measure, or None if none are known.
     """
 
     first_row: int
@@ -68,35 +285,39 @@ class Rows:
         """(n,) number of each row within the file, from 0."""
         return self.first_row + np.arange(len(self), dtype=np.int64)
 
-    def part(self, start: int, stop: int) -> Rows:
-        """Rows start..stop-1, as views."""
+    def part(self, start: int, stop: int) -> CsvRows:
+        """Return rows start..stop-1 as views."""
         rows = slice(start, stop)
         columns, channels = cut_columns(self, COLUMNS, rows), cut_channels(self.channels, rows)
         return replace(self, first_row=self.first_row + start, channels=channels, **columns)
 
 
 COLUMNS = ("line", "counts", "fault", "time_us", "filled")
+"""Fields of `CsvRows` with one entry a row."""
 
 
-def joined_rows(parts: list[Rows]) -> Rows:
-    """Rows of the same file that follow each other, at least one stretch of them."""
+def joined_rows(parts: list[CsvRows]) -> CsvRows:
+    """Join rows of the same file that follow each other, at least one stretch of them."""
     if len(parts) == 1:
         return parts[0]
-    first = parts[0]
     channels = joined_channels([part.channels for part in parts])
-    return Rows(first.first_row, channels=channels, **joined_columns(parts, COLUMNS))
+    return CsvRows(parts[0].first_row, channels=channels, **joined_columns(parts, COLUMNS))
 
 
 class RowParser:
     """Turns blocks into rows, in the order of the file.
 
     Args:
-        first_values: of each channel that is wanted, the file's first value, for rows before it.
-        gyro: how rates of turn become counts, None without.
+        first_values: the file's first value of each channel that is wanted, for rows before it.
+        gyro: how rotation rates become counts, None without.
     """
 
     def __init__(
-        self, parser: TableParser, scale: Scale, first_values: dict[str, int], gyro: TurnScale | None = None
+        self,
+        parser: TableParser,
+        scale: AccelScale,
+        first_values: dict[str, int],
+        gyro: TurnScale | None = None,
     ) -> None:
         self._parser = parser
         self._scale = scale
@@ -104,8 +325,8 @@ class RowParser:
         self._last_values = dict(first_values)
         self._next_row = 0
 
-    def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[Rows, Block]]:
-        """The rows of blocks that follow each other, and each block without its lines.
+    def rows(self, blocks: Iterable[Block], threads: int) -> Iterator[tuple[CsvRows, Block]]:
+        """Yield the rows of blocks that follow each other, and each block without its lines.
 
         Args:
             threads: how many may work at a time.
@@ -113,11 +334,11 @@ class RowParser:
         Raises:
             UnreadableError: a line is no row of the file, or counts are not whole.
         """
-        for rows, block in parallel_map(self._parsed, blocks, threads):
+        for rows, block in parallel_map(self._rows_of, blocks, threads):
             yield self._placed(rows), block
 
-    def _placed(self, rows: Rows) -> Rows:
-        """The next rows, with their number in the file, and values of channels from before them."""
+    def _placed(self, rows: CsvRows) -> CsvRows:
+        """Return the next rows with their number in the file, and values of channels from before them."""
         first, self._next_row = self._next_row, self._next_row + len(rows)
         for name in self._last_values if len(rows) else ():
             values = rows.channels[name]
@@ -125,33 +346,32 @@ class RowParser:
             self._last_values[name] = int(values[-1])
         return replace(rows, first_row=first)
 
-    def _parsed(self, block: Block) -> tuple[Rows, Block]:
-        """The rows of a block by themselves; does not depend on what was done before."""
-        cells = self._cells(block)
-        self._refuse_fractions(cells)
-        counts, fault = self._counts(cells.values)
-        if cells.time_us is not None:
-            fault[cells.time_us == NO_TIME] = Fault.MISSING
-            fault[cells.time_us == IMPOSSIBLE] = Fault.TIME
+    def _rows_of(self, block: Block) -> tuple[CsvRows, Block]:
+        """Return the rows of a block by themselves; this may run in any order."""
+        table = self._table(block)
+        self._refuse_fractions(table)
+        counts, fault = self._counts(table.values)
+        if table.time_us is not None:
+            fault[table.time_us == NO_TIME] = Fault.MISSING
+            fault[table.time_us == IMPOSSIBLE] = Fault.TIME
         channels: Channels = {
-            name: CHANNELS[name].channel(cells.channels[name]) for name in self._last_values
+            name: CHANNELS[name].channel(table.channels[name]) for name in self._last_values
         }
-        if self._gyro is not None and cells.rates is not None:
-            channels["gyro_counts"], faults = self._gyro.counts(cells.rates)
+        if self._gyro is not None and table.rates is not None:
+            channels["gyro_counts"], faults = self._gyro.counts(table.rates)
             fault[faults["missing_value"] & (fault == Fault.NONE)] = Fault.MISSING
             fault[faults["out_of_range"] & (fault == Fault.NONE)] = Fault.OUT_OF_RANGE
-        return Rows(0, cells.line, counts, fault, cells.time_us, channels), block.without_lines()
+        return CsvRows(0, table.line, counts, fault, table.time_us, channels), block.without_lines()
 
-    def _cells(self, block: Block) -> ParsedTable:
-        """The columns of a block. Of the faults of its lines, the first is the error, however long it is."""
+    def _table(self, block: Block) -> ParsedTable:
+        """Parse a block; the error is that of its first wrong line, however long the block is."""
         try:
-            return self._parser.cells(block)
+            return self._parser.parse(block)
         except UnreadableError as error:
             above = block.data.splitlines(keepends=True)[: (error.line or 0) - block.line]
-            if above and self._in_counts:
-                self._refuse_fractions(
-                    self._parser.cells(lone_block(b"".join(above), block.line, block.offset))
-                )
+            if above:
+                sound = lone_block(b"".join(above), block.line, block.offset)
+                self._refuse_fractions(self._parser.parse(sound))
             raise
 
     def _counts(self, values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.uint8]]:
@@ -164,16 +384,12 @@ class RowParser:
             scaled = np.where((fault == Fault.NONE)[:, None], scaled, 0.0)
         return scaled.astype(np.int32), fault
 
-    @property
-    def _in_counts(self) -> bool:
-        return self._scale.unit == "counts" or (self._gyro is not None and self._gyro.divisor is None)
-
-    def _refuse_fractions(self, cells: ParsedTable) -> None:
+    def _refuse_fractions(self, table: ParsedTable) -> None:
         """Raise UnreadableError for the first value that should be a whole number of counts."""
-        if self._scale.unit == "counts":
-            self._refuse(cells.values, cells.line, f"--unit {PHYSICAL_UNITS}")
-        if self._gyro is not None and self._gyro.divisor is None and cells.rates is not None:
-            self._refuse(cells.rates, cells.line, "--gyro-unit deg/s or rad/s")
+        if self._scale.unit == COUNTS:
+            self._refuse(table.values, table.line, f"--unit {PHYSICAL_UNITS}")
+        if self._gyro is not None and self._gyro.divisor is None and table.rates is not None:
+            self._refuse(table.rates, table.line, "--gyro-unit deg/s or rad/s")
 
     def _refuse(self, values: NDArray[np.float64], line: NDArray[np.int64], option: str) -> None:
         broken = (np.rint(values) != values) & np.isfinite(values)
@@ -186,93 +402,3 @@ class RowParser:
             line=int(line[row]),
             hint=f"give the unit of the values with {option}",
         )
-
-
-class FollowedChanges:
-    """Makes times run on where they follow a change of their zone's offset.
-
-    Attributes:
-        rows: numbers of the rows before which they do, from 0.
-    """
-
-    def __init__(self, zone: str | None) -> None:
-        self._stamps = None if zone is None else LocalStamps(zone)
-        self.rows: list[int] = []
-
-    def add(self, rows: Rows, _last: bool) -> Rows:
-        """The next rows, with the times of a clock that runs on."""
-        if rows.time_us is None or self._stamps is None:
-            return rows
-        timed = np.flatnonzero(rows.time_us > IMPOSSIBLE)
-        running, followed = self._stamps.running_on(rows.time_us[timed])
-        self.rows += (rows.first_row + timed[followed]).tolist()
-        times = rows.time_us.copy()
-        times[timed] = running
-        return replace(rows, time_us=times)
-
-
-class SpreadRows:
-    """Gives rows that share a stamp times of their own (see `SharedStamps`)."""
-
-    def __init__(self, pace: Pace) -> None:
-        self._stamps = SharedStamps(pace)
-        self._waiting: Rows | None = None
-
-    def add(self, rows: Rows, last: bool) -> Rows:
-        """Take the next rows; gives those whose times are settled (all, where these are the last)."""
-        assert rows.time_us is not None
-        times = self._stamps.add(rows.time_us, last)
-        rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
-        self._waiting = None if last else rows.part(len(times), len(rows))
-        return replace(rows.part(0, len(times)), time_us=times)
-
-
-class IdleFill:
-    """Marks rows of zeros, and rows that repeat the one before for long (see `RepeatedSamples`).
-
-    Args:
-        least: rows of a run of equal ones from which on all but the first are marked.
-    """
-
-    def __init__(self, least: int) -> None:
-        self._repeats = RepeatedSamples(least)
-        self._waiting: Rows | None = None
-
-    def add(self, rows: Rows, last: bool) -> Rows:
-        """Take the next rows; gives those that are settled (all, where these are the last)."""
-        rows = rows if self._waiting is None else joined_rows([self._waiting, rows])
-        usable = rows.fault == Fault.NONE
-        filled = self._repeats.mark(rows.counts, usable, last=last)
-        settled = len(filled)
-        x, y, z = rows.counts[:settled].T
-        filled |= usable[:settled] & ((x | y | z) == 0)
-        self._waiting = rows.part(settled, len(rows)) if settled < len(rows) else None
-        return replace(rows.part(0, settled), filled=filled)
-
-
-def block_bytes(samples: int, line_bytes: float) -> int:
-    """How much text to parse at a time where so many samples are wanted."""
-    return max(1, min(BLOCK_BYTES, int(0.95 * samples * line_bytes)))
-
-
-def joined(parts: Iterable[tuple[Rows, Block]], samples: int) -> Iterator[tuple[Rows, Block]]:
-    """Rows of blocks joined as long as they are no more than `samples`, each with its last block."""
-    samples = min(samples, MOST_JOINED)
-    stretches: list[Rows] = []
-    number, last_block = 0, None
-    for rows, block in parts:
-        if last_block is not None and number + len(rows) > samples:
-            yield _emptied(stretches), last_block
-            number = 0
-        if len(rows) or not stretches:
-            stretches.append(rows)
-        number, last_block = number + len(rows), block
-    if last_block is not None:
-        yield _emptied(stretches), last_block
-
-
-def _emptied(stretches: list[Rows]) -> Rows:
-    """Stretches as one; the list does not keep their memory."""
-    rows = joined_rows(stretches)
-    stretches.clear()
-    return rows

@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 import pytest
 
-from accelcal_cli.formats.csv.cells import Scale, name_and_hint, usual_length
+from accelcal_cli.formats.csv.cells import AccelScale, name_and_hint, usual_length
 
 CPU_SECONDS = 20
 """Many times what a long cell takes; one that takes the square of its length takes hours."""
@@ -76,5 +76,5 @@ def test_a_long_head_of_a_vendors_export_is_seen_at_once(pattern: str, text: str
 def test_values_beyond_all_numbers_raise_no_warning() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not np.isfinite(Scale("g", 2.0**24).counts(np.array([1e308])))[0]
+        assert not np.isfinite(AccelScale("g", 2.0**24).counts(np.array([1e308])))[0]
         assert usual_length(np.array([[1e308, 0.0, 0.0], [0.0, 0.6, 0.8]])) == 1.0

@@ -11,7 +11,7 @@ import pytest
 from accelcal_cli.core.errors import UnreadableError, UsageError
 from accelcal_cli.core.formats import ReadOptions, probe_file
 from accelcal_cli.formats.csv import FORMAT
-from accelcal_cli.formats.csv import table as csv_table
+from accelcal_cli.formats.csv import lines as csv_lines
 from tests.formats.make_csv import GRID, make, read, stamp, written
 
 RNG = np.random.default_rng(3)
@@ -55,7 +55,7 @@ def test_chunks_do_not_depend_on_their_size(
 ) -> None:
     truth = make(tmp_path, COUNTS[:60], 100.0, 256.0)
     whole = read(truth.path)
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", piece)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", piece)
     assert read(truth.path, chunk_samples).same_as(whole)
 
 

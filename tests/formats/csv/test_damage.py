@@ -10,7 +10,7 @@ import pytest
 
 from accelcal_cli.core.errors import AccelcalError, UnreadableError
 from accelcal_cli.formats.csv import detect
-from accelcal_cli.formats.csv import table as csv_table
+from accelcal_cli.formats.csv import lines as csv_lines
 from tests.formats.cuts import cuts, every_byte
 from tests.formats.make_csv import make, read, stamp, written
 
@@ -67,7 +67,7 @@ def test_gzip_with_a_flipped_byte_never_crashes_nor_depends_on_chunks(
 ) -> None:
     truth = make(tmp_path, COUNTS[:20], 100.0, 256.0)
     data = gzip.compress(truth.path.read_bytes(), mtime=0)
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", 200)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", 200)
     for place in range(10, len(data), 5):
         path = written(tmp_path, data[:place] + bytes([data[place] ^ 0x55]) + data[place + 1 :], "bad.csv.gz")
         try:
@@ -159,7 +159,7 @@ def test_many_problems_become_few_records_whatever_the_blocks(
     assert counted["missing_value"] == sum(wrong.count(cell) for cell in ("0,,1", "0,0,", ",0,0"))
     assert counted["out_of_range"] == wrong.count("0,999,1")
     assert len(whole.counts) == wrong.count("0,0,1")
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", piece)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", piece)
     assert read(path, chunk_samples).same_as(whole)
 
 
@@ -299,7 +299,7 @@ def test_the_first_bad_line_is_named_whatever_the_chunk_size(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, chunk_samples: int
 ) -> None:
     monkeypatch.setattr(detect, "HEAD_BYTES", 1000)
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", 200)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", 200)
     text = HEADER + rows(900) + "2024-02-30,0,0,1\n" + rows(50, 901) + line + rows(40, 952) + "x\n"
     with pytest.raises(UnreadableError, match="line 953: "):
         read(written(tmp_path, text), chunk_samples)

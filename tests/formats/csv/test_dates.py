@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.formats.csv import table as csv_table
-from accelcal_cli.formats.csv.times import find_order, order_in, read_date, year_first
+from accelcal_cli.formats.csv import lines as csv_lines
+from accelcal_cli.formats.csv.cells import find_order, order_in, read_date, year_first
 from tests.formats.make_csv import Read, read, written
 
 DAY_FIRST = datetime(2024, 4, 3)
@@ -93,7 +93,7 @@ def test_many_days_in_one_block_and_blocks_in_one_day(
 ) -> None:
     start = datetime(2024, 1, 28, 7)
     path = with_dates(tmp_path, "mdy", start, step_s=50 * 3600.0, rows=30)
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", piece)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", piece)
     check(read(path, chunk_samples), start, 50 * 3600.0)
 
 

@@ -13,8 +13,8 @@ from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.formats import open_recording
 from accelcal_cli.formats.csv import detect as csv_detect
-from accelcal_cli.formats.csv import rows as csv_rows
-from accelcal_cli.formats.csv import table as csv_table
+from accelcal_cli.formats.csv import lines as csv_lines
+from accelcal_cli.formats.csv import reader as csv_reader
 from tests.formats.make_csv import stamp, written
 
 HEADER = "time,x,y,z,temperature\n"
@@ -26,8 +26,8 @@ def line(number: int, cells: str = "0,0,1,20.5") -> str:
 
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(csv_rows, "BLOCK_BYTES", 400)
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", 100)
+    monkeypatch.setattr(csv_reader, "BLOCK_BYTES", 400)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", 100)
     monkeypatch.setattr(csv_detect, "HEAD_BYTES", 4000)
 
 
@@ -73,5 +73,5 @@ def test_the_memory_does_not_grow_with_the_samples_wanted(tmp_path: Path) -> Non
     path = written(tmp_path, b"x,y,z\n" + b"0.125,0.5,0.75\n" * 700_000)
     with open_recording(path, ReadOptions(unit="g", rate_hz=100.0)) as reader:
         sizes = [len(chunk) for chunk in reader.chunks(1 << 20)]
-    assert sum(sizes) == 700_000 and max(sizes) <= csv_rows.MOST_JOINED
-    assert 0 < pa.system_memory_pool().max_memory() < 6 * csv_rows.BLOCK_BYTES
+    assert sum(sizes) == 700_000 and max(sizes) <= csv_reader.MOST_JOINED
+    assert 0 < pa.system_memory_pool().max_memory() < 6 * csv_reader.BLOCK_BYTES

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError, UsageError
-from accelcal_cli.formats.csv import rows as csv_rows
-from accelcal_cli.formats.csv import table as csv_table
+from accelcal_cli.formats.csv import lines as csv_lines
+from accelcal_cli.formats.csv import reader as csv_reader
 from tests.formats.make_csv import START_US, Read, read, stamp, written
 
 SECOND = 1_000_000
@@ -200,7 +200,7 @@ def test_spreading_and_gaps_do_not_depend_on_blocks(
     cells[0] = ""
     whole = with_times(tmp_path, cells)
     assert {"clock_gap", "clock_back", "missing_value"} <= set(whole.codes)
-    monkeypatch.setattr(csv_table, "PIECE_BYTES", piece)
+    monkeypatch.setattr(csv_lines, "PIECE_BYTES", piece)
     assert with_times(tmp_path, cells, chunk_samples=chunk_samples).same_as(whole)
 
 
@@ -226,7 +226,7 @@ def test_problems_come_in_the_order_of_their_ends(
     lines[60:70] = [line.replace(",0,1", ",,1") for line in lines[60:70]]
     lines[62] = "11.2,77777,0,1"
     lines[98], lines[99] = "3,0,0,1", "14.9,0,,1"
-    monkeypatch.setattr(csv_rows, "BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(csv_reader, "BLOCK_BYTES", block_bytes)
     found = read(written(tmp_path, "time,x [g],y [g],z [g]\n" + "\n".join(lines) + "\n"))
     assert [(problem.code, problem.count) for problem in found.problems] == [
         ("no_start_time", 1),

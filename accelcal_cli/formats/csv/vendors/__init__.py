@@ -1,6 +1,6 @@
 """The contract of a vendor's export: one frozen record that each file of this folder binds as VENDOR.
 
-A vendor's file says whether the head of a file is its export, and describes what the header says.
+A vendor's file tells whether the head of a file is its export, and describes what the header says.
 """
 
 from __future__ import annotations
@@ -12,12 +12,10 @@ from functools import cache
 from pathlib import Path
 
 from accelcal_cli.core.clock import MICROSECONDS
-from accelcal_cli.core.formats import HEAD_BYTES
+from accelcal_cli.core.formats import HEAD_BYTES, is_text
 from accelcal_cli.core.plugins import find_plugins
 from accelcal_cli.core.recording import Device
-from accelcal_cli.formats.csv import is_text
-from accelcal_cli.formats.csv.dialect import BYTE_ORDER_MARK, decode
-from accelcal_cli.formats.csv.times import ORDERS, read_date, unclear_date
+from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK, ORDERS, decode, read_date, unclear_date
 
 HEAD_LINES = 200
 DAY_US = 86_400 * MICROSECONDS
@@ -25,7 +23,7 @@ EPOCH = date(1970, 1, 1)
 NO_DEVICE = Device()
 
 Head = tuple[str, ...]
-"""The first lines of a file without their ends, at most 200; the last may be cut."""
+"""The first lines of a file without their ends, at most HEAD_LINES; the last may be cut."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +33,7 @@ class Start:
     Attributes:
         time_us: microseconds since midnight of its date; without a date, since 1970.
         written: its date, as it is written.
-        line: where, from 1.
+        line: the line of the date, from 1.
     """
 
     time_us: int
@@ -43,12 +41,12 @@ class Start:
     line: int = 1
 
     def days(self, order: str | None) -> set[date]:
-        """The dates that it may be: in this order, or in any where none is given."""
+        """Return the dates that it may be: in this order, or in any order if none is given."""
         orders = ORDERS if order is None else (order,)
         return {day for item in orders if (day := read_date(self.written or "", item))}
 
     def us(self, order: str | None, path: Path) -> int:
-        """Microseconds since 1970.
+        """Return the start in microseconds since 1970.
 
         Raises:
             UnreadableError: the date does not fit the order, or no order is known and several fit.
@@ -64,7 +62,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True)
 class Doubt:
-    """Why a file of a known vendor holds no raw acceleration, and where that comes from."""
+    """Message and hint for a file of a known vendor that holds no raw acceleration."""
 
     message: str
     hint: str
@@ -72,7 +70,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class ExportDescription:
-    """What a vendor's header says. The rest is found out as in any other file.
+    """The facts that a vendor's header states. The rest is found out as in any other file.
 
     Attributes:
         title: whose export this is, for people.
@@ -87,9 +85,8 @@ class ExportDescription:
         timezone: of its clock.
         range_g: the sensor clips at +- this.
         date_order: of day, month and year, such as `mdy`.
-        repeats_idle: rows that only repeat the one before, for a second or more, were written by
-            the device while it slept, and so were zeros.
-        companion: the file beside it that says all this, if it is not in the file itself.
+        repeats_idle: the device sleeps, and then writes zeros, or repeats a row for a second or more.
+        companion: the sidecar that says all this, if it is not in the file itself.
         doubt: why it cannot be calibrated as it is; None for raw data.
     """
 
@@ -120,8 +117,8 @@ class Vendor:
 
     Attributes:
         name: of the file that binds it.
-        recognise: whether the first lines are this vendor's. Never raises.
-        describe: what they say. Never raises: what is damaged is left out.
+        recognise: tells whether the first lines are this vendor's. Never raises.
+        describe: returns what they say. Never raises: what is damaged is left out.
         from_name: adds to this what the name of the file says. Never raises.
     """
 
@@ -133,12 +130,12 @@ class Vendor:
 
 @cache
 def all_vendors() -> tuple[Vendor, ...]:
-    """Every vendor, by name."""
+    """Return every vendor, by name."""
     return tuple(find_plugins(__name__, __path__, "VENDOR"))
 
 
 def export_description(head: bytes, name: str = "") -> ExportDescription | None:
-    """What the head and the name of a vendor's export say; None if it is not a known vendor's."""
+    """Return what the head and the name of a vendor's export say; None if it is not a known vendor's."""
     if not is_text(head[:HEAD_BYTES]):
         return None
     raw = head[:HEAD_BYTES].removeprefix(BYTE_ORDER_MARK).splitlines()[:HEAD_LINES]

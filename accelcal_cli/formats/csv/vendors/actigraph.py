@@ -18,7 +18,7 @@ import re
 
 from accelcal_cli.core.clock import MICROSECONDS
 from accelcal_cli.core.recording import Device
-from accelcal_cli.formats.csv.times import order_in
+from accelcal_cli.formats.csv.cells import order_in
 from accelcal_cli.formats.csv.vendors import Doubt, ExportDescription, Head, Start, Vendor
 
 HEADER_LINES = 15

@@ -1,0 +1,211 @@
+"""Reads a text file as blocks of whole lines: a file from its beginning, or one that grows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from accelcal_cli.core.errors import UnreadableError
+from accelcal_cli.core.recording import Closing
+from accelcal_cli.formats._bytes import ByteSource
+from accelcal_cli.formats.csv.cells import BYTE_ORDER_MARK
+from accelcal_cli.formats.csv.dialect import Dialect
+
+PIECE_BYTES = 1 << 18
+"""Bytes taken from the file at a time."""
+
+CACHED_BYTES = 1 << 18
+"""Bytes in which line ends are counted at a time."""
+
+LONGEST_LINE = 1 << 20
+LINE_END = ord("\n")
+BLANKS = (b"\n", b"\r")
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Whole lines of a file.
+
+    Attributes:
+        data: the lines.
+        tail: the rest of the file behind its last line end; only in the last block.
+        line: number of its first line, from 1.
+        lines: how many lines `data` has.
+        offset: byte at which it begins, in the uncompressed stream.
+        end: byte behind its last line end.
+        end_byte: how far the file on the disk has been read.
+        last: nothing follows.
+        broken: the compressed data ended early or is damaged.
+        zeros: how many bytes of value 0 follow the tail, where they are too many to be kept.
+    """
+
+    data: bytes
+    tail: bytes
+    line: int
+    lines: int
+    offset: int
+    end: int
+    end_byte: int
+    last: bool
+    broken: bool
+    zeros: int = 0
+
+    def without_lines(self) -> Block:
+        """Return the place of the block, without the memory of its lines."""
+        return replace(self, data=b"")
+
+
+def lone_block(data: bytes, line: int, offset: int) -> Block:
+    """Return a block of some lines of a file that are looked at by themselves."""
+    return Block(data, b"", line, count_lines(data), offset, offset + len(data), 0, False, False)
+
+
+class LineFile(Closing):
+    """A text file, plain or gzip, read once from its beginning."""
+
+    def __init__(self, path: Path, bare_returns: bool = False, threads: int = 1) -> None:
+        self._source = ByteSource(path, threads)
+        self._bare_returns = bare_returns
+
+    def close(self) -> None:
+        """Release the file."""
+        self._source.close()
+
+    def read(self, count: int) -> bytes:
+        """Read `count` bytes, fewer only at the end of the data.
+
+        Raises:
+            UnreadableError: the disk fails, or a gzip file is damaged there.
+        """
+        data = b"".join(self._pieces(count))
+        self._source.refuse_damaged()
+        return data
+
+    def _pieces(self, count: int) -> list[bytes]:
+        parts: list[bytes] = []
+        while count > 0 and (part := self._source.read(min(count, PIECE_BYTES))):
+            parts.append(part.replace(b"\r", b"\n") if self._bare_returns else part)
+            count -= len(part)
+        return parts
+
+    def blocks(self, start: int, line: int, block_bytes: int) -> Iterator[Block]:
+        """Yield all lines from byte `start`, which begins line number `line`, about `block_bytes` at a time.
+
+        Raises:
+            UnreadableError: a line does not end within 1 MiB, the disk fails, or, after the lines before that
+                place, a gzip file is damaged.
+        """
+        fresh = [b"".join(self._pieces(start + block_bytes))[start:]]
+        tail, offset, last, zeros = b"", start, False, 0
+        while not last:
+            endless = zeros > 0 and any(piece.strip(b"\0") for piece in fresh)
+            data, tail = _cut([tail, *fresh])
+            fresh = self._pieces(block_bytes)
+            last = not fresh
+            if len(tail) > LONGEST_LINE and not data:
+                text = tail.rstrip(b"\0")
+                zeros += len(tail) - len(text)
+                tail = text
+            if endless or (len(tail) > LONGEST_LINE and not data):
+                raise UnreadableError(
+                    "a line has no end", path=self._source.path, line=line, byte_offset=offset
+                )
+            if data or last:
+                rest, lines = tail if last else b"", count_lines(data)
+                disk, broken = self._source.disk_position(), self._source.broken
+                ends = last and not self._source.damaged
+                yield Block(data, rest, line, lines, offset, offset + len(data), disk, ends, broken, zeros)
+                line += lines
+                offset += len(data)
+        self._source.refuse_damaged()
+
+
+class LineCutter:
+    """Cuts the bytes of a growing text file into blocks of whole lines."""
+
+    def __init__(self, dialect: Dialect, path: Path) -> None:
+        self._path = path
+        self._bare_returns = dialect.bare_returns
+        self._skip, self._line, self._offset = dialect.offset, dialect.skipped + 1, dialect.offset
+        self._rest = b""
+        self._zeros = 0
+
+    def cut(self, data: bytes, *, last: bool) -> Block:
+        """Return the lines that end in the next bytes; there may be none.
+
+        Raises:
+            UnreadableError: a line does not end within 1 MiB.
+        """
+        skipped = min(self._skip, len(data))
+        self._skip -= skipped
+        fresh = data[skipped:].replace(b"\r", b"\n") if self._bare_returns else data[skipped:]
+        endless = self._zeros > 0 and fresh.strip(b"\0") != b""
+        lines, self._rest = _cut([self._rest, fresh])
+        if len(self._rest) > LONGEST_LINE:
+            text = self._rest.rstrip(b"\0")
+            self._zeros, self._rest = self._zeros + len(self._rest) - len(text), text
+        if endless or len(self._rest) > LONGEST_LINE:
+            raise UnreadableError(
+                "a line has no end", path=self._path, line=self._line, byte_offset=self._offset
+            )
+        line, offset = self._line, self._offset
+        self._line, self._offset = line + count_lines(lines), offset + len(lines)
+        rest, zeros = (self._rest, self._zeros) if last else (b"", 0)
+        ends = self._offset, self._offset + len(self._rest)
+        return Block(lines, rest, line, self._line - line, offset, *ends, last, False, zeros)
+
+
+class RepeatedHeads:
+    """Blanks the names of the columns where they stand again, as between files that were joined.
+
+    Args:
+        head: the file up to its first row.
+
+    Attributes:
+        lines: numbers of the lines in which the names stand again.
+    """
+
+    def __init__(self, head: bytes) -> None:
+        self._head = head.removeprefix(BYTE_ORDER_MARK).splitlines(keepends=True)
+        self.lines: list[int] = []
+
+    def without(self, block: Block) -> Block:
+        """Return the block with the same lines, those of a repeated head empty."""
+        names = self._head[-1] if self._head and not self._head[-1].startswith(BLANKS) else b""
+        if not names or names not in block.data:
+            return block
+        lines = block.data.splitlines(keepends=True)
+        for number in range(len(lines)):
+            if lines[number] == names:
+                self.lines.append(block.line + number)
+                self._blank(lines, number)
+        return replace(block, data=b"".join(lines))
+
+    def _blank(self, lines: list[bytes], last: int) -> None:
+        """Empty a repeated head whose last line is here, as far up as it is the same."""
+        for up, line in enumerate(reversed(self._head)):
+            if last < up or lines[last - up].removeprefix(BYTE_ORDER_MARK) != line:
+                break
+            lines[last - up] = b"\n"
+
+
+def _cut(pieces: list[bytes]) -> tuple[bytes, bytes]:
+    """Return all whole lines of pieces that follow each other, and the rest."""
+    for number in reversed(range(len(pieces))):
+        piece = pieces[number]
+        if cut := piece.rfind(b"\n") + 1:
+            whole = b"".join((*pieces[:number], memoryview(piece)[:cut]))
+            return whole, b"".join((piece[cut:], *pieces[number + 1 :]))
+    return b"", b"".join(pieces)
+
+
+def count_lines(data: bytes) -> int:
+    """Count line ends; several times as fast as `bytes.count` where lines are short."""
+    view = np.frombuffer(data, np.uint8)
+    return sum(
+        int(np.count_nonzero(view[start : start + CACHED_BYTES] == LINE_END))
+        for start in range(0, len(view), CACHED_BYTES)
+    )
