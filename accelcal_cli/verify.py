@@ -34,6 +34,7 @@ from accelcal_cli.output.report_reading import (
     section,
     with_new_names,
 )
+from accelcal_cli.output.report_view import AppliedView, PoolView, record
 from accelcal_cli.parquet import Column, ParquetSource
 from accelcal_cli.pipeline import calibrate, jobs
 from accelcal_cli.pipeline.apply import GivenCoefficients, relation_of
@@ -171,12 +172,12 @@ def reproduced(
     """
     settings = made_with.settings
     session = isinstance(settings, PoseSettings)
-    if session or document.report["recording"].get("format") == POINTS:
+    if session or document.recording.format == POINTS:
         check_parquet(None, document, values=options.values)
-    if isinstance(settings, Settings) and document.report["recording"].get("format") == POINTS:
+    if isinstance(settings, Settings) and document.recording.format == POINTS:
         return fit_points(recording, settings), None
     layout = _unchanged(made_with.layout, recording, options.layout, "layout")
-    is_dump = document.report["recording"].get("format") == DUMP
+    is_dump = document.recording.format == DUMP
     request = Request(
         options=replace(made_with.options, layout=(layout if is_dump else None) or options.layout),
         settings=settings,
@@ -392,14 +393,14 @@ def donor_of(document: Document, named: Path | None) -> Coefficients | None:
     if "coefficients" not in document.report:
         return None
     check_sections(document, ("coefficients",))
-    used = document.report["coefficients"]
-    by_content = used.get("without_provenance", False)
-    then = Path(used["path"])
+    used = record(AppliedView, document.report["coefficients"])
+    by_content = used.without_provenance
+    then = Path(used.path)
     beside = document.path.parent / then.name
     original = document.path.parent / then if by_content else then
     places = (named,) if named is not None else (original, beside)
     existing = [path for path in places if path.is_file()]
-    unchanged = [path for path in existing if _known_by(path, by_content=by_content) == used["sha256"]]
+    unchanged = [path for path in existing if _known_by(path, by_content=by_content) == used.sha256]
     for path in unchanged or [path for path in existing if path is not beside]:
         return read_coefficients(path, by_content=by_content)
     raise UsageError(
@@ -419,12 +420,12 @@ def pool_of(document: Document) -> Document | None:
     if "pool" not in document.report:
         return None
     check_sections(document, ("pool",))
-    used = document.report["pool"]
-    path = document.path.parent / used.get("path", "")
+    used = record(PoolView, document.report["pool"])
+    path = document.path.parent / used.path
     if not path.is_file():
         raise UsageError(f"was made with the pool {path}, which is missing", path=document.path)
     pool = read_document(path)
-    if pool.content_sha256 != used.get("sha256"):
+    if pool.content_sha256 != used.sha256:
         raise UsageError(f"was made with the pool {path}, which has changed since", path=document.path)
     return pool
 
@@ -446,11 +447,11 @@ def refuse_kind(document: Document) -> None:
 
 def refuse_other(document: Document, recording: Path) -> None:
     """Raise UsageError for a recording that is not the report's, byte for byte."""
-    if sha256(recording) != document.report["recording"]["sha256"]:
+    if sha256(recording) != document.recording.sha256:
         raise UsageError(
             f"is not the recording of {document.path}, or has changed since: its SHA-256 differs",
             path=recording,
-            hint=f"that report is of {document.report['recording']['path']}",
+            hint=f"that report is of {document.recording.path}",
         )
 
 

@@ -45,15 +45,16 @@ def command(points: Path, output: Path | None, as_json: bool, force: bool, **val
         refuse_report_of_another(output, points)
     fitted = fit_points(points, fit_settings(values))
     report = with_provenance(fitted, ("accelcal", *sys.argv[1:]))
-    refused = report["outcome"] == Outcome.REFUSED
+    view = report_view(report)
+    refused = view.outcome is Outcome.REFUSED
     if output is not None and not refused:
         save_report(output, report)
     shown = None if output is None or refused else output
     if as_json:
         exit_codes.show(json.dumps(report))
     else:
-        show_result(report_view(report), points, shown, values)
+        show_result(view, points, shown, values)
     if refused:
-        say_refused(report["message"], points, values, shown=not as_json)
+        say_refused(view.message, points, values, shown=not as_json)
         return exit_codes.REFUSED
     return exit_codes.OK

@@ -13,7 +13,7 @@ from accelcal_cli.cli import exit_codes
 from accelcal_cli.core.errors import AccelcalError, UsageError, printable
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.output import words
-from accelcal_cli.output.report_view import ReportView, report_view, sphere_columns
+from accelcal_cli.output.report_view import ReportView, sphere_columns
 from accelcal_cli.output.words import formatted, mg, outcome_words, parameters_of
 from accelcal_cli.pipeline.jobs import STDIN, Job, Progress, ProgressMaker, Result, no_progress, spooled
 
@@ -227,7 +227,7 @@ def _one(job: Job, work: Work, values: dict[str, Any], written: Callable[[Result
     if values["as_json"]:
         exit_codes.show(json.dumps(result.report))
     else:
-        show_result(report_view(result.report), result.job.source, written(result), values)
+        show_result(result.view, result.job.source, written(result), values)
     _comment(result, values)
     return exit_codes.REFUSED if result.outcome is Outcome.REFUSED else exit_codes.OK
 
@@ -259,11 +259,11 @@ def _caution(result: Result, values: dict[str, Any]) -> str | None:
 
         return warning(result.report)
     with_it = (_in_words(values) or values["verbose"]) and not (values["quiet"] or values["as_json"])
-    return None if with_it else words.unchecked_poses(report_view(result.report))
+    return None if with_it else words.unchecked_poses(result.view)
 
 
 def _comment(result: Result, values: dict[str, Any]) -> None:
-    report, name = report_view(result.report), printable(result.job.source)
+    report, name = result.view, printable(result.job.source)
     if result.outcome is Outcome.REFUSED:
         say_refused(report.message, result.job.source, values)
     if (caution := _caution(result, values)) is not None:

@@ -24,7 +24,8 @@ from accelcal_cli.output.coefficients import (
     without_misalignment,
 )
 from accelcal_cli.output.files import csv_text
-from accelcal_cli.output.report_reading import check_sections, section
+from accelcal_cli.output.report_reading import check_sections
+from accelcal_cli.output.report_view import ErrorsView, FitView, ReportRecording, record
 
 ALIGNED = ("0", "3", "6", "3T", "6T")
 """Models without misalignment: these are handed on as they are."""
@@ -40,9 +41,6 @@ GGIR_COLUMNS = (
 )  # fmt: skip
 GGIR_MESSAGE = "recalibration done, no problems detected"
 """What GGIR itself says where all is well (g.calibrate.R)."""
-
-KINDS_OF_ERROR = (("held out", "holdout", "after_mg"), ("over the whole sphere", "sphere_mg"))
-"""What they are called, and where they are in a report."""
 
 Three = tuple[float, float, float]
 
@@ -69,30 +67,28 @@ class PerAxis:
 
 @dataclass(frozen=True, slots=True)
 class Handed:
-    """What one report hands on.
+    """What one report hands on to tools without misalignment.
 
     Attributes:
-        report: what it says; path: where it lies.
-        whole: its calibration.
-        simple: the calibration without misalignment; errors: the section of the report that has its errors.
+        path: where the report lies.
+        windows: number of windows that were used.
+        whole: its calibration; errors: of that.
+        simple: the calibration without misalignment; simple_errors: of that.
     """
 
     path: Path
-    report: dict[str, Any]
+    recording: ReportRecording
+    windows: int
     whole: Calibration
+    errors: ErrorsView
     simple: Calibration
-    errors: dict[str, Any]
-
-    @property
-    def recording(self) -> str:
-        """The recording's path, as its report has it."""
-        return str(self.report["recording"]["path"])
+    simple_errors: ErrorsView
 
     @property
     def file_name(self) -> str:
         """The recording's name with its suffix."""
-        kind = PurePosixPath if "/" in self.recording else PureWindowsPath
-        return kind(self.recording).name
+        kind = PurePosixPath if "/" in self.recording.path else PureWindowsPath
+        return kind(self.recording.path).name
 
     def axes(self) -> PerAxis:
         """The simple calibration, axis by axis."""
@@ -112,11 +108,11 @@ def handed(path: Path) -> Handed:
     found = read_coefficients(path)
     document, whole = found.document, found.calibration
     check_sections(document, ("recording", "fit", "holdout", "sphere_mg"))
-    report = document.report
-    if report["recording"]["format"] in NO_RECORDING:
-        text = f"is of {NO_RECORDING[report['recording']['format']]}, of which no other tool has a file"
+    report, recording = document.report, document.recording
+    if recording.format in NO_RECORDING:
+        text = f"is of {NO_RECORDING[recording.format]}, of which no other tool has a file"
         raise UsageError(text, path=path, hint="name reports of recordings, or use --to json")
-    if section(report, "recording", "factory_calibration", "acceleration"):
+    if (recording.factory_calibration or {}).get("acceleration"):
         text = (
             "is of counts of a bare sensor, to which other tools do not apply the maker's calibration first"
         )
@@ -127,13 +123,15 @@ def handed(path: Path) -> Handed:
             path=path,
             hint="hand on the calibrated data (--to csv), or calibrate with --recalibrate never",
         )
+    windows, errors = record(FitView, report["fit"]).windows["used"], record(ErrorsView, report)
     if whole.model in ALIGNED:
-        return Handed(path, report, whole, whole, report)
+        return Handed(path, recording, windows, whole, errors, whole, errors)
     simple = without_misalignment(found)
     if simple is None:
         text, hint = _why_none(report, whole)
         raise UsageError(text, path=path, hint=hint)
-    return Handed(path, report, whole, simple, report["without_misalignment"])
+    simple_errors = record(ErrorsView, report["without_misalignment"])
+    return Handed(path, recording, windows, whole, errors, simple, simple_errors)
 
 
 def _why_none(report: dict[str, Any], whole: Calibration) -> tuple[str, str]:
@@ -171,14 +169,14 @@ def ggir(all_handed: Sequence[Handed]) -> str:
 
 
 def _ggir_row(one: Handed) -> list[object]:
-    axes, report, holdout = one.axes(), one.report, one.errors["holdout"]
-    errors = [holdout and holdout[name]["mean"] / 1000 for name in ("before_mg", "after_mg")]
-    seconds = report["recording"]["duration_s"]
+    axes, holdout, seconds = one.axes(), one.simple_errors.holdout, one.recording.duration_s
+    means_mg = (None, None) if holdout is None else (holdout.before_mg.mean, holdout.after_mg.mean)
+    errors = [None if mean_mg is None else mean_mg / 1000 for mean_mg in means_mg]
     hours = None if seconds is None else round(seconds / 3600, 2)
     temperature = "TRUE" if one.simple.temperature is not None else "FALSE"
     return [
         one.file_name, *axes.scale, *axes.offset_g, *axes.warmth(), axes.reference_c, *errors,
-        report["fit"]["windows"]["used"], hours, GGIR_MESSAGE, temperature,
+        one.windows, hours, GGIR_MESSAGE, temperature,
     ]  # fmt: skip
 
 
@@ -243,7 +241,7 @@ def decimal(value: float) -> str:
 
 def _file(one: Handed) -> str:
     """The recording as one word of a shell's command line, and no option."""
-    path = printable(one.recording)
+    path = printable(one.recording.path)
     return shlex.quote(f"./{path}" if path.startswith("-") else path)
 
 
@@ -251,13 +249,15 @@ def cost(one: Handed) -> str | None:
     """What leaving out the misalignment costs, in a sentence; None where there is none to leave out."""
     if one.simple == one.whole:
         return None
-    parts = []
-    for name, *places in KINDS_OF_ERROR:
-        with_it, without = (section(held, *places).get("mean") for held in (one.report, one.errors))
-        if with_it is not None and without is not None:
-            parts.append(f"{without:.2f} mg {name} instead of {with_it:.2f}")
-    told = ", ".join(parts) or "what it costs is not known: there is too little stillness to judge it by"
-    return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {told}"
+    with_it, without, parts = one.errors, one.simple_errors, []
+    if with_it.holdout is not None and without.holdout is not None:
+        means_mg = without.holdout.after_mg.mean, with_it.holdout.after_mg.mean
+        parts.append("{:.2f} mg held out instead of {:.2f}".format(*means_mg))
+    if with_it.sphere_mg is not None and without.sphere_mg is not None:
+        means_mg = without.sphere_mg.mean, with_it.sphere_mg.mean
+        parts.append("{:.2f} mg over the whole sphere instead of {:.2f}".format(*means_mg))
+    price = ", ".join(parts) or "what it costs is not known: there is too little stillness to judge it by"
+    return f"misalignment is left out (model {one.simple.model} for {one.whole.model}): {price}"
 
 
 LINES: dict[str, Callable[[Handed], str]] = {"biobank": biobank, "omconvert": omconvert}

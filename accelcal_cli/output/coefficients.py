@@ -29,6 +29,7 @@ from accelcal_cli.core.recording import Device
 from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import LEARNT_PRIORS
 from accelcal_cli.output.report_reading import Document, check_sections, damaged, read_document
+from accelcal_cli.output.report_view import AppliedView, record
 
 EQUATION = "a = K (v + o + s (T - Tref))"
 STRETCH = (0.5, 2.0)
@@ -168,7 +169,7 @@ def read_coefficients(path: Path, *, by_content: bool = False) -> Coefficients:
     wrong = contradiction(report["calibration"], calibration) or implausible(calibration)
     if wrong:
         raise damaged(document, wrong)
-    return Coefficients(document, calibration, _origin(report), by_content)
+    return Coefficients(document, calibration, _origin(document), by_content)
 
 
 def without_misalignment(found: Coefficients) -> Calibration | None:
@@ -194,18 +195,13 @@ def without_misalignment(found: Coefficients) -> Calibration | None:
     return calibration
 
 
-def _origin(report: Mapping[str, Any]) -> Origin:
-    applied, recording = report.get("coefficients"), report["recording"]
-    if applied is None:
-        path, digest, version = recording["path"], recording["sha256"], report["accelcal_version"]
-        return Origin(path, digest, _device(recording["device"]), str(version))
-    device = _device(applied["device"])
-    return Origin(applied["recording_path"], applied["recording_sha256"], device, applied["accelcal_version"])
-
-
-def _device(section: Mapping[str, Any]) -> Device:
-    """Who recorded; what a later version says besides is passed over."""
-    return Device(**{name: section[name] for name in Device.__dataclass_fields__})
+def _origin(document: Document) -> Origin:
+    section, recording = document.report.get("coefficients"), document.recording
+    if section is None:
+        version = str(document.report["accelcal_version"])
+        return Origin(recording.path, recording.sha256, recording.device, version)
+    applied = record(AppliedView, section)
+    return Origin(applied.recording_path, applied.recording_sha256, applied.device, applied.accelcal_version)
 
 
 def calibration_of(section: Mapping[str, Any]) -> Calibration:

@@ -20,6 +20,7 @@ from typing import Any
 from accelcal_cli.core.calibration import FIRST_NAMES
 from accelcal_cli.core.errors import UnreadableError
 from accelcal_cli.output.files import looking_at, parsed
+from accelcal_cli.output.report_view import ReportRecording, record
 
 SCHEMA_VERSION = 2
 LARGEST_BYTES = 64 << 20
@@ -73,6 +74,11 @@ class Document:
     sha256: str
     report: dict[str, Any]
     first: dict[str, Any] | None = None
+
+    @property
+    def recording(self) -> ReportRecording:
+        """Its section `recording`, once that has been checked."""
+        return record(ReportRecording, self.report["recording"])
 
     @property
     def content_sha256(self) -> str:

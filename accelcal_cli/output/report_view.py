@@ -311,6 +311,56 @@ class GyroscopeView:
 
 
 @dataclass(frozen=True, slots=True)
+class PoolMember:
+    """An entry of `pool.recordings` or `pool.left_out`; reason: why it was left out."""
+
+    path: str
+    sha256: str
+    reason: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OwnWindows:
+    """`pool.own_windows`: errors of a member's own windows [mg]."""
+
+    before_mg: ErrorSummary
+    after_mg: ErrorSummary
+
+
+@dataclass(frozen=True, slots=True)
+class PoolView:
+    """`pool`; path, sha256 and own_windows: in the report of a member."""
+
+    serial: str
+    recordings: tuple[PoolMember, ...]
+    left_out: tuple[PoolMember, ...]
+    path: str = ""
+    sha256: str | None = None
+    own_windows: OwnWindows | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AppliedView:
+    """`coefficients`: the report whose coefficients were applied, and the recording that they are from."""
+
+    path: str
+    sha256: str
+    recording_path: str
+    recording_sha256: str
+    device: Device
+    accelcal_version: str
+    without_provenance: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorsView:
+    """The two sections with the errors to quote, of a report or of its `without_misalignment`."""
+
+    holdout: HoldoutView | None = None
+    sphere_mg: SphereView | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class ProvenanceView:
     """`provenance`: who made the report, when and with what."""
 
@@ -342,6 +392,7 @@ class ReportView:
     poses: tuple[PoseView, ...] | None = None
     known_orientations: KnownOrientationsView | None = None
     gyroscope: GyroscopeView | None = None
+    pool: PoolView | None = None
     effect: Mapping[str, Any] | None = None
     provenance: ProvenanceView = ProvenanceView()
 

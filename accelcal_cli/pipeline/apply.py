@@ -28,7 +28,7 @@ from accelcal_cli.output.coefficients import (
     read_coefficients,
     without_misalignment,
 )
-from accelcal_cli.output.report_reading import check_sections
+from accelcal_cli.output.report_reading import Document, check_sections
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.calibrate import (
     FirstPass,
@@ -178,26 +178,26 @@ def checked_relation(donor: Coefficients, recording: Recording, bytes_at: Path, 
 
 def relation_of(donor: Coefficients, recording: Recording, bytes_at: Path, request: Request) -> Relation:
     """How a recording and coefficients belong together, whatever is asked for."""
-    report = donor.document.report
-    if report["recording"]["bytes"] != size_of(bytes_at) and "coefficients" not in report:
+    report, then = donor.document.report, donor.document.recording
+    if then.bytes != size_of(bytes_at) and "coefficients" not in report:
         return Relation.OTHER
     if jobs.sha256(bytes_at) != donor.origin.sha256:
         return Relation.OTHER
-    own = report["recording"]["sha256"] == donor.origin.sha256
-    return Relation.OWN if own and not _read_otherwise(report, recording, request) else Relation.REREAD
+    own = then.sha256 == donor.origin.sha256 and not _read_otherwise(donor.document, recording, request)
+    return Relation.OWN if own else Relation.REREAD
 
 
-def _read_otherwise(report: dict[str, Any], recording: Recording, request: Request) -> bool:
-    then = report["recording"]
+def _read_otherwise(document: Document, recording: Recording, request: Request) -> bool:
+    then = document.recording
     now_read = (recording.format, recording.rate_hz, recording.lsb_per_g)
-    if (then["format"], then["sample_rate_hz"], then["lsb_per_g"]) != now_read:
+    if (then.format, then.sample_rate_hz, then.lsb_per_g) != now_read:
         return True
-    settings = report.get("settings")
+    settings = document.report.get("settings")
     before = settings.get("input") if isinstance(settings, dict) else None
     if not isinstance(before, dict):
         return True
     now = jobs.input_settings(request.options, recording.companion)
-    used = set(READING) - set(noted_unused(then))
+    used = set(READING) - set(noted_unused(document.report["recording"]))
     return any(before.get(name) != now[name] for name in used)
 
 
@@ -333,16 +333,16 @@ def _change(holdout: Holdout | None) -> str:
 
 
 def _notes(donor: Coefficients, calibration: Calibration, recording: Recording) -> list[str]:
-    notes, then = [], donor.document.report["recording"]
+    notes, then = [], donor.document.recording
     theirs, ours = donor.origin.device, recording.device
     if theirs.serial != ours.serial or not ours.serial:
         notes.append(f"this recording's device is {ours.serial or 'unknown'}")
     elif theirs.model and ours.model and theirs.model != ours.model:
         notes.append(f"this recording's device is a {ours.model} of the same serial")
-    found_there = then["sha256"] == donor.origin.sha256
-    if found_there and then["lsb_per_g"] not in (None, recording.lsb_per_g):
-        notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then['lsb_per_g']:.10g} there")
-    bare = bool((then.get("factory_calibration") or {}).get("acceleration"))
+    found_there = then.sha256 == donor.origin.sha256
+    if found_there and then.lsb_per_g not in (None, recording.lsb_per_g):
+        notes.append(f"{recording.lsb_per_g:.10g} counts per g here, {then.lsb_per_g:.10g} there")
+    bare = bool((then.factory_calibration or {}).get("acceleration"))
     if found_there and bare != recording.of_bare_sensor:
         here, there = ("there", "here") if bare else ("here", "there")
         notes.append(f"the maker's calibration was applied first {here} and not {there}")

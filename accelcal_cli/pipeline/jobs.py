@@ -23,6 +23,7 @@ from accelcal_cli.core.results import Outcome
 from accelcal_cli.core.settings import DEFAULT, EffectiveSettings, PoseSettings, Settings
 from accelcal_cli.core.system import cpus, temporary_folder
 from accelcal_cli.formats import all_formats, refuse_unused, unused_options
+from accelcal_cli.output.report_view import ReportView, report_view
 from accelcal_cli.pipeline.options import FolderRules, StatedOption, stated_options, with_stated
 
 if TYPE_CHECKING:
@@ -403,6 +404,11 @@ class Result:
     report: dict[str, Any]
     up_to_date: bool = False
     kept: bool = False
+
+    @property
+    def view(self) -> ReportView:
+        """Typed view of the report."""
+        return report_view(self.report)
 
     @property
     def outcome(self) -> Outcome:

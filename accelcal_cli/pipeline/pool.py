@@ -23,6 +23,7 @@ from accelcal_cli.output.coefficients import calibration_of
 from accelcal_cli.output.report import ReportInput, WindowUse
 from accelcal_cli.output.report_kinds import TAKEN, Member, PoolInput, build_pool, of_member
 from accelcal_cli.output.report_reading import Document, check_sections
+from accelcal_cli.output.report_view import PoolView, record
 from accelcal_cli.pipeline import survey
 from accelcal_cli.pipeline.calibrate import Judge, RecordingRun, Survey, Verdict, open_run
 from accelcal_cli.pipeline.jobs import FileStamp, Job, ProgressMaker, Request, Result, no_progress
@@ -211,20 +212,20 @@ class PoolCoefficients(Judge):
 
 
 def _message(document: Document, holdout: Holdout | None) -> str:
-    report, pool_section = document.report, document.report["pool"]
-    members = f"{len(pool_section['recordings'])} recordings of device {pool_section['serial']}"
+    pool_section = record(PoolView, document.report["pool"])
+    members = f"{len(pool_section.recordings)} recordings of device {pool_section.serial}"
     own = "no two postures of stillness of its own"
     if holdout is not None:
         own = f"{holdout.before.mean:.1f} mg before, {holdout.after.mean:.2f} mg after on its own stillness"
-    return printable(f"pool of {members}: {report['message']}; {own}")
+    return printable(f"pool of {members}: {document.report['message']}; {own}")
 
 
 def _why_not(data: ReportInput, document: Document) -> str | None:
     judgement = data.judgement
     if judgement.outcome is Outcome.REFUSED:
         return judgement.message
-    for member in document.report["pool"]["left_out"]:
-        if member["sha256"] == data.sha256:
-            return f"left out of the pool: {member['reason']}"
+    for member in record(PoolView, document.report["pool"]).left_out:
+        if member.sha256 == data.sha256:
+            return f"left out of the pool: {member.reason}"
     usual_mg, limit_mg = document.report["holdout"]["after_mg"]["median"], data.settings.method.max_error_mg
     return None if judgement.holdout is None else worse(judgement.holdout, usual_mg, limit_mg)

@@ -205,12 +205,16 @@ def said_of_copy(first: str) -> str:
 
 def _instead(task: PooledTask, result: Result) -> dict[str, Any]:
     """Columns that say of which pool a row's coefficients are, and what they do to its own windows."""
-    pool_section, windows = result.report["pool"], result.report["pool"]["own_windows"]
-    columns = {"pool": task.report.name, "pool_recordings": len(pool_section["recordings"])}
+    pool_view = result.view.pool
+    assert pool_view is not None
+    columns = {"pool": task.report.name, "pool_recordings": len(pool_view.recordings)}
     if task.copy_of is not None:
-        columns["message"] = printable(f"{result.report['message']}; {said_of_copy(task.copy_of)}")
-    if windows is not None:
-        columns |= {f"windows_{when}_mg": windows[f"{when}_mg"]["mean"] for when in ("before", "after")}
+        columns["message"] = printable(f"{result.view.message}; {said_of_copy(task.copy_of)}")
+    if (windows := pool_view.own_windows) is not None:
+        columns |= {
+            "windows_before_mg": windows.before_mg.mean,
+            "windows_after_mg": windows.after_mg.mean,
+        }
     return columns | summary.own(task.own_row)
 
 

@@ -162,8 +162,8 @@ def outputs_of(item: Item, common: Common, result: Result) -> tuple[tuple[str, F
 
 def problems_of(result: Result) -> tuple[str, ...]:
     """Code and message of each problem of a result's file."""
-    problems = result.report["file_health"]["problems"]
-    return tuple(f"{problem['code']}: {problem['message']}" for problem in problems)
+    problems = result.view.file_health.problems
+    return tuple(f"{problem.code}: {problem.message}" for problem in problems)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,9 @@ import pytest
 from accelcal_cli.core.arithmetic import ONE
 from accelcal_cli.core.calibration import IDENTITY, Calibration, TemperatureScale
 from accelcal_cli.core.errors import UsageError
+from accelcal_cli.core.results import ErrorSummary
 from accelcal_cli.exports.coefficients import Handed, biobank, cost, decimal, ggir, handed, omconvert
+from accelcal_cli.output.report_view import ErrorsView, HoldoutView, ReportRecording
 from tests.device_recordings import donor, edit
 
 COLUMNS = (
@@ -25,7 +27,7 @@ COLUMNS = (
     "temperature.offset.x,temperature.offset.y,temperature.offset.z,meantempcal,"
     "cal.error.start,cal.error.end,n.10sec.windows,n.hours.considered,QCmessage,use.temperature"
 )
-HOLDOUT = {"before_mg": {"mean": 31.5}, "after_mg": {"mean": 2.25}}
+HOLDOUT = HoldoutView("", 0, 0, ErrorSummary(31.5, 0, 0), ErrorSummary(2.25, 0, 0), None, (0, 0))
 TINY = 1.5e-7
 """As a Python number it is written with an exponent."""
 
@@ -37,11 +39,8 @@ def made(
     p = [1.02, 0.985, 1.013, 0, 0, 0, 0.0317, -0.0211, 0.0469, 0.004, -0.0026, -4 * TINY]
     fixed = parameters or tuple(round(value * ONE) for value in (p if warm else [*p[:9], 0, 0, 0]))
     found = Calibration("6T" if warm else "6", fixed, TemperatureScale(26848, 4.0) if warm else None)
-    report: dict[str, Any] = {
-        "recording": {"path": path, "duration_s": 5400.0, "format": "cwa"},
-        "fit": {"windows": {"used": 240}},
-    }
-    return Handed(Path("a.calibration.json"), report, found, found, {"holdout": HOLDOUT})
+    recording, errors = ReportRecording(path, "", 0, "cwa", duration_s=5400.0), ErrorsView(HOLDOUT)
+    return Handed(Path("a.calibration.json"), recording, 240, found, errors, found, errors)
 
 
 def raw() -> tuple[np.ndarray, np.ndarray]:
