@@ -173,7 +173,7 @@ def command(folders: tuple[Path, ...], **values: Any) -> int:
     printed for each recording, as by `calibrate`; with -q only failures and refusals are shown that are new.
     A run that was interrupted is resumed by the same command.
     """
-    from accelcal_cli.studies.plan import overlooked  # what runs a study takes longer to load than --help
+    from accelcal_cli.studies.rounds import overlooked  # what runs a study takes longer to load than --help
     from accelcal_cli.studies.run import run
 
     study = _study(folders, values)

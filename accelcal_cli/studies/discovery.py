@@ -26,8 +26,7 @@ from accelcal_cli.output.files import stored_schema
 from accelcal_cli.output.report_reading import load
 from accelcal_cli.pipeline import jobs
 from accelcal_cli.pipeline.options import fits_pattern
-from accelcal_cli.studies.ledger import is_ledger
-from accelcal_cli.studies.records import Item
+from accelcal_cli.studies.records import Item, is_ledger
 from accelcal_cli.studies.summary import COLUMNS
 
 NAMES = re.compile(r"study(\.\d+-of-\d+)?\.(csv|json|parquet|ledger|lock)")
@@ -235,11 +234,7 @@ def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[I
     unlisted: list[OSError] = []
     for here, folders, names in os.walk(folder, onerror=unlisted.append, followlinks=True):
         base = Path(here)
-        inside = jobs.real(base) != out
-        folders[:] = sorted(
-            name for name in folders if name[0] != "." and not (inside and jobs.real(base / name) == out)
-        )
-        folders[:] = [name for name in folders if links.follows(base / name)]
+        folders[:] = _subfolders(base, folders, out, links)
         if base != folder and jobs.real(base) == out:
             folders.clear()
             continue
@@ -250,6 +245,14 @@ def _folder(where: Where, folder: Path, place: str, links: _Links) -> Iterator[I
                 yield replace(_item(where, base / name, place + below), aside=aside)
     for error in unlisted:
         yield _unlisted(where, folder, place, error)
+
+
+def _subfolders(base: Path, names: list[str], out: Path, links: _Links) -> list[str]:
+    """Return the subfolders to go into, in order: not hidden ones, nor OUT unless it is `base` itself."""
+    shown = sorted(name for name in names if name[0] != ".")
+    if jobs.real(base) != out:
+        shown = [name for name in shown if jobs.real(base / name) != out]
+    return [name for name in shown if links.follows(base / name)]
 
 
 def _never(path: Path) -> bool:

@@ -7,6 +7,7 @@ import zoneinfo
 import numpy as np
 import pyarrow as pa
 
+import accelcal_cli.output.columns
 import accelcal_cli.parquet
 import accelcal_cli.pipeline.export
 import accelcal_cli.studies.task
@@ -21,6 +22,7 @@ pa.enable_signal_handlers(False)  # as in `formats/csv/table.py`
 READY = (
     np.random,
     zoneinfo,
+    accelcal_cli.output.columns,
     accelcal_cli.parquet,
     accelcal_cli.pipeline.export,
     accelcal_cli.studies.task,

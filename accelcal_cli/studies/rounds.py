@@ -1,88 +1,32 @@
-"""Rounds of a study: each gives tasks to workers, and the results of earlier rounds decide which.
+"""What there is to do in a study: a `Plan` of the own results, then a `RoundPlanner` of later rounds.
 
-Also chooses between processes of this machine and a cluster.
+All that decides whether an earlier result stands is here and in the ledger (`records.py`). A worker looks
+once more at the report that is there (`pipeline/outputs.py`), for a study whose ledger is lost. A `Round`
+gives tasks to workers, and the results of earlier rounds decide which.
 """
 
 from __future__ import annotations
 
-import contextlib
-import functools
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from accelcal_cli.core import system
-from accelcal_cli.core.errors import printable
-from accelcal_cli.core.version import __version__
-from accelcal_cli.output.files import sweep, sweep_of
-from accelcal_cli.studies import records
-from accelcal_cli.studies.dask_client import Cluster, Notify
-from accelcal_cli.studies.dask_worker import WorkerRequirements, calibrate_in_user_folder, code
-from accelcal_cli.studies.process_pool import ProcessPool
-from accelcal_cli.studies.study import Study
-from accelcal_cli.studies.task import BUG, NO_MEMORY, Common, Task, TaskResult, calibrated
+from accelcal_cli.core.errors import UnreadableError, UsageError, printable
+from accelcal_cli.formats import refuse_unused
+from accelcal_cli.output.files import looking_at
+from accelcal_cli.pipeline.jobs import Request
+from accelcal_cli.pipeline.options import FolderRules, stated_stamp, with_stated
+from accelcal_cli.studies import summary
+from accelcal_cli.studies.discovery import below_out, files, is_recording, without_collisions
+from accelcal_cli.studies.records import Entry, Item, Ledger, RecordingState, TaskFunction
+from accelcal_cli.studies.study import REPLACING, WHOLE, Study
+from accelcal_cli.studies.task import Common, Task
 
-PRELOAD = "accelcal_cli.studies.preload"
 MANY = 1 << 20
-
-
-def executor_for(
-    study: Study,
-    work: records.TaskFunction,
-    recordings: int,
-    on_progress: records.ProgressDelta,
-    notify: Notify,
-) -> records.Executor:
-    """Processes of this machine for so many recordings, or the cluster that was named.
-
-    A cluster finds the own results; what a device's recordings have in common is found here.
-    """
-    if study.dask is None or work is not calibrated:
-        return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
-    cwd = Path.cwd()
-    calibrate, requirements = functools.partial(calibrate_in_user_folder, cwd), _requirements(study, cwd)
-    return Cluster(
-        study.dask, calibrate, requirements, study.jobs, study.timeout_s, on_progress, notify, tidy
-    )
-
-
-def workers_of(study: Study, recordings: int) -> int:
-    """Processes of this machine that work at a time on so many recordings."""
-    wanted = study.jobs if study.dask is None else None
-    return min(wanted or system.workers(recordings), max(1, recordings))
-
-
-def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
-    """The lock is the mark: it is there while the study runs, and no other run's is like it."""
-    mark = cwd / study.lock
-    folders = tuple(cwd / folder for folder in study.where.folders)
-    return WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
-
-
-def tidy(task: Task, lost: str | None = None) -> None:
-    """Remove what killed processes of this machine left, and one of another that is known to be gone."""
-    for path in task.item.job.outputs:
-        with contextlib.suppress(OSError):
-            sweep(path)
-            if lost is not None:
-                sweep_of(path, lost)
-
-
-class StudyObserver(Protocol):
-    """Who is informed while a study runs."""
-
-    def begin(self, items: Sequence[records.Item]) -> None:
-        """Before these recordings are worked on."""
-
-    def advance(self, bytes_done: float) -> None:
-        """So many more bytes are done."""
-
-    def finished(self, item: records.Item, result: TaskResult) -> None:
-        """A recording's last result is there: it is done, was done before, or failed."""
-
-    def note(self, text: str) -> None:
-        """What a person should know meanwhile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +38,10 @@ class StudyState:
         pools: what became of each pool of recordings, by its own name.
     """
 
-    standing: dict[str, records.RecordingState] = field(default_factory=dict)
-    pools: dict[str, records.Entry] = field(default_factory=dict)
+    standing: dict[str, RecordingState] = field(default_factory=dict)
+    pools: dict[str, Entry] = field(default_factory=dict)
 
-    def take(self, one: Round, name: str, entry: records.Entry) -> None:
+    def take(self, one: Round, name: str, entry: Entry) -> None:
         """Replace what is known of a recording, or of a pool, by what a round made of it."""
         if one.of_pools:
             self.pools[name] = entry
@@ -112,7 +56,7 @@ class RoundTask(Task, Protocol):
     def names(self) -> tuple[str, ...]:
         """Recordings whose result may change with it."""
 
-    def stands(self, entry: records.Entry) -> bool:
+    def stands(self, entry: Entry) -> bool:
         """Whether an earlier entry of the round is what would come of it now."""
 
 
@@ -129,7 +73,7 @@ class Round:
     """
 
     name: str
-    work: records.TaskFunction
+    work: TaskFunction
     tasks: Callable[[Study, StudyState], Sequence[RoundTask]]
     of_pools: bool = False
 
@@ -140,38 +84,278 @@ def common_of(study: Study, recordings: int = MANY) -> Common:
     return Common(study.out, replace(study.request, threads=threads), study.asked())
 
 
-def results(
-    study: Study,
-    work: records.TaskFunction,
-    tasks: Sequence[Any],
-    observer: StudyObserver,
-    check: Callable[[], None],
-) -> Iterator[tuple[records.Item, TaskResult]]:
-    """Have tasks done, the largest first, so that the last to end is a small one.
+def workers_of(study: Study, recordings: int) -> int:
+    """Processes of this machine that work at a time on so many recordings."""
+    wanted = study.jobs if study.dask is None else None
+    return min(wanted or system.workers(recordings), max(1, recordings))
 
-    Args:
-        check: called whenever a task is further; what it raises ends the work.
+
+def ledger_of(study: Study) -> Ledger:
+    """What is remembered: the run's own entries, those of the shards, and for a shard those of the whole.
+
+    A shard reads neither the ledgers of its siblings, which have nothing of its own, nor others' entries.
+
+    Raises:
+        OutputError: OUT cannot be listed.
     """
-    if not tasks:
-        return
-    observer.begin([task.item for task in tasks])
-    ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
-
-    def moved(task: Task, part: float) -> None:
-        check()
-        observer.advance(part * task.item.size)
-
-    executor = executor_for(study, work, len(tasks), moved, observer.note)
-    with contextlib.closing(executor.run(ordered)) as ended:
-        for one in ended:
-            yield one.task.item, _result(one)
+    shard = study.shard
+    with looking_at(study.out):
+        siblings = set() if shard.whole else set(study.out.glob(f"study.*-of-{shard.number}.ledger"))
+        others = [*sorted(study.out.glob("study.*-of-*.ledger")), study.out / f"{WHOLE.basename}.ledger"]
+    own = study.out / f"{shard.basename}.ledger"
+    return Ledger(own, [path for path in others if path not in {own, *siblings}], shard.owns)
 
 
-def _result(ended: records.Finished) -> TaskResult:
-    if ended.fault is None:
-        result: TaskResult = ended.result
-        return result
-    task: Task = ended.task
-    tidy(task)
-    message = f"{printable(task.item.source)}: {ended.fault}"
-    return TaskResult(task.failure(NO_MEMORY if ended.lacking else BUG, message, again=ended.retry))
+@dataclass(slots=True)
+class Plan:
+    """What a study found, before it does anything.
+
+    Attributes:
+        done: recordings whose entry stands.
+        todo: recordings to work on.
+        waiting: recordings that are not begun.
+        left_out: entries of files that are no recordings.
+        late: names of all that is left for a later run, done before or not.
+        changing: of these the ones whose file is not that of the earlier result; it may be half there.
+        kept: what earlier runs with other options made of recordings that this one does not name.
+        notes: what a person should know: patterns of `study.toml` that no file fits, links not followed.
+    """
+
+    done: list[tuple[Item, Entry]] = field(default_factory=list)
+    todo: list[Item] = field(default_factory=list)
+    waiting: list[Item] = field(default_factory=list)
+    left_out: list[Entry] = field(default_factory=list)
+    late: set[str] = field(default_factory=set)
+    changing: set[str] = field(default_factory=set)
+    kept: list[Entry] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    def ahead(self) -> int:
+        """How many recordings wait that were changed in the future, by this machine's clock."""
+        now = time.time()
+        return sum(item.changed_s > now for item in self.waiting)
+
+    def sources(self) -> list[Path]:
+        """The files of all recordings."""
+        return [item.source for item in (*(item for item, _ in self.done), *self.todo, *self.waiting)]
+
+
+def plan(study: Study, ledger: Ledger) -> Plan:
+    """Look at all files; nothing is written.
+
+    Raises:
+        UsageError: one of the folders is not a folder, or they hold no recording, or none for which an option
+            means anything.
+    """
+    planning = _Planning(study, ledger, study.asked(), Plan())
+    listed, rules = files(study.where, planning.plan.notes), study.request.rules
+    planning.plan.notes += unfit_patterns(rules, listed)
+    wanted = [item for item in listed if not any(one.excludes(item.source) for one in rules)]
+    concerned, others = _concerned(study, wanted)
+    items = [planning.looked_at(item) for item in concerned]
+    recordings = without_collisions(planning.recordings(items))
+    try:
+        _require_use(study, recordings)
+    except UsageError:  # which other shards' recordings may have
+        more = planning.recordings([planning.looked_at(item) for item in others])
+        _require_use(study, [*recordings, *more])
+    for item in recordings:
+        planning.place(item)
+    for item in items:
+        planning.place_aside(item)
+    return planning.plan
+
+
+def _concerned(study: Study, items: list[Item]) -> tuple[list[Item], list[Item]]:
+    """The items that a shard has to look at, its own and those with their outputs, and the others."""
+    if study.shard.whole:
+        return items, []
+    reports = {item.job.report for item in items if study.shard.owns(item.name)}
+    near = [item.job.report in reports for item in items]
+    return list(compress(items, near)), [item for item, one in zip(items, near, strict=True) if not one]
+
+
+def _require_use(study: Study, recordings: list[Item]) -> None:
+    """Raise UsageError if there are no recordings, or none for which an option means anything."""
+    if not recordings:
+        raise UsageError(
+            "no recording was found",
+            path=study.where.folders[0],
+            hint="give --format, or name files with --include",
+        )
+    refuse_unused([item.source for item in recordings], study.request.options)
+
+
+def as_stated(item: Item, request: Request) -> Item:
+    """A file with what others state of how it is read; refused where that makes no sense."""
+    try:
+        choices = request.choices_of(item.source)
+        with_stated(request.options, choices, item.source)
+    except UsageError as error:
+        if item.refusal is None and is_recording(item, request.options, asked_for=False):
+            why = str(error).removeprefix(f"{printable(item.source)}: ")
+            return replace(item, refusal=why)
+        return item
+    if not choices:
+        return item
+    return replace(item, stamps=(*item.stamps, stated_stamp(choices)), choices=tuple(choices.values()))
+
+
+def unfit_patterns(rules: Sequence[FolderRules], items: Sequence[Item]) -> list[str]:
+    """Patterns of `study.toml` that none of the files fits, each with the file's name."""
+    fitting = {(one.path, pattern) for one in rules for item in items for pattern in one.fitting(item.source)}
+    named = dict.fromkeys((one.path, pattern) for one in rules for pattern in one.patterns)
+    unfit = [one for one in named if one not in fitting]
+    return [f'no file fits "{pattern}" of {path}' for path, pattern in unfit]
+
+
+@dataclass(frozen=True, slots=True)
+class _Planning:
+    """A plan in the making."""
+
+    study: Study
+    ledger: Ledger
+    asked: str
+    plan: Plan
+
+    def looked_at(self, item: Item) -> Item:
+        """A file as it counts: one that is left for later as it was when it was worked on."""
+        return self._as_it_counts(as_stated(item, self.study.request))
+
+    def _as_it_counts(self, now: Item) -> Item:
+        if not (now.aside or _left_for_later(self.study, now)):
+            return now
+        item = self.ledger.as_it_was(now, self.asked)
+        self.plan.late.add(now.name)
+        if item.stamps != now.stamps:
+            self.plan.changing.add(now.name)
+        return item
+
+    def recordings(self, items: Sequence[Item]) -> list[Item]:
+        """Return the items that are the study's recordings and may be begun."""
+        return [item for item in items if not item.aside and self.keeps(item)]
+
+    def keeps(self, item: Item) -> bool:
+        """Whether a file is one of the study's recordings; those that are not are remembered too."""
+        entry, named = self.ledger.known(item, self.asked), bool(self.study.where.include)
+        request = self.study.request
+        if entry is not None and not entry.failed and (entry.row is not None or not named):
+            recording = entry.row is not None
+        else:
+            options = request.options_of(item.source) if item.choices else request.options
+            recording = item.refusal is not None or is_recording(item, options, asked_for=named)
+        if not recording and self.study.shard.owns(item.name):
+            self.plan.left_out.append(Entry(item.name, item.stamps, self.asked, None))
+        return recording
+
+    def place(self, item: Item) -> None:
+        """Put a recording of the shard where it belongs."""
+        if not self.study.shard.owns(item.name):
+            return
+        study, entry = self.study, self._standing(item)
+        begin = not study.collect and item.name not in self.plan.late
+        redo = entry is not None and item.refusal is None and _is_redone(study, entry)
+        if entry is not None and not (redo and begin):
+            self.plan.done.append((item, entry))
+        else:
+            (self.plan.todo if begin else self.plan.waiting).append(item)
+
+    def place_aside(self, item: Item) -> None:
+        """Let a recording of the shard that `--include` does not name keep the result that it has, if any."""
+        if not (item.aside and self.study.shard.owns(item.name)):
+            return
+        known = self.ledger.known(item, self.asked)
+        if known is not None and known.row is None:
+            self.plan.left_out.append(known)
+        elif (entry := self._standing(item)) is not None:
+            self.plan.done.append((item, entry))
+        else:
+            self.plan.kept += self.ledger.of_others(item, REPLACING)
+
+    def _standing(self, item: Item) -> Entry | None:
+        """The entry of a recording's own result; what a later round made of it may lie in its place."""
+        if item.refusal is None:
+            own = self.ledger.known(item, self.asked)
+            stands = own is not None and (self.ledger.in_place(own) or self._replaced(item))
+            return own if stands and own is not None and self._named(item, own) else None
+        kind = UsageError if item.source.is_file() else UnreadableError
+        row = summary.failed(item, kind.exit_code, f"{printable(item.source)}: {item.refusal}")
+        return Entry(item.name, item.stamps, self.asked, row, again=True)
+
+    def _named(self, item: Item, entry: Entry) -> bool:
+        """Whether the outputs have the names that they would be given now."""
+        out = self.study.out
+        return {out / name for name, _ in entry.outputs} <= set(item.job.outputs)
+
+    def _replaced(self, item: Item) -> bool:
+        """Whether the outputs are those of a later round, which can be taken back if the file is the same."""
+        rounds = self.study.replacing
+        if rounds and item.name not in self.plan.changing:
+            rounds = REPLACING
+        later = [self.ledger.current(item, self.asked, name) for name in rounds]
+        return any(entry is not None and not entry.failed for entry in later)
+
+
+@dataclass(slots=True)
+class RoundPlanner:
+    """What is done in a round, and what stands from an earlier run.
+
+    Attributes:
+        untouched: names of recordings that must not be read, since they wait and are not what they were, and
+            of all that would be pooled with one.
+    """
+
+    study: Study
+    ledger: Ledger
+    untouched: set[str] = field(default_factory=set)
+
+    def of(
+        self, one: Round, tasks: Sequence[RoundTask]
+    ) -> tuple[list[RoundTask], list[tuple[RoundTask, Entry]]]:
+        """Tasks to do, and those with an entry to take.
+
+        What is not to be touched keeps what it has: it is never among the first.
+        """
+        todo, taken = [], []
+        latest, asked = self.ledger.latest, self.study.asked()
+        for task in tasks:
+            waits = not self.untouched.isdisjoint(task.names)
+            if waits:
+                self.untouched |= set(task.names)
+            entry = latest(task.item.name, asked, one.name) if waits else self._standing(one, task)
+            if entry is not None:
+                taken.append((task, entry))
+            elif not waits:
+                todo.append(task)
+        return todo, taken
+
+    def _standing(self, one: Round, task: RoundTask) -> Entry | None:
+        """What an earlier run made of a task, if that is what would come of it now."""
+        study, entry = self.study, self.ledger.current(task.item, self.study.asked(), one.name)
+        if entry is None or _is_redone(study, entry):
+            return None
+        return entry if task.stands(entry) else None
+
+
+def overlooked(study: Study) -> int:
+    """How many recordings are no part of the study because they lie below OUT.
+
+    Raises:
+        UsageError: one of the folders is not a folder.
+    """
+    options = study.request.options
+    return sum(is_recording(item, options, asked_for=False) for item in below_out(study.where))
+
+
+def _left_for_later(study: Study, item: Item) -> bool:
+    """Whether a recording is too new to be begun, or too old; an earlier result of it stands meanwhile.
+
+    What was changed further in the future than the wait is has a wrong time: it would wait for years.
+    """
+    too_new = study.settle_s > 0 and abs(time.time() - item.changed_s) < study.settle_s
+    return too_new or (study.newer_than_s is not None and item.changed_s < study.newer_than_s)
+
+
+def _is_redone(study: Study, entry: Entry) -> bool:
+    """Whether what was done is done again, although neither recording nor settings have changed."""
+    return study.request.force or entry.again or (study.retry_failed and entry.failed)

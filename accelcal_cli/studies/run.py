@@ -8,31 +8,69 @@ from __future__ import annotations
 import contextlib
 import functools
 import time
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Iterator, Sequence, Set
 from contextlib import closing
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from accelcal_cli.core.errors import LockedError, OutputError, UsageError, counted, printable
-from accelcal_cli.output.files import disk_errors, looking_at, sweep_host
+from accelcal_cli.core.version import __version__
+from accelcal_cli.output.files import disk_errors, looking_at, sweep, sweep_host, sweep_of
 from accelcal_cli.pipeline.outputs import withdraw
 from accelcal_cli.studies import lock, summary
 from accelcal_cli.studies.borrowing import BORROWING
+from accelcal_cli.studies.cluster import Cluster, Notify, WorkerRequirements, calibrate_in_user_folder, code
 from accelcal_cli.studies.discovery import SUMMARY, as_if_alone, places, refuse_foreign
-from accelcal_cli.studies.ledger import Ledger
 from accelcal_cli.studies.lock import Lease
-from accelcal_cli.studies.plan import Plan, RoundPlanner, ledger_of, plan
 from accelcal_cli.studies.pooling import APPLY_POOLS, POOLING, copies_of, remove_pools, said_of_copy
 from accelcal_cli.studies.prior import LEARNING, without_prior
-from accelcal_cli.studies.process_pool import sweep_folders
-from accelcal_cli.studies.records import OWN, Entry, Item, RecordingState
-from accelcal_cli.studies.rounds import Round, RoundTask, StudyObserver, StudyState, common_of, results
+from accelcal_cli.studies.process_pool import ProcessPool, sweep_folders
+from accelcal_cli.studies.records import (
+    OWN,
+    Entry,
+    Executor,
+    Finished,
+    Item,
+    Ledger,
+    ProgressDelta,
+    RecordingState,
+    TaskFunction,
+)
+from accelcal_cli.studies.rounds import (
+    Plan,
+    Round,
+    RoundPlanner,
+    RoundTask,
+    StudyState,
+    common_of,
+    ledger_of,
+    plan,
+    workers_of,
+)
 from accelcal_cli.studies.study import REPLACING, Study
 from accelcal_cli.studies.summary import Summary
-from accelcal_cli.studies.task import CalibrationTask, TaskResult, calibrated
+from accelcal_cli.studies.task import BUG, NO_MEMORY, CalibrationTask, Task, TaskResult, calibrated
+
+PRELOAD = "accelcal_cli.studies.preload"
 
 TABLE_S, TABLE_TIMES = 5.0, 20.0
 """While a study runs, the table is brought up to date after so long, and so many times what that takes."""
+
+
+class StudyObserver(Protocol):
+    """Who is informed while a study runs."""
+
+    def begin(self, items: Sequence[Item]) -> None:
+        """Before these recordings are worked on."""
+
+    def advance(self, bytes_done: float) -> None:
+        """So many more bytes are done."""
+
+    def finished(self, item: Item, result: TaskResult) -> None:
+        """A recording's last result is there: it is done, was done before, or failed."""
+
+    def note(self, text: str) -> None:
+        """What a person should know meanwhile."""
 
 
 def rounds(study: Study) -> tuple[Round, ...]:
@@ -295,6 +333,79 @@ class _TableOnTheWay:
         planned = self._run.planned
         left = (*planned.todo, *planned.waiting)
         return [*planned.kept, *(entry for item in left for entry in self._ledger.of_others(item, REPLACING))]
+
+
+def results(
+    study: Study,
+    work: TaskFunction,
+    tasks: Sequence[Any],
+    observer: StudyObserver,
+    check: Callable[[], None],
+) -> Iterator[tuple[Item, TaskResult]]:
+    """Have tasks done, the largest first, so that the last to end is a small one.
+
+    Args:
+        check: called whenever a task is further; what it raises ends the work.
+    """
+    if not tasks:
+        return
+    observer.begin([task.item for task in tasks])
+    ordered = sorted(tasks, key=lambda task: (-task.item.size, task.item.name))
+
+    def moved(task: Task, part: float) -> None:
+        check()
+        observer.advance(part * task.item.size)
+
+    executor = executor_for(study, work, len(tasks), moved, observer.note)
+    with contextlib.closing(executor.run(ordered)) as ended:
+        for one in ended:
+            yield one.task.item, _result(one)
+
+
+def _result(ended: Finished) -> TaskResult:
+    if ended.fault is None:
+        result: TaskResult = ended.result
+        return result
+    task: Task = ended.task
+    tidy(task)
+    message = f"{printable(task.item.source)}: {ended.fault}"
+    return TaskResult(task.failure(NO_MEMORY if ended.lacking else BUG, message, again=ended.retry))
+
+
+def executor_for(
+    study: Study,
+    work: TaskFunction,
+    recordings: int,
+    on_progress: ProgressDelta,
+    notify: Notify,
+) -> Executor:
+    """Processes of this machine for so many recordings, or the cluster that was named.
+
+    A cluster finds the own results; what a device's recordings have in common is found here.
+    """
+    if study.dask is None or work is not calibrated:
+        return ProcessPool(work, workers_of(study, recordings), study.timeout_s, PRELOAD, on_progress)
+    cwd = Path.cwd()
+    calibrate, requirements = functools.partial(calibrate_in_user_folder, cwd), _requirements(study, cwd)
+    return Cluster(
+        study.dask, calibrate, requirements, study.jobs, study.timeout_s, on_progress, notify, tidy
+    )
+
+
+def _requirements(study: Study, cwd: Path) -> WorkerRequirements:
+    """The lock is the mark: it is there while the study runs, and no other run's is like it."""
+    mark = cwd / study.lock
+    folders = tuple(cwd / folder for folder in study.where.folders)
+    return WorkerRequirements(__version__, code(), folders, mark, mark.read_text("utf-8"))
+
+
+def tidy(task: Task, lost: str | None = None) -> None:
+    """Remove what killed processes of this machine left, and one of another that is known to be gone."""
+    for path in task.item.job.outputs:
+        with contextlib.suppress(OSError):
+            sweep(path)
+            if lost is not None:
+                sweep_of(path, lost)
 
 
 def preview(study: Study, note: Callable[[str], None]) -> dict[Item, str]:

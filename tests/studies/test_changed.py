@@ -8,11 +8,9 @@ from accelcal_cli.pipeline.jobs import Request
 from accelcal_cli.studies.borrowing import borrowed
 from accelcal_cli.studies.borrowing import tasks as borrowing_tasks
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.ledger import Ledger
-from accelcal_cli.studies.plan import plan
 from accelcal_cli.studies.pooling import make_pool, pool_tasks, pooled, pooled_tasks
-from accelcal_cli.studies.records import RecordingState
-from accelcal_cli.studies.rounds import StudyState
+from accelcal_cli.studies.records import Ledger, RecordingState
+from accelcal_cli.studies.rounds import StudyState, plan
 from accelcal_cli.studies.study import Study
 from accelcal_cli.studies.task import CalibrationTask, Common, calibrated
 from tests.device_recordings import week

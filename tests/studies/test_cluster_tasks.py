@@ -14,9 +14,8 @@ import pytest
 
 import accelcal_cli
 from accelcal_cli.core.errors import ClusterError, OutputError, UsageError
-from accelcal_cli.studies import dask_client
-from accelcal_cli.studies.dask_client import Cluster, connected
-from accelcal_cli.studies.dask_worker import WorkerRequirements, code
+from accelcal_cli.studies import cluster
+from accelcal_cli.studies.cluster import Cluster, WorkerRequirements, code, connected
 from accelcal_cli.studies.records import Finished, ProgressCallback
 from tests.studies.processes import Clock
 
@@ -110,7 +109,7 @@ def test_what_takes_too_long_is_ended_and_the_next_is_done(
 ) -> None:
     """An hour passes once the task has begun."""
     clock = Clock()
-    monkeypatch.setattr(dask_client, "time", clock)
+    monkeypatch.setattr(cluster, "time", clock)
     executor = Cluster(str(scheduler), work, requirements, limit=1, timeout_s=90.0)
     executor.on_progress = lambda _task, part: clock.pass_(3600.0 * (part == 0.5))
     found = done(executor, ("hang", 0.5), ("echo", 1))

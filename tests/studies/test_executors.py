@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.studies.dask_client import Cluster
+from accelcal_cli.studies.cluster import Cluster
 from accelcal_cli.studies.discovery import Where, files
 from accelcal_cli.studies.process_pool import ProcessPool
-from accelcal_cli.studies.rounds import executor_for, tidy
+from accelcal_cli.studies.run import executor_for, tidy
 from accelcal_cli.studies.study import Shard, Study
 from accelcal_cli.studies.task import CalibrationTask, Common, calibrated
 from tests.cli.studies import study_folder

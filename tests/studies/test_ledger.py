@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from accelcal_cli.core.errors import UnreadableError
-from accelcal_cli.studies.ledger import Ledger
+from accelcal_cli.studies.records import Ledger
 from accelcal_cli.studies.task import guarded
 from tests.cli.run import run
 from tests.cli.studies import results, run_in, study_folder

@@ -12,10 +12,10 @@ import pytest
 from accelcal_cli.core.errors import UsageError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.studies import plan as planning
+from accelcal_cli.studies import rounds as planning
 from accelcal_cli.studies.discovery import Where
-from accelcal_cli.studies.plan import Plan, ledger_of, plan
 from accelcal_cli.studies.records import OWN, Item
+from accelcal_cli.studies.rounds import Plan, ledger_of, plan
 from accelcal_cli.studies.study import Shard, Study, shard
 from tests.cli.studies import run_in, study_folder
 

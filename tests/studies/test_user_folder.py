@@ -13,7 +13,7 @@ import accelcal_cli
 from accelcal_cli.core.errors import OutputError
 from accelcal_cli.core.formats import ReadOptions
 from accelcal_cli.pipeline.jobs import Request
-from accelcal_cli.studies.dask_worker import (
+from accelcal_cli.studies.cluster import (
     WorkerRequirements,
     calibrate_in_user_folder,
     code,
